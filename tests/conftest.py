@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import inspect
 import os
 import signal
 import sys
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from types import FrameType
 from typing import Any
 
+import coroutine_tests
 import parametrized_cases
 import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
@@ -147,12 +150,23 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
         parametrized_cases.merge(metafunc)
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(name: str, obj: object) -> None:
+    """A coroutine function is run by the fixture `runner`."""
+    if name.startswith("test_") and inspect.iscoroutinefunction(obj):
+        pytest.mark.usefixtures("runner")(obj)
+
+
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Check all cases of an item that has several."""
+    """Check all cases of an item that has several, and run coroutine functions."""
     merged = getattr(pyfuncitem, "callspec", None)
-    if not isinstance(merged, parametrized_cases.MergedCases):
+    check = coroutine_tests.synchronous(pyfuncitem)
+    if isinstance(merged, parametrized_cases.MergedCases):
+        parametrized_cases.check_all(pyfuncitem, merged, check)
+        return True
+    if check is pyfuncitem.obj:
         return None
-    parametrized_cases.check_all(pyfuncitem, merged)
+    check(**{name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames})
     return True
 
 
@@ -202,6 +216,12 @@ def _own_doors() -> Iterator[None]:
     with tempfile.TemporaryDirectory(prefix="lf-") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
         yield
+
+
+@pytest.fixture(scope="session")
+def runner() -> Callable[[Callable[[], Coroutine[Any, Any, object]]], object]:
+    """Runs tests that are coroutine functions, unless their folder or file has a `runner` of its own."""
+    return lambda test: asyncio.run(test())
 
 
 def _steps_of(work: Callable[[], object]) -> int:

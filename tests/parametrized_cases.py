@@ -119,10 +119,10 @@ def failures_of(cases: Iterable[CallSpec], check: Callable[..., object], shared:
     return failed
 
 
-def check_all(item: pytest.Function, merged: MergedCases) -> None:
+def check_all(item: pytest.Function, merged: MergedCases, check: Callable[..., object]) -> None:
     """Check the merged cases of an item. Raises the one failure, or a group of all failures."""
     arguments = {name: item.funcargs[name] for name in item._fixtureinfo.argnames}
-    failed = failures_of(merged.cases, item.obj, arguments)
+    failed = failures_of(merged.cases, check, arguments)
     if len(failed) == 1:
         raise failed[0]
     if failed:

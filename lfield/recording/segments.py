@@ -1,4 +1,4 @@
-"""Segment files: a magic number, then frames of one record each. Pure.
+"""Segment files: a magic number, then frames of one record each.
 
     frame: length (4 bytes, little endian), CRC-32 of the record (4 bytes), record (msgpack)
 
@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from struct import Struct
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 from zlib import crc32
+
+from lfield.text.input_files import error_reason, read_up_to
 
 #: The first bytes of each segment; the last one is the version of this format and of all records.
 MAGIC = b"LFREC\x00\x00\x02"
@@ -19,6 +21,8 @@ MAGIC = b"LFREC\x00\x00\x02"
 MAX_RECORD = 1 << 28
 _HEADER = Struct("<II")
 _CUT = "it ends within a record"
+#: Bytes that are read at once where contents do not matter.
+_PIECE = 1 << 20
 
 
 class SegmentEnd(NamedTuple):
@@ -50,30 +54,57 @@ def format_problem(data: bytes) -> str:
 
 
 class SegmentReader:
-    """The records of one segment; `end` says where and why reading ended."""
+    """The records of one segment, read from `stream` one by one; `end` says where and why reading ended.
 
-    def __init__(self, data: bytes) -> None:
-        self._data = memoryview(data)
-        self.end = SegmentEnd(len(data), "")
+    `problem` says why it cannot be read at all, '' if it can. It never reads more than one record ahead, so a
+    file of any size does no harm.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        head = stream.read(len(MAGIC))
+        self.problem = format_problem(head)
+        self.end = SegmentEnd(len(head), "")
 
     def __iter__(self) -> Iterator[bytes]:
-        data, offset = self._data, len(MAGIC)
-        while offset < len(data):
-            start = offset + _HEADER.size
-            if start > len(data):
-                self.end = SegmentEnd(offset, _CUT, is_cut=True)
+        while True:
+            try:
+                record = self._next()
+            except OSError as error:
+                self.end = SegmentEnd(self.end.offset, f"it cannot be read: {error_reason(error)}")
                 return
-            size, checksum = _HEADER.unpack_from(data, offset)
-            if size > MAX_RECORD:
-                self.end = SegmentEnd(offset, "the length of a record is damaged")
-                return
-            if start + size > len(data):
-                self.end = SegmentEnd(offset, _CUT, is_cut=True)
-                return
-            record = bytes(data[start : start + size])
-            if crc32(record) != checksum:
-                self.end = SegmentEnd(offset, "the checksum of a record is wrong")
+            if record is None:
                 return
             yield record
-            offset = start + size
-        self.end = SegmentEnd(offset, "")
+            self.end = SegmentEnd(self.end.offset + _HEADER.size + len(record), "")
+
+    def _next(self) -> bytes | None:
+        """The next record; None if there is none, with the reason in `end`."""
+        stream, offset = self._stream, self.end.offset
+        header = stream.read(_HEADER.size)
+        if not header:
+            return None
+        if len(header) < _HEADER.size:
+            return self._cut()
+        size, checksum = _HEADER.unpack(header)
+        if not (size or checksum or self._has_data()):
+            # As after a power failure: the file system has stored its length before its contents.
+            return self._cut()
+        if not 0 < size <= MAX_RECORD:
+            self.end = SegmentEnd(offset, "the length of a record is damaged")
+            return None
+        record = read_up_to(stream, size)
+        if len(record) < size:
+            return self._cut()
+        if crc32(record) != checksum:
+            self.end = SegmentEnd(offset, "the checksum of a record is wrong")
+            return None
+        return record
+
+    def _cut(self) -> bytes | None:
+        self.end = SegmentEnd(self.end.offset, _CUT, is_cut=True)
+        return None
+
+    def _has_data(self) -> bool:
+        """Whether any other byte than zero follows."""
+        return any(piece.count(0) < len(piece) for piece in iter(lambda: self._stream.read(_PIECE), b""))

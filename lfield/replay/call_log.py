@@ -10,6 +10,7 @@ from lfield.host.core import HostCore
 from lfield.host.effects import CallDevice
 from lfield.replay.team_check import location_of
 from lfield.vm.agent import Agent
+from lfield.vm.inspection.traceback import FrameLocation
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +52,14 @@ class CallLog:
         self.ended_at = math.inf
         #: The agents that have ended, and were not halted by their hosts.
         self.ended: set[str] = set()
+        #: The most instructions that a thread has executed without a call or a pause.
+        self.longest_computation = 0
+        self._endless = 0
 
     @property
     def count(self) -> int:
         """The number of calls."""
-        return sum(len(calls) for calls in self.by_agent.values())
+        return sum(len(calls) for calls in self.by_agent.values()) - self._endless
 
     def end(self, at: float, missed_calls: int) -> None:
         """The recording has ended."""
@@ -64,6 +68,8 @@ class CallLog:
     def may_follow(self, recorded: CallLog) -> bool:
         """Whether more time could show whether this program makes the recorded calls, and no others."""
         own = self.by_agent
+        if self._endless:
+            return False
         if any(len(own.get(agent, ())) < len(calls) for agent, calls in recorded.by_agent.items()):
             return True
         return bool(recorded.ended - self.ended) and recorded.first_difference(self) is None
@@ -82,26 +88,38 @@ class CallLog:
         if agent is not None:
             self._add(agent, text, core, at)
         else:
-            self.by_agent.setdefault(caller, []).append(LoggedCall(caller, text, at, core.name, ""))
+            self._append(caller, text, core, None, at)
 
     def add_departure(self, core: HostCore, caller: str, text: str, at: float) -> None:
         """A coordinator has left its host for a portal call."""
         if (agent := core.machine.agents.get(caller)) is not None:
             self._add(agent, text, core, at)
 
+    def add_computation(self, core: HostCore, agent: str, location: FrameLocation | None, at: float) -> None:
+        """A thread computes on without a call or a pause: that is no call, but differs from any."""
+        self._endless += 1
+        self._append(agent, "computes on without a call or a pause", core, location, at)
+
     def _add(self, agent: Agent, text: str, core: HostCore, at: float) -> None:
-        location = location_of(agent, core.machine.program)
+        self._append(agent.id, text, core, location_of(agent, core.machine.program), at)
+
+    def _append(
+        self, agent: str, text: str, core: HostCore, location: FrameLocation | None, at: float
+    ) -> None:
         place = "" if location is None else f"{location.file}:{location.line}"
-        self.by_agent.setdefault(agent.id, []).append(LoggedCall(agent.id, text, at, core.name, place))
+        self.by_agent.setdefault(agent, []).append(LoggedCall(agent, text, at, core.name, place))
 
     def first_difference(self, other: CallLog) -> CallDifference | None:
-        """The earliest difference of another log to this one; None if both have the same calls."""
+        """The earliest difference of another log to this one; None if both have the same calls.
+
+        Of several at one time, another call is the cause of those that are missing.
+        """
         found = [
             difference
             for agent in sorted(self.by_agent.keys() | other.by_agent.keys())
             if (difference := self._difference(other, agent)) is not None
         ]
-        return min(found, key=lambda each: each.at, default=None)
+        return min(found, key=lambda each: (each.at, each.replayed is None), default=None)
 
     def _difference(self, other: CallLog, agent: str) -> CallDifference | None:
         recorded, replayed = self.by_agent.get(agent, []), other.by_agent.get(agent, [])

@@ -34,6 +34,7 @@ from lfield.host.recording.host_records import IdleTurn, RecordedAnswer, TurnRec
 from lfield.host.recording.recorded_environment import Question
 from lfield.mission.mission import Mission
 from lfield.replay.call_log import CallLog
+from lfield.replay.computation_limit import ComputationLimit
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import TeamRecording
@@ -41,6 +42,8 @@ from lfield.replay.team_order import TeamOrder, TransferKey, arrival_in
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
+from lfield.vm.inspection.traceback import innermost
+from lfield.vm.memory.block import Block
 from lfield.vm.reference import ReferenceEngine
 from lfield.wire.coordinator_messages import TransferAccepted
 from lfield.wire.events import AgentFinished, MigrationStarted
@@ -57,7 +60,8 @@ MAX_EVENTS, MAX_EVENT_BYTES = 100_000, 16 << 20
 class ProgramRun:
     """One host that runs a program on a recording; `log` gets its calls, `sent` its departures.
 
-    The program `is_other` than the recorded one: the end of the recorded host does not end it.
+    With `recorded_log`, the calls of the recorded program, the program is another one: the end of the
+    recorded host does not end it.
     """
 
     def __init__(
@@ -68,13 +72,14 @@ class ProgramRun:
         engines: Engines,
         log: CallLog,
         sent: SentBlocks,
-        *,
-        is_other: bool,
+        recorded_log: CallLog | None = None,
     ) -> None:
-        self._is_other = is_other
-        self._replay = HostReplay(recording, mission, engines)
-        self._core, self._host = self._replay.core, recording.host
+        self._is_other = recorded_log is not None
         self._log, self._sent = log, sent
+        known = None if recorded_log is None else recorded_log.longest_computation
+        self._limit = ComputationLimit(lambda: self._at, known, self._on_endless_computation)
+        self._replay = HostReplay(recording, mission, self._limit.limited(engines))
+        self._core, self._host = self._replay.core, recording.host
         self._replay.environment.use_calls(numbers_of(mission.program, recorded))
         self._replay.environment.preset(_first_answers(recording))
         self._core.machine.hooks.replace_observer(PortalCallObserver(self))
@@ -152,6 +157,16 @@ class ProgramRun:
     def missed_calls(self) -> int:
         """How many recorded device calls were not made."""
         return len(self._recorded) - len(self._made)
+
+    @property
+    def longest_computation(self) -> int:
+        """The most instructions that a thread has executed without a call or a pause."""
+        return self._limit.longest
+
+    def _on_endless_computation(self, agent: str, block: Block, thread: int, since: float) -> None:
+        self._log.add_computation(
+            self._core, agent, innermost(block, self._core.machine.program, thread), since
+        )
 
     def on_portal_call(self, resource: Agent, method: int, caller: str) -> None:
         """A portal has started for a coordinator."""
@@ -287,12 +302,13 @@ def run_program(
     """
     log, sent = CallLog(), SentBlocks()
     given = mission, recording.mission.program, engines, log, sent
-    runs = [ProgramRun(part, *given, is_other=recorded is not None) for part in order.parts]
+    runs = [ProgramRun(part, *given, recorded) for part in order.parts]
     last = 0.0
     for turn in order:
         runs[turn.part].turn(turn.record, turn.at)
         last = turn.at
     log.end(min([last, *(run.halted_at for run in runs)]), sum(run.missed_calls for run in runs))
+    log.longest_computation = max(run.longest_computation for run in runs)
     if recorded is not None:
         _run_on(runs, order, log, recorded)
     return log

@@ -16,12 +16,9 @@ from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM
 from lfield.mission import bundle
 from lfield.mission.mission import Mission
 from lfield.recording.folders import SUFFIX, parse_folder, segments_of, time_name
-from lfield.recording.segments import MAGIC, SegmentReader, format_problem
+from lfield.recording.segments import MAGIC, SegmentReader
 from lfield.replay.host_recording import HostRecording, require_valid
-from lfield.text.input_files import read_bytes
-
-#: The largest segment, in bytes: a ring of the largest limit has files of an eighth of it.
-MAX_SEGMENT = 1 << 37
+from lfield.text.input_files import error_reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,12 +156,18 @@ class _Gap(NamedTuple):
 
 def _read_segment(path: Path, frames: list[bytes]) -> _Gap:
     """Add the frames of a file. Raises RecordingError for one of another format."""
-    data = read_bytes(path, MAX_SEGMENT)
-    if len(data) < len(MAGIC):
-        return _Gap("it is cut before its first record" if data else "it is empty", is_cut=True)
-    if problem := format_problem(data):
-        raise RecordingError(f"{path.name}: {problem}")
-    reader = SegmentReader(data)
+    try:
+        with path.open("rb") as stream:
+            return _read_frames(path, SegmentReader(stream), frames)
+    except OSError as error:
+        raise InputFileError(str(path), error_reason(error)) from None
+
+
+def _read_frames(path: Path, reader: SegmentReader, frames: list[bytes]) -> _Gap:
+    if reader.end.offset < len(MAGIC):
+        return _Gap("it is cut before its first record" if reader.end.offset else "it is empty", is_cut=True)
+    if reader.problem:
+        raise RecordingError(f"{path.name}: {reader.problem}")
     for place, each in enumerate(reader):
         try:
             require_valid(each)

@@ -10,13 +10,14 @@ Every function returns a new value. The caller stores it before it sends anythin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from msgspec import Struct
 from msgspec.structs import replace
 
+from lfield.text.suggestions import listed
 from lfield.wire.fields import MAX_LABEL, Hash, OrderId, truncate
-from lfield.wire.service_messages import Ballot, BallotState, Vote, ballot_outcome
+from lfield.wire.service_messages import Ballot, BallotState, BundleInfo, Vote, ballot_outcome
 
 #: The most ballots that a host remembers to have refused without a proposal, and the most earlier ballots
 #: whose votes it remembers. An undecided host that asks after so many later ballots gets a vote against: its
@@ -100,6 +101,17 @@ def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
     if id in state.closed:
         return BallotState(id, None, {host: "no"}, {host: _closed_reason(state)}, "aborted")
     return BallotState(id, None, {}, {}, "open")
+
+
+def coordinators_elsewhere(mission: BundleInfo | None, hosts: Collection[str]) -> str:
+    """Why the coordinators of a mission that has not ended may be on other hosts than these; '' if not."""
+    remedy = "let it end, or 'lfield stop --discard', with --without for hosts that are lost"
+    if mission is None:
+        return f"the mission has not ended, and its coordinators are unknown; {remedy}"
+    found = [f"{agent} of {home}" for agent, home in mission.coordinators.items() if home not in hosts]
+    if not found:
+        return ""
+    return f"the mission has not ended, and its coordinators may run elsewhere: {listed(found)}; {remedy}"
 
 
 def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> ActivationState:

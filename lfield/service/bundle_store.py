@@ -25,7 +25,7 @@ from lfield.mission.bundle import SUFFIX
 from lfield.service.ballots import ActivationState
 from lfield.text.secure_files import private_folder, read_private, write_private
 from lfield.wire.bundle_pieces import Piece, piece_of, split
-from lfield.wire.fields import Hash, Text
+from lfield.wire.fields import Hash, OptionalOrderId, Text
 
 #: The largest state file, in bytes, and free space that a piece must leave.
 MAX_STATE, RESERVE = 4 << 20, 16 << 20
@@ -41,7 +41,7 @@ class RunRecord(Struct, frozen=True):
     `bundle` is b"" when nothing should run. `pid` and `started` (clock ticks after the boot) identify the
     process, 0 before it was started. `unsafe` is why the vehicles of the last host may not be at rest.
     `open_run` is the bundle that was started last, until its run has ended or was discarded: its coordinators
-    may exist on any host of its mission.
+    may exist on any host of its mission. `order` is the id of the order that started it.
     """
 
     bundle: Hash = b""
@@ -50,6 +50,7 @@ class RunRecord(Struct, frozen=True):
     started: Annotated[int, Meta(ge=0)] = 0
     unsafe: Text = ""
     open_run: Hash = b""
+    order: OptionalOrderId = b""
 
 
 class ServiceRecord(Struct, frozen=True):

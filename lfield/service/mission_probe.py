@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from lfield.clock import Clock
-from lfield.errors import InputFileError, LfieldError
+from lfield.errors import LfieldError, NoListener
 from lfield.journal.file_journal import FileJournal
 from lfield.journal.journal import FILE_NAME, journal_file
 from lfield.journal.journal_loader import JournalOwner
@@ -23,6 +23,7 @@ from lfield.operator.observer_link import Request, T, ask_with_retries
 from lfield.operator.runs import runs_here
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.team_state import DeviceState, HostState
+from lfield.service.service_interfaces import DISCARDED
 from lfield.text.suggestions import listed
 from lfield.wire.observer_messages import BallotHold, EmergencyStopResult, StartRequest, StartResponse
 from lfield.wire.service_messages import UnfinishedCoordinator
@@ -32,8 +33,6 @@ from lfield.wire.service_messages import UnfinishedCoordinator
 MAX_AGE, REST_SPEED = 5.0, 0.5
 #: How often, and how many seconds apart, a host that has just been started is asked to start coordinators.
 START_ATTEMPTS, START_DELAY = 10, 1.0
-#: The reason of coordinators that an operator has discarded.
-DISCARDED = "discarded by 'lfield stop --discard'"
 #: Why a host does not run its mission yet.
 STARTING = "it starts: its devices are not open yet"
 _STATES: Mapping[str, str] = {
@@ -69,7 +68,7 @@ class LocalProbe:
         try:
             status = await self._snapshot()
         except LfieldError as error:
-            return f"the mission's host does not answer: {error}"
+            return _no_answer(error)
         devices = status.devices
         try:
             vehicles = self._vehicles_of()
@@ -84,7 +83,7 @@ class LocalProbe:
         try:
             answer = await self._ask(_hold(ballot))
         except LfieldError as error:
-            return f"the mission's host cannot be held: {error}"
+            return f"it cannot be held: {_no_answer(error)}"
         return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
 
     async def release(self) -> str:
@@ -94,7 +93,7 @@ class LocalProbe:
             if ballot := (await self._snapshot()).report.ballot:
                 await self._ask(_hold(ballot, lift=True))
         except LfieldError as error:
-            return f"the mission's host cannot be released: {error}"
+            return f"it cannot be released: {_no_answer(error)}"
         return ""
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
@@ -109,6 +108,13 @@ class LocalProbe:
         running = {one.agent: one for one in _in_snapshot(status)}
         return [*running.values(), *(one for one in found if one.agent not in running)]
 
+    async def is_up(self) -> bool:
+        """See `MissionProbe`."""
+        try:
+            return not (await self._snapshot()).report.starting
+        except LfieldError:
+            return False
+
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
         if not self._pid():
@@ -116,7 +122,7 @@ class LocalProbe:
         try:
             status = await self._snapshot()
         except LfieldError as error:
-            return f"the mission's host does not answer: {error}"
+            return _no_answer(error)
         if status.report.starting:
             return STARTING
         if status.stopped:
@@ -135,7 +141,7 @@ class LocalProbe:
             try:
                 answer = await self._ask(request)
             except LfieldError as error:
-                trouble = str(error)
+                trouble = _no_answer(error)
             else:
                 trouble = answer.trouble
                 if answer.waiting is not None:
@@ -145,13 +151,15 @@ class LocalProbe:
             await asyncio.sleep(START_DELAY)
         return trouble
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
         """See `MissionProbe`. Raises JournalError."""
         ended: list[str] = []
-        for mission, path in self._journals():
-            owner = JournalOwner(mission, self._host, machine_id())
+        for found, path in self._journals():
+            if mission not in ("", found):
+                continue
+            owner = JournalOwner(found, self._host, machine_id())
             with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
-                plan = plan_discard(self._host, journal.records(), DISCARDED)
+                plan = plan_discard(self._host, journal.records(), reason)
                 await journal.persist(plan.pages)
             ended += [page.agent for page in plan.discarded]
         return list(dict.fromkeys(ended))
@@ -173,7 +181,7 @@ class LocalProbe:
         for run in runs_here():
             if run.manifest.pid == pid and (socket := run.control_socket(self._host)):
                 return socket
-        raise InputFileError("the mission's host", "it is not up yet")
+        raise NoListener(self._host)
 
     # --- journals -------------------------------------------------------------------------------------
 
@@ -194,6 +202,13 @@ class LocalProbe:
                 yield UnfinishedCoordinator("?", f"unknown: {error}"[:256], "", mission[:256])
                 continue
             yield from _unfinished(records, mission)
+
+
+def _no_answer(error: LfieldError) -> str:
+    """Why a host whose process exists does not answer."""
+    if isinstance(error, NoListener):
+        return "the mission's host accepts no connection now: it starts or ends"
+    return f"the mission's host does not answer: {error}"
 
 
 def _hold(ballot: bytes, *, lift: bool = False) -> Request[EmergencyStopResult]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import NamedTuple, Protocol
 
@@ -20,10 +20,13 @@ from lfield.event_loop import spawn
 from lfield.service import messages
 from lfield.service.bundle_store import RunRecord
 from lfield.service.restart_policy import RESTART_DELAY, judge
+from lfield.service.service_interfaces import AskPeer, MissionProbe, ask_peers
 from lfield.text.log_messages import LogLine
 from lfield.wire.fields import short_digest, truncate
-from lfield.wire.service_messages import RunInfo, RunPhase
+from lfield.wire.service_messages import COMPLETED, RunInfo, RunPhase, ServiceQuery, ServiceStatus
 
+#: The longest pause between two questions about a missed end, in seconds.
+LONGEST_PAUSE = 60.0
 #: The status of a host that ended without leaving one: killed, or after a crash of its computer.
 KILLED = -9
 #: What is said of a host that ran before this boot.
@@ -88,10 +91,12 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
-        #: Whether vehicles were at rest when the host was launched, as far as is known.
-        self._was_safe = False
+        #: The `unsafe` of the record before the host was launched; None where it is not known.
+        self._unsafe_before: str | None = None
         #: Why the host before the one that runs has failed, '' for none.
         self.last_failure = ""
+        #: Whether the mission may have ended on other hosts while no host ran here.
+        self.may_have_missed_end = False
 
     def attach(self, store: Callable[[], None], refusal: Callable[[bytes], str]) -> None:
         """Set what stores the record, and what says why the host of a bundle may not start."""
@@ -117,15 +122,15 @@ class MissionRunner:
         """Whether the process of the host exists."""
         return self._process is not None
 
-    async def start(self, bundle: bytes) -> None:
+    async def start(self, bundle: bytes, order: bytes = b"") -> None:
         """Start the host of a bundle; nothing if it runs. Raises LfieldError."""
         if self._process is not None:
             return
         # A restart that waits would refuse, or start the host a second time.
         await self._cancel_restart()
         self._restarts.clear()
-        self.last_failure = ""
-        self._launch(bundle)
+        self.last_failure, self.may_have_missed_end = "", False
+        self._launch(bundle, order)
         self._supervision = spawn(self._supervise())
 
     def adopt(self) -> None:
@@ -154,8 +159,9 @@ class MissionRunner:
 
     def _supervise_running(self, host: HostProcess) -> None:
         bundle, self._process = host
-        self._was_safe = False
-        self._keep(RunRecord(bundle, self._processes.boot, *self._process, open_run=bundle))
+        self._unsafe_before, self.may_have_missed_end = None, True
+        order = self._record.order if bundle == self._record.open_run else b""
+        self._keep(RunRecord(bundle, self._processes.boot, *self._process, open_run=bundle, order=order))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_ADOPTED.line(bundle=short_digest(bundle), pid=self._process.pid))
         self._supervision = spawn(self._supervise())
@@ -176,9 +182,7 @@ class MissionRunner:
                 await self._cancel_restart()
         finally:
             self._is_stopping = False
-        if self._record.unsafe == checked:
-            self._keep(RunRecord(open_run=self._record.open_run))
-        self._forget()
+        self._forget(unsafe="" if self._record.unsafe == checked else self._record.unsafe)
         self._set_phase("stopped", reason)
 
     def end_run(self) -> None:
@@ -222,22 +226,23 @@ class MissionRunner:
         verdict = judge(end.status, end.reason, self._restarts, now)
         short = short_digest(bundle)
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
-        # A host handles SIGTERM before it opens devices, so this ends only one that has not opened any.
-        is_unopened = end.status == -signal.SIGTERM and self._was_safe
-        if (end.status < 0 and not is_unopened) or end.status == exit_status.UNSAFE:
+        if end.status < 0 or end.status == exit_status.UNSAFE:
             # Its vehicles may still move. The next host observes them, or an operator says that they rest.
-            self._keep(replace(self._record, unsafe=truncate(verdict.reason)))
+            unsafe = truncate(verdict.reason)
+            if end.status == -signal.SIGTERM and self._unsafe_before is not None:
+                # It handles SIGTERM before it opens devices, so this ends only one that has not opened any.
+                unsafe = self._unsafe_before
+            self._keep(replace(self._record, unsafe=unsafe))
         if self._is_stopping:
             return False
-        if end.status in (exit_status.DONE, exit_status.FAILED):
-            # It ends so only when the whole mission has ended.
+        if end.status in COMPLETED:
             self._keep(replace(self._record, open_run=b""))
         if not verdict.restarts or (refusal := self._refusal(bundle)):
             self._forget()
             reason = _not_restarted(verdict.reason, refusal) if verdict.restarts else verdict.reason
             self._set_phase("ended", reason, bundle, end.status)
             return False
-        self.last_failure = verdict.reason
+        self.last_failure, self.may_have_missed_end = verdict.reason, True
         self._set_phase("waiting", verdict.reason, bundle, end.status)
         self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
         await asyncio.sleep(RESTART_DELAY)
@@ -246,24 +251,26 @@ class MissionRunner:
             self._interrupt(_not_restarted(verdict.reason, refusal))
             return False
         try:
-            self._launch(bundle)
+            self._launch(bundle, self._record.order)
         except LfieldError as error:
             self._interrupt(str(error))
             return False
         return True
 
-    def _launch(self, bundle: bytes) -> None:
+    def _launch(self, bundle: bytes, order: bytes) -> None:
         """Store that the host should run, then start it. Raises LfieldError."""
-        before = RunRecord(unsafe=self._record.unsafe, open_run=self._record.open_run)
-        self._was_safe = not before.unsafe
-        self._set_record(RunRecord(bundle, self._processes.boot, unsafe=before.unsafe, open_run=bundle))
+        before = self._idle_record(self._record.unsafe)
+        self._unsafe_before = before.unsafe
+        run = RunRecord(bundle, self._processes.boot, open_run=bundle, order=order)
+        self._set_record(replace(run, unsafe=before.unsafe))
         try:
             self._process = self._processes.start(bundle)
         except BaseException:
             self._keep(before)
             raise
         # Without its number the next service finds the process by its command line.
-        self._keep(RunRecord(bundle, self._record.boot, *self._process, open_run=bundle))
+        pid, started = self._process
+        self._keep(replace(run, pid=pid, started=started))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_STARTED.line(bundle=short_digest(bundle), pid=self._process.pid))
 
@@ -273,9 +280,12 @@ class MissionRunner:
         self._set_phase("interrupted", reason, bundle)
         self.note(messages.HOST_INTERRUPTED.line(reason=reason))
 
-    def _forget(self) -> None:
+    def _forget(self, unsafe: str | None = None) -> None:
         """Nothing should run."""
-        self._keep(RunRecord(unsafe=self._record.unsafe, open_run=self._record.open_run))
+        self._keep(self._idle_record(self._record.unsafe if unsafe is None else unsafe))
+
+    def _idle_record(self, unsafe: str) -> RunRecord:
+        return RunRecord(unsafe=unsafe, open_run=self._record.open_run, order=self._record.order)
 
     def _keep(self, record: RunRecord) -> None:
         """Store a record that is true in any case. On a full disk an older one stays, and the next service
@@ -298,7 +308,35 @@ class MissionRunner:
     ) -> None:
         last = self._info.status if status is None else status
         bundle = self._info.bundle if bundle is None else bundle
-        self._info = RunInfo(bundle, phase, reason, self._clock.time(), last)
+        self._info = RunInfo(bundle, phase, reason, self._clock.time(), last, self._record.order)
+
+
+class MissedEnd:
+    """Asks the other hosts whether the mission has ended while the host of this computer did not run.
+
+    They do not link with it any more. It asks less often the longer they say that it has not.
+    """
+
+    def __init__(self, runner: MissionRunner, probe: MissionProbe, clock: Clock) -> None:
+        self._runner, self._probe, self._now = runner, probe, clock.monotonic
+        #: The process that was asked for, when it was first, and when it is next.
+        self._process: ProcessId | None = None
+        self._first = self._next = 0.0
+
+    async def find(self, ask: AskPeer, hosts: Collection[str]) -> str:
+        """One of the `hosts` of the mission on which its run has ended as a whole; '' if none is known."""
+        runner, now = self._runner, self._now()
+        process, order = runner.process, runner.record.order
+        if process is None or not order or not runner.may_have_missed_end:
+            return ""
+        if process != self._process:
+            self._process, self._first, self._next = process, now, now
+        if now < self._next or not await self._probe.is_up():
+            return ""
+        self._next = now + min(LONGEST_PAUSE, now - self._first)
+        answers = await ask_peers(ask, hosts, ServiceQuery())
+        statuses = [answer for answer in answers if isinstance(answer, ServiceStatus)]
+        return next((one.host for one in statuses if one.run.has_completed and one.run.order == order), "")
 
 
 def _not_restarted(end: str, refusal: str) -> str:

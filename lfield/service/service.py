@@ -15,13 +15,13 @@ from msgspec.structs import replace
 
 from lfield import __version__
 from lfield.clock import Clock
-from lfield.errors import LfieldError, OutputFileError, WireError
+from lfield.errors import JournalError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_receiver import BundleReceiver, Verify
 from lfield.service.bundle_store import ServiceRecord
-from lfield.service.mission_runner import MissionRunner
-from lfield.service.service_interfaces import AskPeer, MissionProbe, ServiceFiles
+from lfield.service.mission_runner import MissedEnd, MissionRunner
+from lfield.service.service_interfaces import AskPeer, MissionProbe, ServiceFiles, ask_peers
 from lfield.text.log_messages import LogLine
 from lfield.text.suggestions import listed
 from lfield.wire.fields import short_digest, truncate
@@ -77,6 +77,7 @@ class Service:
             store, verify, lambda: self._activation.kept, self.note, clock.monotonic
         )
         runner.attach(self._store_run, self._start_refusal)
+        self._missed_end = MissedEnd(runner, probe, clock)
 
     @property
     def activation(self) -> ActivationState:
@@ -246,15 +247,7 @@ class Service:
         There is a record of a coordinator only on hosts that it has visited.
         """
         run = self._runner.record.open_run or self._runner.record.bundle
-        if not run or not hosts:
-            return ""
-        remedy = "let it end, or 'lfield stop --discard', with --without for hosts that are lost"
-        if (info := self._bundles.info(run)) is None:
-            return f"the mission has not ended, and its coordinators are unknown; {remedy}"
-        found = [f"{agent} of {home}" for agent, home in info.coordinators.items() if home not in hosts]
-        if not found:
-            return ""
-        return f"the mission has not ended, and its coordinators may run elsewhere: {listed(found)}; {remedy}"
+        return ballots.coordinators_elsewhere(self._bundles.info(run), hosts) if run and hosts else ""
 
     async def _motion(self) -> str:
         """Why the vehicles of the mission's host may not be at rest on the ground; '' if they are."""
@@ -272,10 +265,11 @@ class Service:
         Does not return. On a full disk the next round tries again.
         """
         while True:
-            with suppress(OutputFileError):
+            with suppress(OutputFileError, JournalError):
                 bound = self._activation.open_ballot
                 if bound is None:
                     await self.settle()
+                    await self._stop_after_missed_end(ask)
                 else:
                     await self._ask_for_votes(bound, ask)
             await asyncio.sleep(RESOLVE_EVERY)
@@ -287,22 +281,30 @@ class Service:
         closes = waited >= CLOSE_AFTER
         if closes and self._clock.monotonic() - self._reported_at >= REPORT_EVERY:
             self._reported_at = self._clock.monotonic()
-            self.note(
-                messages.BALLOT_OPEN.line(
-                    bundle=short_digest(bound.ballot.digest) if bound.ballot is not None else "",
-                    seconds=waited,
-                    missing=listed(missing),
-                )
-            )
+            bundle = short_digest(bound.ballot.digest) if bound.ballot is not None else ""
+            line = messages.BALLOT_OPEN.line(bundle=bundle, seconds=waited, missing=listed(missing))
+            self.note(line)
         query = VoteQuery(bound.id, closes=closes)
-        answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
         votes: dict[str, Vote] = {}
-        for answer in answers:
+        for answer in await ask_peers(ask, missing, query):
             if isinstance(answer, BallotState):
                 votes |= answer.votes
-            elif not isinstance(answer, LfieldError):
-                raise answer
         await self.on_votes(bound.id, votes)
+
+    async def _stop_after_missed_end(self, ask: AskPeer) -> None:
+        """Stop a host that was restarted while its mission ended: it would wait for hosts that have ended.
+
+        What its journal says of the coordinators is older than their ends.
+        """
+        process, mission = self._runner.process, self._bundles.info(self._runner.record.bundle)
+        if mission is None or not (host := await self._missed_end.find(ask, mission.hosts)):
+            return
+        async with self._lock:
+            if self._runner.process == process:
+                why = f"the mission has ended on {host} while this host did not run"
+                await self._runner.stop(why)
+                await self._probe.discard(mission.name, why)
+                self._runner.end_run()
 
     # --- commands -------------------------------------------------------------------------------------
 
@@ -328,7 +330,7 @@ class Service:
             unknown = [host for host in command.without if info.hosts and host not in info.hosts]
             refusal = f"its mission has no host {listed(unknown)}" if unknown else ""
         if not refusal:
-            await self._runner.start(active)
+            await self._runner.start(active, command.order)
             if command.without:
                 refusal = await self._probe.start_without(command.without)
         return CommandResult(self._runner.info, refusal)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import asyncio
+from collections.abc import Awaitable, Callable, Collection
 from typing import Protocol
 
+from lfield.errors import LfieldError
 from lfield.service.bundle_receiver import BundleFiles
 from lfield.service.bundle_store import ServiceRecord
-from lfield.wire.service_messages import BallotState, UnfinishedCoordinator, VoteQuery
+from lfield.wire.service_messages import ServiceMessage, ServiceQuery, UnfinishedCoordinator, VoteQuery
+
+#: The reason of coordinators that an operator has discarded.
+DISCARDED = "discarded by 'lfield stop --discard'"
 
 
 class ServiceFiles(BundleFiles, Protocol):
@@ -34,15 +39,34 @@ class MissionProbe(Protocol):
     async def release(self) -> str:
         """End the hold of the running host for any ballot; returns why it is still held, '' if not."""
 
+    async def is_up(self) -> bool:
+        """Whether the running host has opened its devices."""
+
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
 
     async def start_without(self, hosts: list[str]) -> str:
         """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
 
-    async def discard(self) -> list[str]:
-        """End the coordinators in the journals of a host that does not run; returns their names."""
+    async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
+        """End the coordinators in the journals of a host that does not run, or of one mission of it; returns
+        their names.
+        """
 
 
 #: Asks the service of another host. Raises LfieldError.
-AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
+AskPeer = Callable[[str, VoteQuery | ServiceQuery], Awaitable[ServiceMessage]]
+
+
+async def ask_peers(
+    ask: AskPeer, hosts: Collection[str], query: VoteQuery | ServiceQuery
+) -> list[ServiceMessage]:
+    """The answers of the services of other hosts, without those that do not answer."""
+    answers = await asyncio.gather(*(ask(host, query) for host in hosts), return_exceptions=True)
+    found = []
+    for answer in answers:
+        if not isinstance(answer, BaseException):
+            found.append(answer)
+        elif not isinstance(answer, LfieldError):
+            raise answer
+    return found

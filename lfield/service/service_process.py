@@ -29,7 +29,7 @@ from lfield.service.mission_runner import MissionRunner
 from lfield.service.server import ServiceServer
 from lfield.service.service import Service
 from lfield.wire.fields import short_digest
-from lfield.wire.service_messages import BallotState, VoteQuery
+from lfield.wire.service_messages import BallotState, ServiceQuery, ServiceStatus, VoteQuery
 
 #: The largest frame that a service accepts, in bytes, seconds for an answer of another service, and seconds
 #: between two checks of the certificates of linked peers.
@@ -101,14 +101,16 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
 
 
 async def ask_peer(
-    transport: Transport, peers: Mapping[str, str], host: str, query: VoteQuery
-) -> BallotState:
+    transport: Transport, peers: Mapping[str, str], host: str, query: VoteQuery | ServiceQuery
+) -> BallotState | ServiceStatus:
     """The answer of the service of another host. Raises LfieldError."""
     if host not in peers:
         raise AddressError(host, "the inventory of this robot does not have it")
     link = await open_service_link(transport, peers[host], host, None)
     try:
-        return await link.ask(query, BallotState, PEER_TIMEOUT)
+        if isinstance(query, VoteQuery):
+            return await link.ask(query, BallotState, PEER_TIMEOUT)
+        return await link.ask(query, ServiceStatus, PEER_TIMEOUT)
     finally:
         link.close()
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 from lfield.host.recording.recording_target import RecordingMemory
@@ -49,7 +50,7 @@ def record_mission(
 def recordings_in(memory: RecordingMemory) -> list[HostRecording]:
     """The recordings of the incarnations of hosts, in the order of their starts."""
     frames = [
-        [record for data in sink.frames for record in SegmentReader(MAGIC + data)]
+        [record for data in sink.frames for record in SegmentReader(BytesIO(MAGIC + data))]
         for _, _, sink in memory.sinks
     ]
     return [HostRecording(each) for each in frames if each]

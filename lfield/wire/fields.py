@@ -45,6 +45,7 @@ Ordinal = Annotated[int, Meta(ge=0, le=2**62)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
 #: The id of an order to stop, to pause or to end either: random, chosen by the sender.
 OrderId = Annotated[bytes, Meta(min_length=16, max_length=16)]
+OptionalOrderId = Annotated[bytes, Meta(max_length=16)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
 Duration = Annotated[float, Meta(ge=0.0, le=MAX_DURATION)]

@@ -11,7 +11,19 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from lfield.wire.fields import Count, Hash, Index, Label, Moment, Name, OptionalName, OrderId, Text
+from lfield import exit_status
+from lfield.wire.fields import (
+    Count,
+    Hash,
+    Index,
+    Label,
+    Moment,
+    Name,
+    OptionalName,
+    OptionalOrderId,
+    OrderId,
+    Text,
+)
 
 #: The longest piece of a bundle and the most pieces of one offer.
 MAX_PIECE, MAX_OFFER = 4096, 512
@@ -41,6 +53,8 @@ def missing_votes(hosts: Iterable[str], votes: Mapping[str, Vote]) -> list[str]:
     return [host for host in hosts if host not in votes]
 
 
+#: The statuses of a host that has ended with the whole mission.
+COMPLETED = (exit_status.DONE, exit_status.FAILED)
 #: What the mission's host does, as its service sees it.
 RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "ended", "interrupted"]
 
@@ -106,6 +120,7 @@ class RunInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The mission's host that the service starts: its bundle, its phase, and why it is in that phase.
 
     `since` is in seconds since 1970. `status` is the exit status of the last end, None before the first.
+    `order` is the id of the order that started it, b"" for none.
     """
 
     bundle: Hash = b""
@@ -113,6 +128,12 @@ class RunInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     reason: Text = ""
     since: Moment = 0.0
     status: Annotated[int, Meta(ge=-255, le=255)] | None = None
+    order: OptionalOrderId = b""
+
+    @property
+    def has_completed(self) -> bool:
+        """Whether the mission has ended as a whole: it continues on no other host."""
+        return self.phase == "ended" and self.status in COMPLETED
 
 
 class ServiceQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=52):
@@ -224,12 +245,15 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     `digest` is the bundle that must be active, b"" for any. `discards`: a stop also ends the coordinators
     that have not ended, so that the next start is another run. A start does not wait for the hosts `without`.
+    `order` is the id of a start, the same on all hosts: a host that was restarted while the mission ended
+    knows by it that the end on another host is that of its run.
     """
 
     action: Literal["start", "stop"]
     digest: Hash = b""
     discards: bool = False
     without: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
+    order: OptionalOrderId = b""
 
 
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):

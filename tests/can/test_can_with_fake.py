@@ -61,49 +61,43 @@ def gripper(binding):
 
 
 @pytest.mark.parametrize("door", DOORS)
-def test_three_devices_on_one_bus(door, drive, odrive, gripper):
-    async def mission():
-        devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
-        async with team(door, drive(ttl=TTL), odrive(ttl=TTL), gripper(), devices=devices) as (
-            _,
-            axis,
-            wheel,
-            hand,
-        ):
-            for device in (axis, wheel):
-                await device.call("enable")
-            await asyncio.gather(axis.call("moveTo", 2.0, 5.0), wheel.call("moveTo", -3.0, 5.0))
-            await axis.reads("position", lambda at: abs(at - 2.0) < 0.05)
-            await wheel.reads("position", lambda at: abs(at + 3.0) < 0.05)
-            await hand.call("set", "GripperCommand.TargetWidth", 0.02)
-            async with asyncio.timeout(BOUND):
-                while abs(await hand.call("read", "GripperStatus.Width") - 0.02) > 0.005:
-                    await asyncio.sleep(0.05)
-            with pytest.raises(DeviceError, match=r"TargetWidth cannot be 0\.2 m: its range is 0 to 0\.1 m"):
-                await hand.call("set", "GripperCommand.TargetWidth", 0.2)
-            for quantity in ("torque", "current", "voltage"):
-                await axis.reads(quantity, lambda value: isinstance(value, float))
-
-    asyncio.run(mission())
+async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
+    devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
+    async with team(door, drive(ttl=TTL), odrive(ttl=TTL), gripper(), devices=devices) as (
+        _,
+        axis,
+        wheel,
+        hand,
+    ):
+        for device in (axis, wheel):
+            await device.call("enable")
+        await asyncio.gather(axis.call("moveTo", 2.0, 5.0), wheel.call("moveTo", -3.0, 5.0))
+        await axis.reads("position", lambda at: abs(at - 2.0) < 0.05)
+        await wheel.reads("position", lambda at: abs(at + 3.0) < 0.05)
+        await hand.call("set", "GripperCommand.TargetWidth", 0.02)
+        async with asyncio.timeout(BOUND):
+            while abs(await hand.call("read", "GripperStatus.Width") - 0.02) > 0.005:
+                await asyncio.sleep(0.05)
+        with pytest.raises(DeviceError, match=r"TargetWidth cannot be 0\.2 m: its range is 0 to 0\.1 m"):
+            await hand.call("set", "GripperCommand.TargetWidth", 0.2)
+        for quantity in ("torque", "current", "voltage"):
+            await axis.reads(quantity, lambda value: isinstance(value, float))
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
-def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
-    async def mission():
-        async with team(door, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):
-            await axis.call("enable")
-            await axis.call("setVelocity", 5.0)
-            await axis.reads("velocity", lambda speed: speed > 3.0)
-            await axis.until_note("in safe state 'brake': the setpoint has expired (time-to-live 3 s)")
-            await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
-            await axis.call("release")
-            await axis.call("enable")
-
-    asyncio.run(mission())
+async def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
+    async with team(door, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):
+        await axis.call("enable")
+        await axis.call("setVelocity", 5.0)
+        await axis.reads("velocity", lambda speed: speed > 3.0)
+        await axis.until_note("in safe state 'brake': the setpoint has expired (time-to-live 3 s)")
+        await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
+        await axis.call("release")
+        await axis.call("enable")
 
 
-def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
+async def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
     """Nobody sends heartbeats any more; another client of the bus looks on."""
 
     def stands(endpoint: str) -> bool:
@@ -117,42 +111,32 @@ def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
                     return True
         return False
 
-    async def mission():
-        async with team("socketcand", drive(ttl=3.0), devices=[DRIVE]) as (fake, axis):
-            await axis.call("enable")
-            await axis.call("setVelocity", 5.0)
-            await axis.reads("velocity", lambda speed: speed > 4.0)
-            os.kill(axis.guard_pid, signal.SIGSTOP)
-            assert await asyncio.to_thread(stands, fake.endpoint)
-
-    asyncio.run(mission())
+    async with team("socketcand", drive(ttl=3.0), devices=[DRIVE]) as (fake, axis):
+        await axis.call("enable")
+        await axis.call("setVelocity", 5.0)
+        await axis.reads("velocity", lambda speed: speed > 4.0)
+        os.kill(axis.guard_pid, signal.SIGSTOP)
+        assert await asyncio.to_thread(stands, fake.endpoint)
 
 
-def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
-    async def mission():
-        async with team("socketcand", drive(ttl=TTL), odrive(ttl=TTL), devices=[DRIVE, ODRIVE]) as (
-            _,
-            axis,
-            wheel,
-        ):
-            for device in (axis, wheel):
-                await device.call("enable")
-                await device.call("setVelocity", 3.0)
-            os.kill(axis.guard_pid, signal.SIGKILL)
-            for device in (axis, wheel):
-                await device.until_note(f"{device.binding.name} in safe state 'brake'")
-                await device.reads("velocity", lambda speed: abs(speed) < 0.1)
-
-    asyncio.run(mission())
+async def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
+    async with team("socketcand", drive(ttl=TTL), odrive(ttl=TTL), devices=[DRIVE, ODRIVE]) as (
+        _,
+        axis,
+        wheel,
+    ):
+        for device in (axis, wheel):
+            await device.call("enable")
+            await device.call("setVelocity", 3.0)
+        os.kill(axis.guard_pid, signal.SIGKILL)
+        for device in (axis, wheel):
+            await device.until_note(f"{device.binding.name} in safe state 'brake'")
+            await device.reads("velocity", lambda speed: abs(speed) < 0.1)
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("door", ["slcan"])
-def test_a_device_that_vanishes_and_returns_through_an_adapter(door, drive, odrive):
+async def test_a_device_that_vanishes_and_returns_through_an_adapter(door, drive, odrive):
     """What test_can_on_desk.py tries on virtual time."""
-
-    async def mission():
-        async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
-            await vanish_and_return(*members)
-
-    asyncio.run(mission())
+    async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
+        await vanish_and_return(*members)

@@ -150,14 +150,13 @@ def test_its_last_words_are_told(
     assert said == f"sky.fc: the simulated device 'mavlink' did not start{words}"
 
 
-def test_what_it_says_later_is_passed_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+async def test_what_it_says_later_is_passed_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
     body = "print('early', file=sys.stderr); print('ready here', flush=True); sys.stdin.read(); "
     sims = made(tmp_path, body + "print('late', file=sys.stderr)", monkeypatch)
 
-    async def story() -> None:
-        await (await start_fake(sims, [binding("mavlink")])).stop()
-
-    asyncio.run(story())
+    await (await start_fake(sims, [binding("mavlink")])).stop()
     assert capsys.readouterr().err == "early\nlate\n"
 
 

@@ -9,6 +9,7 @@ import sys
 from importlib import import_module
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.driver import DeviceError
 from lfield.driver.kit import CheckFailed
@@ -81,39 +82,27 @@ def test_a_binding_has_what_its_manifest_gives(lamp):
         bind(lamp.PLUGIN, speed=1.0)
 
 
-def test_a_story_is_told_on_time_that_jumps(make_bench):
-    bench = make_bench("one", "two")
-
-    async def story(one, two):
-        start = one.clock.monotonic()
-        await asyncio.sleep(MINUTE)
-        await two.execute("moveTo", [0.5])
-        return one.clock.monotonic() - start
-
-    assert MINUTE < bench.run(story) < MINUTE + 1.0
+@on_bench("make_bench", "one", "two")
+async def test_a_story_is_told_on_time_that_jumps(bench, one, two, /):
+    start = one.clock.monotonic()
+    await asyncio.sleep(MINUTE)
+    await two.execute("moveTo", [0.5])
+    assert MINUTE < one.clock.monotonic() - start < MINUTE + 1.0
     assert bench.values is bench.reported["bench.one"]
     assert bench.reported["bench.two"]["value"] == pytest.approx(0.5)
     assert bench.crashes == []
 
 
-def test_devices_may_be_left_closed(make_bench):
-    bench = make_bench("device")
-
-    async def story(device):
-        assert bench.values == {}
-        return await device.open()
-
-    assert bench.run(story, opened=False) == "a lamp"
+@on_bench("make_bench", "device", opened=False)
+async def test_devices_may_be_left_closed(bench, device, /):
+    assert bench.values == {}
+    assert await device.open() == "a lamp"
 
 
-def test_what_a_driver_notes_is_kept(make_bench, fake):
-    bench = make_bench("device")
-
-    async def story(device):
-        fake.cut = True
-        await bench.until(lambda: bench.notes != [])
-
-    bench.run(story)
+@on_bench("make_bench", "device")
+async def test_what_a_driver_notes_is_kept(bench, device, /, fake):
+    fake.cut = True
+    await bench.until(lambda: bench.notes != [])
     assert bench.notes == ["lost: tcp:memory:1: no answer"]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import subprocess
 import sys
 
@@ -131,10 +130,7 @@ class Open:
         ("anything", "thing:1", "failed", "it accepts '' as an endpoint"),
     ],
 )
-def test_the_kit_asks_it(function, endpoint, outcome, seen):
-    async def run():
-        kit = run_kit(Open(endpoint), [endpoint_check(plugin(function))], may_move=False)
-        return [finding async for finding in kit]
-
-    (finding,) = asyncio.run(run())
+async def test_the_kit_asks_it(function, endpoint, outcome, seen):
+    kit = run_kit(Open(endpoint), [endpoint_check(plugin(function))], may_move=False)
+    (finding,) = [finding async for finding in kit]
     assert (finding.check, finding.outcome, finding.seen) == ("endpoint", outcome, seen)

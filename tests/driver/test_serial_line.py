@@ -60,39 +60,33 @@ async def until(condition) -> None:
             await asyncio.sleep(0.002)
 
 
-def test_frames_come_and_answers_go_to_who_asked(far):
-    async def story():
-        line = far.line()
-        line.open()
-        os.write(far.master, b"hel")
-        os.write(far.master, b"lo\n")
-        await until(lambda: far.frames == [b"hello"])
-        asking = asyncio.create_task(line.ask(b"?\n", lambda frame: frame.startswith(b"="), within=10.0))
-        assert await asyncio.to_thread(os.read, far.master, 9) == b"?\n"
-        os.write(far.master, b"unasked\n=4\n")
-        assert await asking == b"=4"
-        assert far.frames == [b"hello", b"unasked"]
-        with pytest.raises(DeviceError, match=r"no answer within 0.01 s, 2 times") as error:
-            await line.ask(b"?\n", within=0.01, tries=2)
-        assert error.value.kind == "DeviceTimeoutException"
-        line.close()
-
-    asyncio.run(story())
+async def test_frames_come_and_answers_go_to_who_asked(far):
+    line = far.line()
+    line.open()
+    os.write(far.master, b"hel")
+    os.write(far.master, b"lo\n")
+    await until(lambda: far.frames == [b"hello"])
+    asking = asyncio.create_task(line.ask(b"?\n", lambda frame: frame.startswith(b"="), within=10.0))
+    assert await asyncio.to_thread(os.read, far.master, 9) == b"?\n"
+    os.write(far.master, b"unasked\n=4\n")
+    assert await asking == b"=4"
+    assert far.frames == [b"hello", b"unasked"]
+    with pytest.raises(DeviceError, match=r"no answer within 0.01 s, 2 times") as error:
+        await line.ask(b"?\n", within=0.01, tries=2)
+    assert error.value.kind == "DeviceTimeoutException"
+    line.close()
 
 
-def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
-    async def story():
-        log = WireLog(ManualClock(1_609_459_200.5))
-        log.start(lambda suffix, header: RingWriter(tmp_path, "wire", suffix, 1 << 20, pytest.fail, header))
-        line = far.line(log)
-        line.open()
-        line.send(b"?\n")
-        os.write(far.master, b"=\n")
-        await until(lambda: far.frames == [b"="])
-        line.close()
-        log.close()
-
-    asyncio.run(story())
+async def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
+    log = WireLog(ManualClock(1_609_459_200.5))
+    log.start(lambda suffix, header: RingWriter(tmp_path, "wire", suffix, 1 << 20, pytest.fail, header))
+    line = far.line(log)
+    line.open()
+    line.send(b"?\n")
+    os.write(far.master, b"=\n")
+    await until(lambda: far.frames == [b"="])
+    line.close()
+    log.close()
     header, *lines = (tmp_path / "wire-000001.hex.log").read_text().splitlines(keepends=True)
     assert header.encode() == HEX_HEADER
     assert lines[0] == "1609459200.500000 > 3F 0A\n"
@@ -101,40 +95,34 @@ def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
     assert b"".join(data for *_, data in found) == b"=\n"
 
 
-def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
-    async def story():
-        line = far.line()
-        line.open()
-        asking = asyncio.create_task(line.ask(b"?\n", within=60.0))
-        await asyncio.sleep(0)
-        far.unplug()
-        with pytest.raises(DeviceError, match="is gone"):
-            await asking
-        with pytest.raises(DeviceError, match="is gone"):
-            line.send(b"x")
-        far.plug()
-        await until(lambda: len(far.notes) == 2)
-        assert far.notes[1] == f"link opened: serial port {far.path}"
-        os.write(far.master, b"again\n")
-        await until(lambda: far.frames == [b"again"])
-        line.close()
-        with pytest.raises(DeviceError, match="the port is closed"):
-            line.send(b"x")
-
-    asyncio.run(story())
+async def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
+    line = far.line()
+    line.open()
+    asking = asyncio.create_task(line.ask(b"?\n", within=60.0))
+    await asyncio.sleep(0)
+    far.unplug()
+    with pytest.raises(DeviceError, match="is gone"):
+        await asking
+    with pytest.raises(DeviceError, match="is gone"):
+        line.send(b"x")
+    far.plug()
+    await until(lambda: len(far.notes) == 2)
+    assert far.notes[1] == f"link opened: serial port {far.path}"
+    os.write(far.master, b"again\n")
+    await until(lambda: far.frames == [b"again"])
+    line.close()
+    with pytest.raises(DeviceError, match="the port is closed"):
+        line.send(b"x")
 
 
-def test_a_port_has_one_owner(far):
-    async def story():
-        line, rival = far.line(), far.line()
-        line.open()
-        with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
-            rival.open()
-        line.close()
+async def test_a_port_has_one_owner(far):
+    line, rival = far.line(), far.line()
+    line.open()
+    with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
         rival.open()
-        rival.close()
-
-    asyncio.run(story())
+    line.close()
+    rival.open()
+    rival.close()
 
 
 @pytest.mark.parametrize("endpoint", ["serial:/dev/x", "serial::9600", "tcp:a:1", "serial:/dev/x:0", ""])
@@ -192,25 +180,21 @@ def test_without_pyserial_the_extra_is_named(monkeypatch):
         SerialPort("/dev/null", 9600, None).open()
 
 
-def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypatch):
+async def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypatch):
     """It comes back under the same name, as `/dev/serial/by-id` has them, but another program has it."""
-
-    async def story():
-        line, rival = far.line(), far.line()
-        line.open()
-        far.unplug()
-        await until(lambda: any("is gone" in note for note in far.notes))
-        await until(lambda: any("No such file" in note for note in far.notes))
-        far.plug()
-        rival.open()
-        await until(lambda: any("in use by another program" in note for note in far.notes))
-        rival.close()
-        await until(lambda: far.notes[-1] == f"link opened: serial port {far.path}")
-        os.write(far.master, b"hello\n")
-        await until(lambda: far.frames == [b"hello"])
-        line.close()
-
     monkeypatch.setattr("lfield.driver.serial.serial_port.REOPEN_INTERVAL", 0.01)
-    asyncio.run(story())
+    line, rival = far.line(), far.line()
+    line.open()
+    far.unplug()
+    await until(lambda: any("is gone" in note for note in far.notes))
+    await until(lambda: any("No such file" in note for note in far.notes))
+    far.plug()
+    rival.open()
+    await until(lambda: any("in use by another program" in note for note in far.notes))
+    rival.close()
+    await until(lambda: far.notes[-1] == f"link opened: serial port {far.path}")
+    os.write(far.master, b"hello\n")
+    await until(lambda: far.frames == [b"hello"])
+    line.close()
     assert sum("No such file" in note for note in far.notes) == 1
     assert sum("in use" in note for note in far.notes) == 1

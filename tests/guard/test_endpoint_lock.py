@@ -92,29 +92,23 @@ def port(tmp_path):
         ("virtual:one", "virtual:one", False),
     ],
 )
-def test_one_place_has_one_owner(held, wanted, refused):
+async def test_one_place_has_one_owner(held, wanted, refused):
     held, wanted = (endpoint.replace("OWN", own_address()) for endpoint in (held, wanted))
 
-    async def story() -> None:
-        lock = EndpointLock()
-        await lock.acquire(held)
-        said = await refusal(wanted)
-        assert (f"{wanted} is in use by process {os.getpid()}, started by" in said) is refused
-        lock.release()
-        assert await refusal(wanted) == ""
-
-    asyncio.run(story())
+    lock = EndpointLock()
+    await lock.acquire(held)
+    said = await refusal(wanted)
+    assert (f"{wanted} is in use by process {os.getpid()}, started by" in said) is refused
+    lock.release()
+    assert await refusal(wanted) == ""
 
 
 @pytest.mark.usefixtures("impatient")
-def test_a_device_is_the_same_under_every_name(port):
-    async def story() -> None:
-        lock = EndpointLock()
-        await lock.acquire(f"serial:{port[0]}:57600")
-        assert "is in use by process" in await refusal(f"slcan:{port[1]}@115200")
-        lock.release()
-
-    asyncio.run(story())
+async def test_a_device_is_the_same_under_every_name(port):
+    lock = EndpointLock()
+    await lock.acquire(f"serial:{port[0]}:57600")
+    assert "is in use by process" in await refusal(f"slcan:{port[1]}@115200")
+    lock.release()
 
 
 @pytest.mark.process

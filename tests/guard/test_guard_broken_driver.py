@@ -111,16 +111,13 @@ def test_a_callback_that_raises_makes_the_device_safe(plugins):
     run(plugins, story)
 
 
-def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plugins):
-    async def main():
-        two = (binding("here"), binding("here", "u"))
-        async with guarded(*two, plugins=plugins, silence=5.0) as (fast, calm):
-            with suppress(DeviceError):
-                await fast.call("overrun")
-            await fast.until(lambda: fast.confirmed, 60.0, "the safe state")
-            assert (fast.latched, calm.latched) == ("it went too fast", "")
-
-    asyncio.run(main())
+async def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plugins):
+    two = (binding("here"), binding("here", "u"))
+    async with guarded(*two, plugins=plugins, silence=5.0) as (fast, calm):
+        with suppress(DeviceError):
+            await fast.call("overrun")
+        await fast.until(lambda: fast.confirmed, 60.0, "the safe state")
+        assert (fast.latched, calm.latched) == ("it went too fast", "")
 
 
 def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):

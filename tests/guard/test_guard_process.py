@@ -57,86 +57,70 @@ async def flying(running: RunningFake, **changes):
 
 
 @pytest.mark.few(0)
-def test_a_flight_through_guard_and_fake():
-    async def mission():
-        async with fake() as f, flying(f) as flight:
-            assert await flight.call("armed") is False
-            with pytest.raises(DeviceError, match="takeoff refused: the motors are off"):
-                await flight.call("takeoff", 4.0)
-            await flight.call("arm")
+async def test_a_flight_through_guard_and_fake():
+    async with fake() as f, flying(f) as flight:
+        assert await flight.call("armed") is False
+        with pytest.raises(DeviceError, match="takeoff refused: the motors are off"):
             await flight.call("takeoff", 4.0)
-            await flight.call("goTo", 6.0, -3.0, -4.0)
-            north, east, _ = await flight.call("position")
-            assert abs(north - 6.0) < 0.6
-            assert abs(east + 3.0) < 0.6
-            await flight.call("land")
-            await flight.reads("landed", bool)
-            assert await flight.call("age") < 2.0
-            assert 0.5 < await flight.call("battery") <= 1.0
+        await flight.call("arm")
+        await flight.call("takeoff", 4.0)
+        await flight.call("goTo", 6.0, -3.0, -4.0)
+        north, east, _ = await flight.call("position")
+        assert abs(north - 6.0) < 0.6
+        assert abs(east + 3.0) < 0.6
+        await flight.call("land")
+        await flight.reads("landed", bool)
+        assert await flight.call("age") < 2.0
+        assert 0.5 < await flight.call("battery") <= 1.0
 
-    asyncio.run(mission())
 
-
-def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
-    async def mission():
-        async with fake("hold") as f, flying(f, safe_state="hold") as flight:
-            await flight.call("arm")
-            await flight.call("takeoff", 3.0)
-            lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
-            await asyncio.sleep(0)
-            os.kill(flight.guard_pid, signal.SIGKILL)
-            with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
-                await lost
-            await flight.until_note("in safe state 'hold': its guard died and was restarted")
-            await flight.call("release")
-            await flight.call("land")
-
-    asyncio.run(mission())
+async def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
+    async with fake("hold") as f, flying(f, safe_state="hold") as flight:
+        await flight.call("arm")
+        await flight.call("takeoff", 3.0)
+        lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
+        await asyncio.sleep(0)
+        os.kill(flight.guard_pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
+            await lost
+        await flight.until_note("in safe state 'hold': its guard died and was restarted")
+        await flight.call("release")
+        await flight.call("land")
 
 
 @pytest.mark.few(0)
-def test_a_guard_that_hangs_is_noticed_and_replaced():
-    async def mission():
-        async with fake() as f, flying(f) as flight:
-            os.kill(flight.guard_pid, signal.SIGSTOP)
-            await flight.until_note("guard of alpha.fc unresponsive")
-            await flight.until_note("in safe state 'land': its guard died and was restarted")
-
-    asyncio.run(mission())
+async def test_a_guard_that_hangs_is_noticed_and_replaced():
+    async with fake() as f, flying(f) as flight:
+        os.kill(flight.guard_pid, signal.SIGSTOP)
+        await flight.until_note("guard of alpha.fc unresponsive")
+        await flight.until_note("in safe state 'land': its guard died and was restarted")
 
 
 @pytest.mark.few(0)
-def test_a_stopped_host_is_silence(tmp_path):
+async def test_a_stopped_host_is_silence(tmp_path):
     """SIGSTOP of the host: the guard lands the vehicle although its pipe is still open."""
-
-    async def mission():
-        async with fake() as f:
-            host = start_host(f.endpoint)
-            try:
-                await asyncio.to_thread(host.stdout.readline)
-                host.send_signal(signal.SIGSTOP)
-                await asyncio.to_thread(sees_landing, f.endpoint, armed=True)
-            finally:
-                host.kill()
-                host.communicate()
-
-    asyncio.run(mission())
-
-
-def test_a_killed_host_leaves_the_vehicle_landed():
-    async def mission():
-        async with fake() as f:
-            host = start_host(f.endpoint)
+    async with fake() as f:
+        host = start_host(f.endpoint)
+        try:
             await asyncio.to_thread(host.stdout.readline)
+            host.send_signal(signal.SIGSTOP)
+            await asyncio.to_thread(sees_landing, f.endpoint, armed=True)
+        finally:
             host.kill()
-            await asyncio.to_thread(host.communicate)
-            # The guard that outlives its host has the endpoint until the vehicle stands.
-            await asyncio.to_thread(sees_landing, f.endpoint, armed=False)
-            async with flying(f) as watcher:
-                await watcher.reads("mode", lambda now: now == "LAND")
-                await watcher.reads("armed", lambda now: now is False)
+            host.communicate()
 
-    asyncio.run(mission())
+
+async def test_a_killed_host_leaves_the_vehicle_landed():
+    async with fake() as f:
+        host = start_host(f.endpoint)
+        await asyncio.to_thread(host.stdout.readline)
+        host.kill()
+        await asyncio.to_thread(host.communicate)
+        # The guard that outlives its host has the endpoint until the vehicle stands.
+        await asyncio.to_thread(sees_landing, f.endpoint, armed=False)
+        async with flying(f) as watcher:
+            await watcher.reads("mode", lambda now: now == "LAND")
+            await watcher.reads("armed", lambda now: now is False)
 
 
 def sees_landing(endpoint: str, *, armed: bool) -> None:
@@ -157,18 +141,15 @@ def sees_landing(endpoint: str, *, armed: bool) -> None:
 
 
 @pytest.mark.few(0)
-def test_a_second_guard_at_one_endpoint_is_told_the_first_one():
-    async def mission():
-        async with fake() as f, flying(f) as flight:
-            with pytest.raises(DevicesError, match=r"is in use by process \d+, started by process") as told:
-                async with flying(f):
-                    pytest.fail("two guards have one vehicle")
-            assert f"started by process {os.getpid()}" in str(told.value)
-            assert await flight.call("armed") is False
-        async with fake() as f, flying(f), fake() as other, flying(other):
-            pass
-
-    asyncio.run(mission())
+async def test_a_second_guard_at_one_endpoint_is_told_the_first_one():
+    async with fake() as f, flying(f) as flight:
+        with pytest.raises(DevicesError, match=r"is in use by process \d+, started by process") as told:
+            async with flying(f):
+                pytest.fail("two guards have one vehicle")
+        assert f"started by process {os.getpid()}" in str(told.value)
+        assert await flight.call("armed") is False
+    async with fake() as f, flying(f), fake() as other, flying(other):
+        pass
 
 
 def start_host(endpoint: str) -> subprocess.Popen[bytes]:

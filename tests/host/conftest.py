@@ -166,3 +166,9 @@ def fleet(tmp_path: Path):
         return run_jumping(main())
 
     return run
+
+
+@pytest.fixture
+def runner(fleet):
+    """Tests that are coroutine functions get a Fleet: `async def test(team, /)`."""
+    return fleet

@@ -116,24 +116,21 @@ def whose(value):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("after", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), IN_A_TURN, ids=names(IN_A_TURN))
-def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(fleet, monkeypatch, owner, name, after):
+async def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(team, /, monkeypatch, owner, name, after):
     seen = plant(monkeypatch, owner, name, after, MINE)
 
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
-        assert await team.ended("bystander") == "done"
-        logs = alpha.log + bravo.log
-        assert "bystander: walked to the end" in logs
-        assert len(seen) > after, "the planted bug was never reached"
-        assert "bug in lfield: ZeroDivisionError: planted" in logs
-        assert "died of an uncaught bug in lfield" in logs
-        # Whoever it was, the coordinator heard of it: it died itself, or its portal call did.
-        assert await team.ended("victim") == "died"
-        assert alpha.host.failure is None
-        assert bravo.host.failure is None
-        assert alpha.host.step()
-
-    fleet(story)
+    alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+    assert await team.ended("bystander") == "done"
+    logs = alpha.log + bravo.log
+    assert "bystander: walked to the end" in logs
+    assert len(seen) > after, "the planted bug was never reached"
+    assert "bug in lfield: ZeroDivisionError: planted" in logs
+    assert "died of an uncaught bug in lfield" in logs
+    # Whoever it was, the coordinator heard of it: it died itself, or its portal call did.
+    assert await team.ended("victim") == "died"
+    assert alpha.host.failure is None
+    assert bravo.host.failure is None
+    assert alpha.host.step()
 
 
 OF_THE_HOST = [
@@ -154,95 +151,82 @@ def lines_of_core(running):
 
 
 @pytest.mark.parametrize(("owner", "name"), OF_THE_HOST, ids=names(OF_THE_HOST))
-def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(fleet, monkeypatch, owner, name):
-    async def story(team):
-        asyncio.get_running_loop().set_exception_handler(lambda loop, context: unhandled(loop, context))
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        alpha, bravo = (team.make(mission, host, unreachable_after=3.0) for host in mission.team.hosts)
-        hosts = (alpha.host, bravo.host)
+async def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(team, /, monkeypatch, owner, name):
+    asyncio.get_running_loop().set_exception_handler(lambda loop, context: unhandled(loop, context))
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    alpha, bravo = (team.make(mission, host, unreachable_after=3.0) for host in mission.team.hosts)
+    hosts = (alpha.host, bravo.host)
 
-        def unhandled(loop, context):
-            for host in hosts:
-                host.on_unhandled(loop, context)
+    def unhandled(loop, context):
+        for host in hosts:
+            host.on_unhandled(loop, context)
 
-        plant(monkeypatch, owner, name)
-        await asyncio.gather(*(host.start() for host in hosts))
+    plant(monkeypatch, owner, name)
+    await asyncio.gather(*(host.start() for host in hosts))
+    await asyncio.sleep(5.0)
+    if not any(host.failure for host in hosts):
+        team.network.partition("alpha", "bravo")
         await asyncio.sleep(5.0)
-        if not any(host.failure for host in hosts):
-            team.network.partition("alpha", "bravo")
-            await asyncio.sleep(5.0)
-        failed = [running for running in (alpha, bravo) if running.host.failure]
-        assert failed
-        for running in failed:
-            assert isinstance(running.host.failure.cause, ZeroDivisionError)
-            assert running.host.failed.is_set()
-            assert not running.host.step(), "a beat would be given"
-            assert f"{running.host.name} stopped: bug in lfield: ZeroDivisionError" in running.log
-            assert running.log.count("stopped: bug in lfield") == 1
-            said = lines_of_core(running)
-            await asyncio.sleep(5.0)
-            assert lines_of_core(running) == said, "nothing more is done"
-
-    fleet(story)
-
-
-def test_a_bug_in_a_task_of_the_links_ends_the_host(fleet, monkeypatch):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        alpha = team.make(mission, "alpha")
-        asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
-        await alpha.host.start()
-        # What the task that keeps links alive sleeps for is no time at all.
-        monkeypatch.setattr("lfield.net.link_manager.PING_EVERY", "a second")
+    failed = [running for running in (alpha, bravo) if running.host.failure]
+    assert failed
+    for running in failed:
+        assert isinstance(running.host.failure.cause, ZeroDivisionError)
+        assert running.host.failed.is_set()
+        assert not running.host.step(), "a beat would be given"
+        assert f"{running.host.name} stopped: bug in lfield: ZeroDivisionError" in running.log
+        assert running.log.count("stopped: bug in lfield") == 1
+        said = lines_of_core(running)
         await asyncio.sleep(5.0)
-        assert alpha.host.failure is not None
+        assert lines_of_core(running) == said, "nothing more is done"
 
-    fleet(story)
+
+async def test_a_bug_in_a_task_of_the_links_ends_the_host(team, /, monkeypatch):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    alpha = team.make(mission, "alpha")
+    asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
+    await alpha.host.start()
+    # What the task that keeps links alive sleeps for is no time at all.
+    monkeypatch.setattr("lfield.net.link_manager.PING_EVERY", "a second")
+    await asyncio.sleep(5.0)
+    assert alpha.host.failure is not None
 
 
 @pytest.mark.parametrize("name", ["note", "flush", "write"])
-def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(fleet, monkeypatch, name):
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+async def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(team, /, monkeypatch, name):
+    alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
 
-        def planted(*given):
-            raise RuntimeError("planted")
+    def planted(*given):
+        raise RuntimeError("planted")
 
-        asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
-        monkeypatch.setattr(Logbook, name, planted)
-        await asyncio.sleep(2.0)
-        team.network.partition("alpha", "bravo")
-        await asyncio.sleep(5.0)
-        failed = [running for running in (alpha, bravo) if running.host.failed.is_set()]
-        assert failed
-        assert not any(running.host.step() for running in failed)
-        monkeypatch.undo()
-
-    fleet(story)
+    asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
+    monkeypatch.setattr(Logbook, name, planted)
+    await asyncio.sleep(2.0)
+    team.network.partition("alpha", "bravo")
+    await asyncio.sleep(5.0)
+    failed = [running for running in (alpha, bravo) if running.host.failed.is_set()]
+    assert failed
+    assert not any(running.host.step() for running in failed)
+    monkeypatch.undo()
 
 
 @pytest.mark.parametrize("error", [ConnectionResetError, OSError, ZeroDivisionError])
 @pytest.mark.parametrize("place", ["on_message", "on_transfer", "_on_accepted"])
-def test_what_a_callback_of_a_link_raises_is_no_lost_connection(fleet, monkeypatch, place, error):
+async def test_what_a_callback_of_a_link_raises_is_no_lost_connection(team, /, monkeypatch, place, error):
     """The loops take an OSError there for the end of the connection, and say nothing."""
+    alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
 
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+    def unhandled(loop, context):
+        for running in (alpha, bravo):
+            running.host.on_unhandled(loop, context)
 
-        def unhandled(loop, context):
-            for running in (alpha, bravo):
-                running.host.on_unhandled(loop, context)
+    asyncio.get_running_loop().set_exception_handler(unhandled)
 
-        asyncio.get_running_loop().set_exception_handler(unhandled)
+    def planted(*given):
+        raise error("planted")
 
-        def planted(*given):
-            raise error("planted")
-
-        monkeypatch.setattr(Session, place, planted)
-        await asyncio.sleep(5.0)
-        assert isinstance(alpha.host.failure.cause, error)
-
-    fleet(story)
+    monkeypatch.setattr(Session, place, planted)
+    await asyncio.sleep(5.0)
+    assert isinstance(alpha.host.failure.cause, error)
 
 
 LONELY = """
@@ -258,12 +242,9 @@ coordinator Walker { init(string[] arg) { sleep(0.1); %s } }
         ("print(1);", True, exit_status.SOFTWARE),
     ],
 )
-def test_until_done_ends_with_what_a_coordinator_died_of(fleet, monkeypatch, does, planted, status):
+async def test_until_done_ends_with_what_a_coordinator_died_of(team, /, monkeypatch, does, planted, status):
     if planted:
         plant(monkeypatch, HostCallDispatcher, "_sleep")
 
-    async def story(team):
-        alpha = team.make(team.mission(LONELY % does, "//Walker:walker@alpha"), "alpha")
-        assert await run_until_exit(alpha.host, ShutdownSignals(alpha.host.clock), 30.0) == status
-
-    fleet(story)
+    alpha = team.make(team.mission(LONELY % does, "//Walker:walker@alpha"), "alpha")
+    assert await run_until_exit(alpha.host, ShutdownSignals(alpha.host.clock), 30.0) == status

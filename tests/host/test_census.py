@@ -42,80 +42,64 @@ async def all_fates(hosts, lost_after: float = 5.0):
 @pytest.mark.few(5)
 @pytest.mark.parametrize("way", ["c", "a&c", "c&a", "b", "a&c&b"])
 @pytest.mark.parametrize("edge", list(combinations(HOSTS, 2)), ids="-".join)
-def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(fleet, edge, way):
-    async def story(team):
-        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)), unreachable_after=60.0)
-        await team.until(lambda: any(running.output for running in hosts))
-        team.network.partition(*edge)
-        if "&" in way:
-            # Nobody can be called over the edge that is cut: the link comes back in time.
-            asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
-        fates = await all_fates(hosts)
-        assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]
-
-    fleet(story)
+async def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(team, /, edge, way):
+    hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)), unreachable_after=60.0)
+    await team.until(lambda: any(running.output for running in hosts))
+    team.network.partition(*edge)
+    if "&" in way:
+        # Nobody can be called over the edge that is cut: the link comes back in time.
+        asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
+    fates = await all_fates(hosts)
+    assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]
 
 
 @pytest.mark.parametrize("way", ["c", "b"], ids=["on the far side", "on the neighbour"])
-def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(fleet, way):
-    async def story(team):
-        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)))
-        await team.until(lambda: any(running.output for running in hosts))
-        for other in ("bravo", "carol"):
-            team.network.partition("alpha", other)
-        alpha, *others = await all_fates(hosts)
-        assert alpha.outcome == "unheard"
-        assert re.search("bravo has been unreachable for [56] s$", alpha.detail)
-        assert [fate.outcome for fate in others] == ["done", "done"]
-
-    fleet(story)
+async def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(team, /, way):
+    hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)))
+    await team.until(lambda: any(running.output for running in hosts))
+    for other in ("bravo", "carol"):
+        team.network.partition("alpha", other)
+    alpha, *others = await all_fates(hosts)
+    assert alpha.outcome == "unheard"
+    assert re.search("bravo has been unreachable for [56] s$", alpha.detail)
+    assert [fate.outcome for fate in others] == ["done", "done"]
 
 
-def test_a_host_that_was_reaped_is_proof_at_once(fleet):
-    async def story(team):
-        alpha, bravo, carol = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
-        await team.until(lambda: carol.output)
-        await carol.host.stop()
-        began = asyncio.get_running_loop().time()
-        for running in (alpha, bravo):
-            running.host.dispatch(HostExited("carol"))
-        fates = await all_fates([alpha, bravo], lost_after=1000.0)
-        assert {(fate.outcome, fate.detail) for fate in fates} == {("lost", "its last host carol has ended")}
-        assert asyncio.get_running_loop().time() - began < 5.0
-
-    fleet(story)
+async def test_a_host_that_was_reaped_is_proof_at_once(team, /):
+    alpha, bravo, carol = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
+    await team.until(lambda: carol.output)
+    await carol.host.stop()
+    began = asyncio.get_running_loop().time()
+    for running in (alpha, bravo):
+        running.host.dispatch(HostExited("carol"))
+    fates = await all_fates([alpha, bravo], lost_after=1000.0)
+    assert {(fate.outcome, fate.detail) for fate in fates} == {("lost", "its last host carol has ended")}
+    assert asyncio.get_running_loop().time() - began < 5.0
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.2, 0.4, 0.6, 0.8, 1.1])
-def test_proof_of_a_loss_is_told_to_all_before_its_finder_goes(fleet, moment):
+async def test_proof_of_a_loss_is_told_to_all_before_its_finder_goes(team, /, moment):
     """Carol comes back without the guest. Alpha looks a moment later than bravo does."""
-
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT.format(way="c"))
-        hosts = await team.up(mission)
-        await team.until(lambda: hosts[2].output)
-        await hosts[2].host.stop()
-        (carol,) = await team.up(mission, "carol")
-        tasks = [asyncio.create_task(fates_of(hosts[1], 5.0)), asyncio.create_task(fates_of(carol, 5.0))]
-        await asyncio.sleep(moment)
-        began = asyncio.get_running_loop().time()
-        fates = [await fates_of(hosts[0], 5.0), *[await task for task in tasks]]
-        assert [fate.outcome for fate in fates] == ["lost"] * 3, [running.log for running in hosts]
-        assert asyncio.get_running_loop().time() - began < 5.0
-
-    fleet(story)
+    mission = team.mission(PROGRAM, DEPLOYMENT.format(way="c"))
+    hosts = await team.up(mission)
+    await team.until(lambda: hosts[2].output)
+    await hosts[2].host.stop()
+    (carol,) = await team.up(mission, "carol")
+    tasks = [asyncio.create_task(fates_of(hosts[1], 5.0)), asyncio.create_task(fates_of(carol, 5.0))]
+    await asyncio.sleep(moment)
+    began = asyncio.get_running_loop().time()
+    fates = [await fates_of(hosts[0], 5.0), *[await task for task in tasks]]
+    assert [fate.outcome for fate in fates] == ["lost"] * 3, [running.log for running in hosts]
+    assert asyncio.get_running_loop().time() - began < 5.0
 
 
-def test_a_host_that_is_silent_for_a_moment_is_waited_for(fleet):
-    async def story(team):
-        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
-        await team.until(lambda: hosts[2].output)
-        for other in ("alpha", "bravo"):
-            team.network.partition(other, "carol")
-        asyncio.get_running_loop().call_later(4.0, team.network.heal, "bravo", "carol")
-        assert [fate.outcome for fate in await all_fates(hosts, lost_after=10.0)] == ["done"] * 3
-
-    fleet(story)
+async def test_a_host_that_is_silent_for_a_moment_is_waited_for(team, /):
+    hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
+    await team.until(lambda: hosts[2].output)
+    for other in ("alpha", "bravo"):
+        team.network.partition(other, "carol")
+    asyncio.get_running_loop().call_later(4.0, team.network.heal, "bravo", "carol")
+    assert [fate.outcome for fate in await all_fates(hosts, lost_after=10.0)] == ["done"] * 3
 
 
 # The pipe from the parent process

@@ -102,7 +102,7 @@ class Damage:
 @pytest.mark.parametrize(
     ("wanted", "rounds"), [(is_hop, 900), (is_delta, 1000), (is_answer, 500)], ids=["hop", "delta", "answer"]
 )
-def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds):
+async def test_a_bit_of_any_byte_of_a_hop_may_flip(team, /, monkeypatch, wanted, rounds):
     if wanted is is_hop:
         monkeypatch.setattr(TransferHistory, "keep", lambda self, agent, payload, is_sent: None)
     damage, write = Damage(wanted), MemoryLink.write
@@ -126,19 +126,16 @@ def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds)
     monkeypatch.setattr(MemoryLink, "_resend", note_repetition)
     logs: dict[str, str] = {}
 
-    async def story(team):
-        team.network.latency = 0.1
-        hosts = await team.up(team.mission(WALK.replace("ROUNDS", str(rounds)), THREE_HOSTS))
-        while "walker:" not in "".join(logs.values()):
-            await asyncio.sleep(10.0)
-            logs.update((running.host.name, running.log) for running in hosts)
-        print(f"{wanted.__name__}, a bit flipped in every byte: {len(ended)} / {damage.flipped} refused")
-        assert set(ended) == {"bravo:8181"}
-        # A flip in a delta may change nothing: a copy from elsewhere has the same bytes, bits are not used.
-        assert damage.harmless <= 5 * (wanted is is_delta)
-        assert len(ended) + len(repeated) + damage.harmless == damage.flipped
-        assert damage.place >= damage.last > 0
-
-    fleet(story)
+    team.network.latency = 0.1
+    hosts = await team.up(team.mission(WALK.replace("ROUNDS", str(rounds)), THREE_HOSTS))
+    while "walker:" not in "".join(logs.values()):
+        await asyncio.sleep(10.0)
+        logs.update((running.host.name, running.log) for running in hosts)
+    print(f"{wanted.__name__}, a bit flipped in every byte: {len(ended)} / {damage.flipped} refused")
+    assert set(ended) == {"bravo:8181"}
+    # A flip in a delta may change nothing: a copy from elsewhere has the same bytes, bits are not used.
+    assert damage.harmless <= 5 * (wanted is is_delta)
+    assert len(ended) + len(repeated) + damage.harmless == damage.flipped
+    assert damage.place >= damage.last > 0
     assert "Exception" not in "".join(logs.values())
     assert f"walker: the sum is {3 * rounds}\n" in "".join(logs.values())

@@ -32,224 +32,191 @@ coordinator Guest {
 DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n"
 
 
-def test_the_status_shows_agents_hops_portals_and_heap(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission)
-        await team.until(lambda: away.holds("guest"))
-        await asyncio.sleep(1.0)
-        batch = await send_request(team.network.transport("desk"), "away:8181", SNAPSHOT)
-        status = batch.snapshot
-        assert status.host == "away"
-        assert status.address == "away:8181"
-        (link,) = status.links
-        assert replace(link, kinds={}) == LinkStatus("home", None, 0.0)
-        assert link.kinds.keys() == {"control", "hop"}
-        assert status.up >= 1.0
-        assert (status.program, status.deployment) == (mission.program.digest, mission.team.deployment)
-        agents = {agent.id: agent for agent in status.agents}
-        assert agents["guest"].type == "Guest"
-        assert agents["guest"].kind == "coordinator"
-        assert agents["guest"].hops == 1
-        assert agents["post"].kind == "resource"
-        assert (agents["post"].served, agents["post"].state) == (0, "sleeping")
-        assert agents["guest"].state == "in a portal"
-        assert 0 < agents["post"].heap < agents["post"].limit == 1 << 20
-        (record,) = status.coordinators
-        assert (record.agent, record.state, record.hops) == ("guest", "RUN", 1)
-        assert home.host.status().coordinators[0].where == "away"
-        assert await team.ended("guest") == "done"
-        (post,) = away.host.status().agents
-        assert (post.served, post.state) == (1, "parked")
-
-    fleet(story)
+async def test_the_status_shows_agents_hops_portals_and_heap(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(mission)
+    await team.until(lambda: away.holds("guest"))
+    await asyncio.sleep(1.0)
+    batch = await send_request(team.network.transport("desk"), "away:8181", SNAPSHOT)
+    status = batch.snapshot
+    assert status.host == "away"
+    assert status.address == "away:8181"
+    (link,) = status.links
+    assert replace(link, kinds={}) == LinkStatus("home", None, 0.0)
+    assert link.kinds.keys() == {"control", "hop"}
+    assert status.up >= 1.0
+    assert (status.program, status.deployment) == (mission.program.digest, mission.team.deployment)
+    agents = {agent.id: agent for agent in status.agents}
+    assert agents["guest"].type == "Guest"
+    assert agents["guest"].kind == "coordinator"
+    assert agents["guest"].hops == 1
+    assert agents["post"].kind == "resource"
+    assert (agents["post"].served, agents["post"].state) == (0, "sleeping")
+    assert agents["guest"].state == "in a portal"
+    assert 0 < agents["post"].heap < agents["post"].limit == 1 << 20
+    (record,) = status.coordinators
+    assert (record.agent, record.state, record.hops) == ("guest", "RUN", 1)
+    assert home.host.status().coordinators[0].where == "away"
+    assert await team.ended("guest") == "done"
+    (post,) = away.host.status().agents
+    assert (post.served, post.state) == (1, "parked")
 
 
-def test_whatever_devices_tell_the_status_can_be_read(fleet, monkeypatch):
+async def test_whatever_devices_tell_the_status_can_be_read(team, /, monkeypatch):
     told = {"one.fc": {"mode": "x" * 9999, "scan": (0.5,) * 9999, "n": 1, "on": True}, "two.fc": {}}
     heard = {"one.fc": -1e12}
     for name, value in {"telemetry": told, "last_contact": heard, "latched": {"two.fc": "y" * 9999}}.items():
         monkeypatch.setattr(DeviceGuards, name, property(lambda self, value=value: value))
 
-    async def story(team):
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        frame = encode(home.host._observers.subscriptions.snapshot_batch(directory=True))
-        one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).snapshot.devices
-        assert (one.name, one.silent, one.latched) == ("one.fc", MAX_DURATION, "")
-        assert (two.name, two.silent, len(two.latched)) == ("two.fc", None, MAX_TEXT)
-        assert len(one.telemetry.pop("mode")) == MAX_TEXT
-        assert one.telemetry == {"scan": [0.5] * MAX_NUMBERS, "n": 1, "on": True}
-
-    fleet(story)
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+    frame = encode(home.host._observers.subscriptions.snapshot_batch(directory=True))
+    one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).snapshot.devices
+    assert (one.name, one.silent, one.latched) == ("one.fc", MAX_DURATION, "")
+    assert (two.name, two.silent, len(two.latched)) == ("two.fc", None, MAX_TEXT)
+    assert len(one.telemetry.pop("mode")) == MAX_TEXT
+    assert one.telemetry == {"scan": [0.5] * MAX_NUMBERS, "n": 1, "on": True}
 
 
-def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), unreachable_after=5.0)
-        await team.until(lambda: away.holds("guest"))
-        await away.host.stop()
-        await asyncio.sleep(4.0)
-        status = home.host.status()
-        (link,) = status.links
-        assert link.host == "away"
-        assert link.away >= 3.0
-
-    fleet(story)
+async def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(team, /):
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), unreachable_after=5.0)
+    await team.until(lambda: away.holds("guest"))
+    await away.host.stop()
+    await asyncio.sleep(4.0)
+    status = home.host.status()
+    (link,) = status.links
+    assert link.host == "away"
+    assert link.away >= 3.0
 
 
-def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home"), None
-        away = team.make(home[0].host.mission, "away")
-        # The transfer is taken from the link, and no answer ever leaves.
-        away.host.on_transfer = lambda host, header, block: None
-        await away.host.start()
-        await team.until(lambda: team.network.sent["Transfer"] == 1)
-        await team.until(lambda: "guest in doubt: away has not confirmed within 10 s" in home[0].log)
-        (record,) = home[0].host.status().coordinators
-        assert (record.state, record.where) == ("IN DOUBT", "away")
-        await away.host.stop()
-        (fate,) = await wait_until_done(home[0].host, 15.0)
-        # It may have taken the transfer, and it may come back: silence is no proof.
-        assert fate.outcome == "unheard"
-        assert fate.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
-
-    fleet(story)
+async def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(team, /):
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home"), None
+    away = team.make(home[0].host.mission, "away")
+    # The transfer is taken from the link, and no answer ever leaves.
+    away.host.on_transfer = lambda host, header, block: None
+    await away.host.start()
+    await team.until(lambda: team.network.sent["Transfer"] == 1)
+    await team.until(lambda: "guest in doubt: away has not confirmed within 10 s" in home[0].log)
+    (record,) = home[0].host.status().coordinators
+    assert (record.state, record.where) == ("IN DOUBT", "away")
+    await away.host.stop()
+    (fate,) = await wait_until_done(home[0].host, 15.0)
+    # It may have taken the transfer, and it may come back: silence is no proof.
+    assert fate.outcome == "unheard"
+    assert fate.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
 
 
-def test_a_host_that_does_not_answer_is_an_error_among_the_answers(fleet):
-    async def story(team):
-        await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        transport = team.network.transport("desk")
-        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, SNAPSHOT)
-        assert answers["home"].snapshot.host == "home"
-        assert isinstance(answers["away"], AddressError)
-
-    fleet(story)
+async def test_a_host_that_does_not_answer_is_an_error_among_the_answers(team, /):
+    await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+    transport = team.network.transport("desk")
+    answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, SNAPSHOT)
+    assert answers["home"].snapshot.host == "home"
+    assert isinstance(answers["away"], AddressError)
 
 
-def test_hosts_locate_coordinators_of_each_other_and_send_no_snapshot_to_a_host(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission, "home", "away")
-        await team.until(lambda: away.holds("guest"))
-        await asyncio.sleep(1.0)
-        away.host.peers.send("home", Subscribe(once=True))
-        away.host.peers.send("home", Locate())
-        await team.until(lambda: "home" in away.host.core.locator.answers)
-        await asyncio.sleep(1.0)
-        assert team.network.sent["Subscribe"] == 1
-        assert team.network.sent["EventBatch"] == 0
-        assert away.host.core.locator.answers["home"] == home.host.status().coordinators
-        assert away.host.core.locator.answers["home"] != []
-
-    fleet(story)
+async def test_hosts_locate_coordinators_of_each_other_and_send_no_snapshot_to_a_host(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(mission, "home", "away")
+    await team.until(lambda: away.holds("guest"))
+    await asyncio.sleep(1.0)
+    away.host.peers.send("home", Subscribe(once=True))
+    away.host.peers.send("home", Locate())
+    await team.until(lambda: "home" in away.host.core.locator.answers)
+    await asyncio.sleep(1.0)
+    assert team.network.sent["Subscribe"] == 1
+    assert team.network.sent["EventBatch"] == 0
+    assert away.host.core.locator.answers["home"] == home.host.status().coordinators
+    assert away.host.core.locator.answers["home"] != []
 
 
-def test_whoever_asks_again_and_again_gets_one_answer_for_many(fleet):
-    async def story(team):
-        (home,) = await team.up(team.mission("resource R { init(string[] arg) { } }", "//R:r@home\n"))
-        answers = []
+async def test_whoever_asks_again_and_again_gets_one_answer_for_many(team, /):
+    (home,) = await team.up(team.mission("resource R { init(string[] arg) { } }", "//R:r@home\n"))
+    answers = []
 
-        class Asker:
-            def on_message(self, link, message):
-                answers.append(message)
-                if isinstance(message, Hello):
-                    link.accept_role("host")
-                    for _ in range(1000):
-                        link.send(Subscribe(once=True))
+    class Asker:
+        def on_message(self, link, message):
+            answers.append(message)
+            if isinstance(message, Hello):
+                link.accept_role("host")
+                for _ in range(1000):
+                    link.send(Subscribe(once=True))
 
-            def on_closed(self, link, error):
-                pass
+        def on_closed(self, link, error):
+            pass
 
-        link = await team.network.transport("desk").connect("home:8181", Asker())
-        link.send(Hello("observer", "observer", 0))
-        await asyncio.sleep(1.0)
-        assert 1 <= sum(isinstance(answer, EventBatch) for answer in answers) <= 3
-        assert home.host.status().host == "home"
-
-    fleet(story)
+    link = await team.network.transport("desk").connect("home:8181", Asker())
+    link.send(Hello("observer", "observer", 0))
+    await asyncio.sleep(1.0)
+    assert 1 <= sum(isinstance(answer, EventBatch) for answer in answers) <= 3
+    assert home.host.status().host == "home"
 
 
-def test_a_question_that_nobody_answers_ends(fleet):
-    async def story(team):
-        class Silent:
-            def on_message(self, link, message):
-                pass
+async def test_a_question_that_nobody_answers_ends(team, /):
+    class Silent:
+        def on_message(self, link, message):
+            pass
 
-            def on_closed(self, link, error):
-                pass
+        def on_closed(self, link, error):
+            pass
 
-        class Rude(Silent):
-            def on_message(self, link, message):
-                link.close()
+    class Rude(Silent):
+        def on_message(self, link, message):
+            link.close()
 
-        transport = team.network.transport("desk")
-        await transport.listen("silent:1", lambda link: Silent())
-        await transport.listen("rude:1", lambda link: Rude())
-        with pytest.raises(AddressError, match="no answer within 2 s"):
-            await send_request(transport, "silent:1", SNAPSHOT)
-        with pytest.raises(AddressError, match="without an answer"):
-            await send_request(transport, "rude:1", SNAPSHOT)
-
-    fleet(story)
+    transport = team.network.transport("desk")
+    await transport.listen("silent:1", lambda link: Silent())
+    await transport.listen("rude:1", lambda link: Rude())
+    with pytest.raises(AddressError, match="no answer within 2 s"):
+        await send_request(transport, "silent:1", SNAPSHOT)
+    with pytest.raises(AddressError, match="without an answer"):
+        await send_request(transport, "rude:1", SNAPSHOT)
 
 
-def test_whoever_looks_goes_without_a_line_in_the_log(fleet):
-    async def story(team):
-        heard = []
+async def test_whoever_looks_goes_without_a_line_in_the_log(team, /):
+    heard = []
 
-        class Watching:
-            def on_message(self, link, message):
-                if isinstance(message, Hello):
-                    link.accept_role(message.role)
-                    link.send(Subscribe())
-                else:
-                    heard.append(message)
+    class Watching:
+        def on_message(self, link, message):
+            if isinstance(message, Hello):
+                link.accept_role(message.role)
+                link.send(Subscribe())
+            else:
+                heard.append(message)
 
-            def on_closed(self, link, error):
-                heard.append(error)
+        def on_closed(self, link, error):
+            heard.append(error)
 
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        link = await team.network.transport("desk").connect("home:8181", Watching())
-        link.send(Hello("observer", "observer", 0))
-        await team.until(lambda: heard)
-        assert isinstance(heard[0], EventBatch)
-        team.network.cut("desk", "home")
-        await team.until(lambda: len(heard) > 1)
-        await asyncio.sleep(3.0)
-        assert "link from " not in home.log
-
-    fleet(story)
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+    link = await team.network.transport("desk").connect("home:8181", Watching())
+    link.send(Hello("observer", "observer", 0))
+    await team.until(lambda: heard)
+    assert isinstance(heard[0], EventBatch)
+    team.network.cut("desk", "home")
+    await team.until(lambda: len(heard) > 1)
+    await asyncio.sleep(3.0)
+    assert "link from " not in home.log
 
 
-def test_whoever_never_greets_is_shown_out(fleet):
-    async def story(team):
-        closed = []
+async def test_whoever_never_greets_is_shown_out(team, /):
+    closed = []
 
-        class Idle:
-            def on_message(self, link, message):
-                pass
+    class Idle:
+        def on_message(self, link, message):
+            pass
 
-            def on_closed(self, link, error):
-                closed.append(error)
+        def on_closed(self, link, error):
+            closed.append(error)
 
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        await team.network.transport("desk").connect("home:8181", Idle())
-        await team.until(lambda: closed)
-        assert "link from desk closed: it has not greeted within 10 s" in home.log
-
-    fleet(story)
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+    await team.network.transport("desk").connect("home:8181", Idle())
+    await team.until(lambda: closed)
+    assert "link from desk closed: it has not greeted within 10 s" in home.log
 
 
 @pytest.mark.parametrize("lost_after", [1.0, 15.0])
-def test_a_host_that_has_not_come_up_yet_is_not_given_up_before_portal_calls_to_it(fleet, lost_after):
-    async def story(team):
-        (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
-        started = asyncio.get_running_loop().time()
-        (fate,) = await wait_until_done(away.host, lost_after)
-        assert fate.outcome == "unheard"
-        assert fate.detail.startswith("it starts on home, and home has been unreachable for ")
-        assert asyncio.get_running_loop().time() - started >= max(10.0, lost_after) - 1.5
-
-    fleet(story)
+async def test_a_host_that_has_not_come_up_yet_is_not_given_up_before_portal_calls_to_it(team, /, lost_after):
+    (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
+    started = asyncio.get_running_loop().time()
+    (fate,) = await wait_until_done(away.host, lost_after)
+    assert fate.outcome == "unheard"
+    assert fate.detail.startswith("it starts on home, and home has been unreachable for ")
+    assert asyncio.get_running_loop().time() - started >= max(10.0, lost_after) - 1.5

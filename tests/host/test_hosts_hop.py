@@ -35,19 +35,16 @@ coordinator Visitor {
 TWO_HOSTS = "//Echo:near@alpha\n//Echo:far@bravo\n//Visitor:visitor@alpha?near&far\n"
 
 
-def test_a_coordinator_goes_there_and_comes_back(fleet):
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(THERE_AND_BACK, TWO_HOSTS))
-        assert await team.ended("visitor") == "done"
-        assert bravo.output == ["far hears a", "far hears b"]
-        assert alpha.output == ["near hears a!b!"]
-        assert "visitor: made 2 hops" in alpha.log
-        assert team.network.sent["Transfer"] == 2
-
-    fleet(story)
+async def test_a_coordinator_goes_there_and_comes_back(team, /):
+    alpha, bravo = await team.up(team.mission(THERE_AND_BACK, TWO_HOSTS))
+    assert await team.ended("visitor") == "done"
+    assert bravo.output == ["far hears a", "far hears b"]
+    assert alpha.output == ["near hears a!b!"]
+    assert "visitor: made 2 hops" in alpha.log
+    assert team.network.sent["Transfer"] == 2
 
 
-def test_what_waits_for_a_link_is_older_when_it_leaves(fleet):
+async def test_what_waits_for_a_link_is_older_when_it_leaves(team, /):
     program = (
         ECHO
         + """
@@ -60,30 +57,25 @@ coordinator Visitor {
 """
     )
 
-    async def story(team):
-        mission = team.mission(program, TWO_HOSTS, without=("bravo",))
-        (alpha,) = await team.up(mission, "alpha")
-        await asyncio.sleep(5.0)
-        (bravo,) = await team.up(mission, "bravo")
-        assert await team.ended("visitor") == "done"
-        (line,) = (line for line in (alpha.log + bravo.log).splitlines() if "lived" in line)
-        assert 4.0 < float(line.split()[-1]) < 8.0
-
-    fleet(story)
+    mission = team.mission(program, TWO_HOSTS, without=("bravo",))
+    (alpha,) = await team.up(mission, "alpha")
+    await asyncio.sleep(5.0)
+    (bravo,) = await team.up(mission, "bravo")
+    assert await team.ended("visitor") == "done"
+    (line,) = (line for line in (alpha.log + bravo.log).splitlines() if "lived" in line)
+    assert 4.0 < float(line.split()[-1]) < 8.0
 
 
-def test_agents_on_one_host_need_no_messages(fleet):
-    async def story(team):
-        deployment = "//Echo:near@alpha\n//Echo:far@alpha\n//Visitor:visitor@alpha?near&far\n"
-        (alpha,) = await team.up(team.mission(THERE_AND_BACK, deployment))
-        assert await team.ended("visitor") == "done"
-        assert "visitor: made 0 hops" in alpha.log
-        assert not team.network.sent
-
-    fleet(story)
+async def test_agents_on_one_host_need_no_messages(team, /):
+    deployment = "//Echo:near@alpha\n//Echo:far@alpha\n//Visitor:visitor@alpha?near&far\n"
+    (alpha,) = await team.up(team.mission(THERE_AND_BACK, deployment))
+    assert await team.ended("visitor") == "done"
+    assert "visitor: made 0 hops" in alpha.log
+    assert not team.network.sent
+    assert alpha.output == ["far hears a", "far hears b", "near hears a!b!"]
 
 
-def test_a_proxy_says_where_its_resource_lives_from_any_host(fleet):
+async def test_a_proxy_says_where_its_resource_lives_from_any_host(team, /):
     program = (
         ECHO
         + """
@@ -99,15 +91,12 @@ coordinator Visitor {
 """
     )
 
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(program, TWO_HOSTS))
-        assert await team.ended("visitor") == "done"
-        assert "visitor: far on bravo" in alpha.log
-        assert "visitor: bravo and alpha" in bravo.log
-        assert "visitor: true" in bravo.log
-        assert team.network.sent["Transfer"] == 1
-
-    fleet(story)
+    alpha, bravo = await team.up(team.mission(program, TWO_HOSTS))
+    assert await team.ended("visitor") == "done"
+    assert "visitor: far on bravo" in alpha.log
+    assert "visitor: bravo and alpha" in bravo.log
+    assert "visitor: true" in bravo.log
+    assert team.network.sent["Transfer"] == 1
 
 
 AGREE = (
@@ -126,68 +115,56 @@ coordinator Agreement {
 
 
 @pytest.mark.parametrize("hosts", [2, 5, 16])
-def test_n_resources_agree_in_2n_hops(fleet, hosts):
+async def test_n_resources_agree_in_2n_hops(team, /, hosts):
     # The coordinator begins away from them all: N hops to collect, N to inform (chapter IV).
     lines = [f"//Echo:e{n}@host{n}" for n in range(hosts)]
 
-    async def story(team):
-        mission = team.mission(AGREE, "\n".join([*lines, "//Agreement:agreement@home"]))
-        everybody = await team.up(mission)
-        assert await team.ended("agreement") == "done"
-        assert team.network.sent["Transfer"] == 2 * hosts
-        for running in everybody[:-1]:
-            assert [line.split(" hears ")[1] for line in running.output] == ["what", "agreed"]
-
-    fleet(story)
+    mission = team.mission(AGREE, "\n".join([*lines, "//Agreement:agreement@home"]))
+    everybody = await team.up(mission)
+    assert await team.ended("agreement") == "done"
+    assert team.network.sent["Transfer"] == 2 * hosts
+    for running in everybody[:-1]:
+        assert [line.split(" hears ")[1] for line in running.output] == ["what", "agreed"]
 
 
-def test_a_portal_call_waits_for_a_host_that_is_not_up_yet(fleet):
-    async def story(team):
-        mission = team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",))
-        (alpha,) = await team.up(mission, "alpha")
-        await asyncio.sleep(5.0)
-        assert alpha.holds("visitor")
-        assert alpha.output == []
-        (bravo,) = await team.up(mission, "bravo")
-        assert await team.ended("visitor") == "done"
-        assert bravo.output == ["far hears a", "far hears b"]
-
-    fleet(story)
+async def test_a_portal_call_waits_for_a_host_that_is_not_up_yet(team, /):
+    mission = team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",))
+    (alpha,) = await team.up(mission, "alpha")
+    await asyncio.sleep(5.0)
+    assert alpha.holds("visitor")
+    assert alpha.output == []
+    (bravo,) = await team.up(mission, "bravo")
+    assert await team.ended("visitor") == "done"
+    assert bravo.output == ["far hears a", "far hears b"]
 
 
-def test_the_hosts_come_up_in_the_other_order(fleet):
-    async def story(team):
-        mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
-        await team.up(mission, "bravo")
-        await asyncio.sleep(5.0)
-        (alpha,) = await team.up(mission, "alpha")
-        assert await team.ended("visitor") == "done"
-        assert alpha.output == ["near hears a!b!"]
-
-    fleet(story)
+async def test_the_hosts_come_up_in_the_other_order(team, /):
+    mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
+    await team.up(mission, "bravo")
+    await asyncio.sleep(5.0)
+    (alpha,) = await team.up(mission, "alpha")
+    assert await team.ended("visitor") == "done"
+    assert alpha.output == ["near hears a!b!"]
 
 
-def test_a_coordinator_that_comes_while_a_host_starts_finds_its_resources(fleet):
-    async def story(team):
-        mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
-        bravo = team.make(mission, "bravo")
-        opened = asyncio.Event()
+async def test_a_coordinator_that_comes_while_a_host_starts_finds_its_resources(team, /):
+    mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
+    bravo = team.make(mission, "bravo")
+    opened = asyncio.Event()
 
-        async def open_slowly(devices, recording):
-            await opened.wait()
+    async def open_slowly(devices, recording):
+        await opened.wait()
 
-        bravo.host.guards.open = open_slowly
-        starting = asyncio.create_task(bravo.host.start())
-        (alpha,) = await team.up(mission, "alpha")
-        await team.until(lambda: team.network.sent["Transfer"] == 1)
-        await asyncio.sleep(1.0)
-        assert alpha.output == bravo.output == []
-        opened.set()
-        await starting
-        assert await team.ended("visitor") == "done"
-        assert bravo.output == ["far hears a", "far hears b"]
-
-    fleet(story)
+    bravo.host.guards.open = open_slowly
+    starting = asyncio.create_task(bravo.host.start())
+    (alpha,) = await team.up(mission, "alpha")
+    await team.until(lambda: team.network.sent["Transfer"] == 1)
+    await asyncio.sleep(1.0)
+    assert alpha.output == bravo.output == []
+    opened.set()
+    await starting
+    assert await team.ended("visitor") == "done"
+    assert bravo.output == ["far hears a", "far hears b"]
 
 
 CAUTIOUS = (
@@ -211,30 +188,24 @@ coordinator Cautious {
 
 
 @pytest.mark.parametrize("bound", [2.0, 30.0])
-def test_a_host_that_stays_away_is_an_exception_after_the_bound(fleet, bound):
-    async def story(team):
-        mission = team.mission(CAUTIOUS, TWO_HOSTS.replace("Visitor", "Cautious"), without=("bravo",))
-        (alpha,) = await team.up(mission, "alpha", unreachable_after=bound)
-        assert await team.ended("visitor") == "done"
-        assert alpha.output == [
-            f"near hears after {bound:.0f} s: bravo could not be reached within {bound:g} s; is it up?"
-        ]
-
-    fleet(story)
+async def test_a_host_that_stays_away_is_an_exception_after_the_bound(team, /, bound):
+    mission = team.mission(CAUTIOUS, TWO_HOSTS.replace("Visitor", "Cautious"), without=("bravo",))
+    (alpha,) = await team.up(mission, "alpha", unreachable_after=bound)
+    assert await team.ended("visitor") == "done"
+    assert alpha.output == [
+        f"near hears after {bound:.0f} s: bravo could not be reached within {bound:g} s; is it up?"
+    ]
 
 
-def test_an_uncaught_unreachable_host_names_the_statement_and_the_hosts_visited(fleet):
-    async def story(team):
-        (alpha,) = await team.up(
-            team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",)), "alpha", unreachable_after=1.0
-        )
-        assert await team.ended("visitor") == "died"
-        assert "visitor died of an uncaught UnreachableResourceException: bravo could not be" in alpha.log
-        line = 1 + THERE_AND_BACK.splitlines().index('        near.say(far.say("a") + far.say("b"));')
-        assert f"at Visitor.init (mission.L:{line})" in alpha.log
-        assert "hosts visited: alpha\n" in alpha.log
-
-    fleet(story)
+async def test_an_uncaught_unreachable_host_names_the_statement_and_the_hosts_visited(team, /):
+    (alpha,) = await team.up(
+        team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",)), "alpha", unreachable_after=1.0
+    )
+    assert await team.ended("visitor") == "died"
+    assert "visitor died of an uncaught UnreachableResourceException: bravo could not be" in alpha.log
+    line = 1 + THERE_AND_BACK.splitlines().index('        near.say(far.say("a") + far.say("b"));')
+    assert f"at Visitor.init (mission.L:{line})" in alpha.log
+    assert "hosts visited: alpha\n" in alpha.log
 
 
 SHUTTLE = (
@@ -260,38 +231,32 @@ coordinator Shuttle {
 )
 
 
-def test_a_link_that_breaks_comes_back(fleet):
-    async def story(team):
-        alpha, bravo = await team.up(
-            team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle")), unreachable_after=20.0
-        )
-        await team.until(lambda: len(alpha.output) == 2)
-        team.network.partition("alpha", "bravo")
-        await team.until(lambda: "link to bravo lost" in alpha.log)
-        await asyncio.sleep(12.0)
-        assert len(bravo.output) == 2
-        team.network.heal("alpha", "bravo")
-        assert await team.ended("visitor") == "done"
-        assert bravo.output == [f"far hears {i}" for i in range(6)]
-        assert team.network.sent["Transfer"] == 12, "six times there, six times back"
-
-    fleet(story)
+async def test_a_link_that_breaks_comes_back(team, /):
+    alpha, bravo = await team.up(
+        team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle")), unreachable_after=20.0
+    )
+    await team.until(lambda: len(alpha.output) == 2)
+    team.network.partition("alpha", "bravo")
+    await team.until(lambda: "link to bravo lost" in alpha.log)
+    await asyncio.sleep(12.0)
+    assert len(bravo.output) == 2
+    team.network.heal("alpha", "bravo")
+    assert await team.ended("visitor") == "done"
+    assert bravo.output == [f"far hears {i}" for i in range(6)]
+    assert team.network.sent["Transfer"] == 12, "six times there, six times back"
 
 
-def test_a_host_that_was_restarted_is_reached_again(fleet):
-    async def story(team):
-        mission = team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle"))
-        alpha, bravo = await team.up(mission, unreachable_after=20.0)
-        await team.until(lambda: len(alpha.output) == 2)
-        await bravo.host.stop()
-        await asyncio.sleep(12.0)
-        (again,) = await team.up(mission, "bravo")
-        assert await team.ended("visitor") == "done"
-        # The call that told of it has not begun.
-        assert again.log.count("visitor: far has restarted since this proxy last called it") == 1
-        assert again.output == [f"far hears {i}" for i in range(2, 6)]
-
-    fleet(story)
+async def test_a_host_that_was_restarted_is_reached_again(team, /):
+    mission = team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle"))
+    alpha, bravo = await team.up(mission, unreachable_after=20.0)
+    await team.until(lambda: len(alpha.output) == 2)
+    await bravo.host.stop()
+    await asyncio.sleep(12.0)
+    (again,) = await team.up(mission, "bravo")
+    assert await team.ended("visitor") == "done"
+    # The call that told of it has not begun.
+    assert again.log.count("visitor: far has restarted since this proxy last called it") == 1
+    assert again.output == [f"far hears {i}" for i in range(2, 6)]
 
 
 LOADED = (
@@ -316,18 +281,15 @@ coordinator Loaded {
 )
 
 
-def test_a_block_that_the_other_host_does_not_take_is_not_even_sent(fleet):
-    async def story(team):
-        deployment = TWO_HOSTS.replace("Visitor", "Loaded")
-        small = "agents: {visitor: {heap: 64 KiB}}\n"
-        (bravo,) = await team.up(team.mission(LOADED, deployment, small), "bravo")
-        (alpha,) = await team.up(team.mission(LOADED, deployment, "agents: {}\n"), "alpha")
-        assert await team.ended("visitor") == "done"
-        assert alpha.output[0].endswith(" bytes and bravo takes at most 65536")
-        assert bravo.output == ["far hears lighter"]
-        assert team.network.sent["Transfer"] == 2
-
-    fleet(story)
+async def test_a_block_that_the_other_host_does_not_take_is_not_even_sent(team, /):
+    deployment = TWO_HOSTS.replace("Visitor", "Loaded")
+    small = "agents: {visitor: {heap: 64 KiB}}\n"
+    (bravo,) = await team.up(team.mission(LOADED, deployment, small), "bravo")
+    (alpha,) = await team.up(team.mission(LOADED, deployment, "agents: {}\n"), "alpha")
+    assert await team.ended("visitor") == "done"
+    assert alpha.output[0].endswith(" bytes and bravo takes at most 65536")
+    assert bravo.output == ["far hears lighter"]
+    assert team.network.sent["Transfer"] == 2
 
 
 def test_a_block_over_the_size_of_frames_is_refused_before_it_is_read(fleet):
@@ -367,25 +329,22 @@ coordinator Careless {
 """
 
 
-def test_an_uncaught_exception_shows_the_lines_of_both_sides_and_the_way(fleet):
-    async def story(team):
-        deployment = "//Careless:tom@alpha?divider\n//Divider:divider@bravo\n"
-        alpha, bravo = await team.up(team.mission(FAULTY, deployment))
-        assert await team.ended("tom") == "died"
-        lines = bravo.log.splitlines()
-        start = next(i for i, line in enumerate(lines) if "died" in line)
-        assert lines[start].startswith("tom died of an uncaught ArithmeticException")
-        shown = lines[start + 1 :]
-        stack = [
-            "    at Divider.share (mission.L:8) in divider",
-            "    at Divider.part (mission.L:5) in divider",
-            "    at Careless.divide (mission.L:19)",
-            "    at Careless.init (mission.L:16)",
-        ]
-        places = [shown.index(line) for line in stack]
-        assert places == sorted(places)
-        assert "    hosts visited: alpha → bravo" in shown
-        assert bravo.holds("divider"), "the resource goes on"
-        await team.until(lambda: alpha.host.mobility.known_states()[0].outcome == "died")
-
-    fleet(story)
+async def test_an_uncaught_exception_shows_the_lines_of_both_sides_and_the_way(team, /):
+    deployment = "//Careless:tom@alpha?divider\n//Divider:divider@bravo\n"
+    alpha, bravo = await team.up(team.mission(FAULTY, deployment))
+    assert await team.ended("tom") == "died"
+    lines = bravo.log.splitlines()
+    start = next(i for i, line in enumerate(lines) if "died" in line)
+    assert lines[start].startswith("tom died of an uncaught ArithmeticException")
+    shown = lines[start + 1 :]
+    stack = [
+        "    at Divider.share (mission.L:8) in divider",
+        "    at Divider.part (mission.L:5) in divider",
+        "    at Careless.divide (mission.L:19)",
+        "    at Careless.init (mission.L:16)",
+    ]
+    places = [shown.index(line) for line in stack]
+    assert places == sorted(places)
+    assert "    hosts visited: alpha → bravo" in shown
+    assert bravo.holds("divider"), "the resource goes on"
+    await team.until(lambda: alpha.host.mobility.known_states()[0].outcome == "died")

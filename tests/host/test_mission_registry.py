@@ -109,14 +109,11 @@ def test_a_portal_that_the_resource_does_not_have_is_told_where_it_is_promised(f
     assert "Crane" in found.message
 
 
-def test_a_host_greets_with_its_registry(fleet) -> None:
-    async def story(team):
-        asking = team.mission(ASKING, DEPLOYMENT, capabilities=CAPABILITIES)
-        plain = team.mission(PLAIN, DEPLOYMENT, name="plain")
-        assert team.make(asking, "a").host.hello().registry == asking.registry.digest
-        assert team.make(plain, "a").host.hello().registry == b""
-
-    fleet(story)
+async def test_a_host_greets_with_its_registry(team, /) -> None:
+    asking = team.mission(ASKING, DEPLOYMENT, capabilities=CAPABILITIES)
+    plain = team.mission(PLAIN, DEPLOYMENT, name="plain")
+    assert team.make(asking, "a").host.hello().registry == asking.registry.digest
+    assert team.make(plain, "a").host.hello().registry == b""
 
 
 def test_live_attributes_come_in_their_own_units(folder: Path) -> None:

@@ -85,47 +85,41 @@ def offered(running, constraint=None):
     return [offer.agent for offer in found]
 
 
-def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(fleet):
-    async def story(team):
-        alpha, bravo, _, devices = await two_hosts(team)
-        assert known(alpha, "far").unknown == {
-            "battery": "fc has not reported battery", "armed": "fc has not reported armed",
-        }  # fmt: skip
-        devices.values["far.fc", "battery"] = (0.75, 0.1)
-        await team.until(lambda: "battery" in known(alpha, "far").facts)
-        assert known(alpha, "far").facts["battery"].value == 0.75
-        assert 0.1 <= known(alpha, "far").facts["battery"].age <= 1.2
-        sent = team.network.sent["DirectoryUpdate"]
-        await asyncio.sleep(20.0)
-        assert team.network.sent["DirectoryUpdate"] == sent
-        # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
-        assert known(alpha, "far").facts["battery"].age <= 1.2
-        devices.values["far.fc", "battery"] = (0.752, 0.1)
-        await asyncio.sleep(3.0)
-        assert team.network.sent["DirectoryUpdate"] == sent
-        devices.values["far.fc", "battery"] = (0.7, 0.1)
-        await asyncio.sleep(3.0)
-        assert team.network.sent["DirectoryUpdate"] == sent + 1
-        assert known(alpha, "far").facts["battery"].value == 0.7
-        assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
-
-    fleet(story)
+async def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(team, /):
+    alpha, bravo, _, devices = await two_hosts(team)
+    assert known(alpha, "far").unknown == {
+        "battery": "fc has not reported battery", "armed": "fc has not reported armed",
+    }  # fmt: skip
+    devices.values["far.fc", "battery"] = (0.75, 0.1)
+    await team.until(lambda: "battery" in known(alpha, "far").facts)
+    assert known(alpha, "far").facts["battery"].value == 0.75
+    assert 0.1 <= known(alpha, "far").facts["battery"].age <= 1.2
+    sent = team.network.sent["DirectoryUpdate"]
+    await asyncio.sleep(20.0)
+    assert team.network.sent["DirectoryUpdate"] == sent
+    # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
+    assert known(alpha, "far").facts["battery"].age <= 1.2
+    devices.values["far.fc", "battery"] = (0.752, 0.1)
+    await asyncio.sleep(3.0)
+    assert team.network.sent["DirectoryUpdate"] == sent
+    devices.values["far.fc", "battery"] = (0.7, 0.1)
+    await asyncio.sleep(3.0)
+    assert team.network.sent["DirectoryUpdate"] == sent + 1
+    assert known(alpha, "far").facts["battery"].value == 0.7
+    assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
 
 
-def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet):
-    async def story(team):
-        _, bravo, _, devices = await two_hosts(team)
-        before = team.network.sent["DirectoryUpdate"]
-        for step in range(500):
-            devices.values["far.fc", "battery"] = (step / 500, 0.0)
-            bravo.host.core.services.offers(ASKER, "Lift", None)
-            await asyncio.sleep(0.02)
-        assert team.network.sent["DirectoryUpdate"] - before <= 10.0 / SAMPLE_EVERY + 1
-
-    fleet(story)
+async def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(team, /):
+    _, bravo, _, devices = await two_hosts(team)
+    before = team.network.sent["DirectoryUpdate"]
+    for step in range(500):
+        devices.values["far.fc", "battery"] = (step / 500, 0.0)
+        bravo.host.core.services.offers(ASKER, "Lift", None)
+        await asyncio.sleep(0.02)
+    assert team.network.sent["DirectoryUpdate"] - before <= 10.0 / SAMPLE_EVERY + 1
 
 
-def test_a_thousand_queries_make_no_message_and_no_hop(fleet):
+async def test_a_thousand_queries_make_no_message_and_no_hop(team, /):
     program = CRANES + """
 coordinator Foreman {
     init(string[] arg) {
@@ -142,124 +136,105 @@ coordinator Foreman {
 }
 """  # fmt: skip
 
-    async def story(team):
-        alpha, *_ = await two_hosts(team, program)
-        await asyncio.sleep(4.9)
-        alpha.host.core.services.offers(ASKER, "Lift", None)
-        before = team.network.sent.copy()
-        sent = {}
-        writes = alpha.host.core.services.log
+    alpha, *_ = await two_hosts(team, program)
+    await asyncio.sleep(4.9)
+    alpha.host.core.services.offers(ASKER, "Lift", None)
+    before = team.network.sent.copy()
+    sent = {}
+    writes = alpha.host.core.services.log
 
-        def log(agent, text):
-            sent.update(team.network.sent - before)
-            writes(agent, text)
+    def log(agent, text):
+        sent.update(team.network.sent - before)
+        writes(agent, text)
 
-        alpha.host.core.services.log = log
-        await team.until(lambda: "2000 offers" in alpha.log)
-        said = alpha.log.replace("1.0 <", "1 <")
-        assert "2000 offers, 0 hops; there are 2 offers, by 2 agents\n    small: payload 1 < 2.0" in said
-        assert not (sent.keys() - {"Ping", "Pong"})
-
-    fleet(story)
+    alpha.host.core.services.log = log
+    await team.until(lambda: "2000 offers" in alpha.log)
+    said = alpha.log.replace("1.0 <", "1 <")
+    assert "2000 offers, 0 hops; there are 2 offers, by 2 agents\n    small: payload 1 < 2.0" in said
+    assert not (sent.keys() - {"Ping", "Pong"})
 
 
-def test_why_an_agent_is_not_offered(fleet):
-    async def story(team):
-        alpha, bravo, near, far = await two_hosts(team)
-        near.troubles["near.fc"] = Unavailability("fc: in its safe state hold: the host was silent")
-        far.troubles["far.fc"] = Unavailability("fc: no message", asyncio.get_running_loop().time() - 3.0)
-        assert sorted(offered(alpha)) == ["far", "small"]
-        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.services.explain(
-            ASKER, "Lift", None
-        )
-        await asyncio.sleep(1.5)
-        assert offered(alpha) == offered(bravo) == ["small"]
-        alpha.host.step()
-        assert "far: fc: no message for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
-        team.network.partition("alpha", "bravo")
-        await asyncio.sleep(12.0)
-        alpha.host.step()
-        assert offered(alpha) == []
-        assert "small: unreachable for 12 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
-        del far.troubles["far.fc"]
-        team.network.heal("alpha", "bravo")
-        await asyncio.sleep(3.0)
-        assert sorted(offered(alpha)) == ["far", "small"]
-
-    fleet(story)
+async def test_why_an_agent_is_not_offered(team, /):
+    alpha, bravo, near, far = await two_hosts(team)
+    near.troubles["near.fc"] = Unavailability("fc: in its safe state hold: the host was silent")
+    far.troubles["far.fc"] = Unavailability("fc: no message", asyncio.get_running_loop().time() - 3.0)
+    assert sorted(offered(alpha)) == ["far", "small"]
+    assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.services.explain(
+        ASKER, "Lift", None
+    )
+    await asyncio.sleep(1.5)
+    assert offered(alpha) == offered(bravo) == ["small"]
+    alpha.host.step()
+    assert "far: fc: no message for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
+    team.network.partition("alpha", "bravo")
+    await asyncio.sleep(12.0)
+    alpha.host.step()
+    assert offered(alpha) == []
+    assert "small: unreachable for 12 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
+    del far.troubles["far.fc"]
+    team.network.heal("alpha", "bravo")
+    await asyncio.sleep(3.0)
+    assert sorted(offered(alpha)) == ["far", "small"]
 
 
-def test_a_resource_that_died_is_not_offered(fleet):
+async def test_a_resource_that_died_is_not_offered(team, /):
     program = IDLE.replace(
         "id = arg[0];", 'id = arg[0]; sleep(3.0); int[] no; if (id == "far") no = new int[-1];'
     )
 
-    async def story(team):
-        alpha, *_ = await two_hosts(team, program)
-        await asyncio.sleep(1.0)
-        assert "far" in offered(alpha)
-        await asyncio.sleep(5.0)
-        assert "far" not in offered(alpha)
-        assert "far: died of " in alpha.host.core.services.explain(ASKER, "Lift", None)
-
-    fleet(story)
+    alpha, *_ = await two_hosts(team, program)
+    await asyncio.sleep(1.0)
+    assert "far" in offered(alpha)
+    await asyncio.sleep(5.0)
+    assert "far" not in offered(alpha)
+    assert "far: died of " in alpha.host.core.services.explain(ASKER, "Lift", None)
 
 
-def test_a_host_that_was_away_knows_all_after_one_exchange(fleet):
-    async def story(team):
-        alpha, bravo, near, far = await two_hosts(team)
-        team.network.partition("alpha", "bravo")
-        await asyncio.sleep(5.0)
-        far.values["far.fc", "battery"] = (0.5, 0.0)
-        near.values["near.fc", "battery"] = (0.25, 0.0)
-        await asyncio.sleep(5.0)
-        team.network.heal("alpha", "bravo")
-        before = team.network.sent["DirectoryUpdate"]
-        await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
-        await asyncio.sleep(0.1)
-        assert team.network.sent["DirectoryUpdate"] - before == 2
-        assert known(alpha, "far").facts["battery"].value == 0.5
-        assert known(bravo, "near").facts["battery"].value == 0.25
-
-    fleet(story)
+async def test_a_host_that_was_away_knows_all_after_one_exchange(team, /):
+    alpha, bravo, near, far = await two_hosts(team)
+    team.network.partition("alpha", "bravo")
+    await asyncio.sleep(5.0)
+    far.values["far.fc", "battery"] = (0.5, 0.0)
+    near.values["near.fc", "battery"] = (0.25, 0.0)
+    await asyncio.sleep(5.0)
+    team.network.heal("alpha", "bravo")
+    before = team.network.sent["DirectoryUpdate"]
+    await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
+    await asyncio.sleep(0.1)
+    assert team.network.sent["DirectoryUpdate"] - before == 2
+    assert known(alpha, "far").facts["battery"].value == 0.5
+    assert known(bravo, "near").facts["battery"].value == 0.25
 
 
-def test_a_snapshot_has_attributes_of_agents_elsewhere_only_on_request(fleet):
+async def test_a_snapshot_has_attributes_of_agents_elsewhere_only_on_request(team, /):
     """Each host knows those of all agents, so a large team would send them for each pair of hosts."""
-
-    async def story(team):
-        alpha, _, near, far = await two_hosts(team)
-        near.values["near.fc", "battery"] = far.values["far.fc", "battery"] = (0.75, 0.1)
-        await team.until(lambda: "battery" in known(alpha, "far").facts)
-        subscriptions = alpha.host._observers.subscriptions
-        whole, brief = (subscriptions.snapshot_batch(directory=all_of).snapshot for all_of in (True, False))
-        assert "battery" in {t.agent: t for t in whole.directory}["far"].facts
-        found = {t.agent: t for t in brief.directory}
-        assert found.keys() == {t.agent for t in whole.directory}
-        assert "battery" in found["near"].facts
-        assert (found["far"].refusal, found["far"].facts, found["far"].unknown) == ("", {}, {})
-
-    fleet(story)
+    alpha, _, near, far = await two_hosts(team)
+    near.values["near.fc", "battery"] = far.values["far.fc", "battery"] = (0.75, 0.1)
+    await team.until(lambda: "battery" in known(alpha, "far").facts)
+    subscriptions = alpha.host._observers.subscriptions
+    whole, brief = (subscriptions.snapshot_batch(directory=all_of).snapshot for all_of in (True, False))
+    assert "battery" in {t.agent: t for t in whole.directory}["far"].facts
+    found = {t.agent: t for t in brief.directory}
+    assert found.keys() == {t.agent for t in whole.directory}
+    assert "battery" in found["near"].facts
+    assert (found["far"].refusal, found["far"].facts, found["far"].unknown) == ("", {}, {})
 
 
-def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
+async def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(team, /):
     program = CRANES + "coordinator Foreman { init(string[] arg) { sleep(1000.0); } }"
 
-    async def story(team):
-        alpha, _, near, far = await two_hosts(team, program)
-        near.values["near.fc", "battery"] = (0.5, 0.0)
-        await asyncio.sleep(10.0)
-        assert team.network.sent["DirectoryUpdate"] == 0
-        assert near.asked == far.asked == 0
-        # Whether they can be called is known all the same.
-        assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
-            ("near", "", {}),
-            ("small", "", {}),
-            ("far", "", {}),
-        ]
-        assert near.asked == far.asked == 0
-
-    fleet(story)
+    alpha, _, near, far = await two_hosts(team, program)
+    near.values["near.fc", "battery"] = (0.5, 0.0)
+    await asyncio.sleep(10.0)
+    assert team.network.sent["DirectoryUpdate"] == 0
+    assert near.asked == far.asked == 0
+    # Whether they can be called is known all the same.
+    assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
+        ("near", "", {}),
+        ("small", "", {}),
+        ("far", "", {}),
+    ]
+    assert near.asked == far.asked == 0
 
 
 NAMES = sorted(read_registry().attributes)
@@ -303,21 +278,18 @@ def far_report(*facts, agent=3, unknown=()):
         ),
     ],
 )
-def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, agents, why):
-    async def story(team):
-        alpha, bravo, _, far = await two_hosts(team)
-        far.values["far.fc", "battery"] = (0.5, 0.0)
-        await asyncio.sleep(2.0)
-        before = known(alpha, "far")
-        for sequence in (1000, 1001):
-            bravo.host.peers.send("alpha", DirectoryUpdate(bravo.host.core.incarnation, 0, sequence, agents))
-        await asyncio.sleep(0.5)
-        assert alpha.log.count("status report ignored: ") == 1
-        assert why in alpha.log
-        assert known(alpha, "far").facts.keys() == before.facts.keys()
-        assert alpha.host.peers.incarnations
-
-    fleet(story)
+async def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(team, /, agents, why):
+    alpha, bravo, _, far = await two_hosts(team)
+    far.values["far.fc", "battery"] = (0.5, 0.0)
+    await asyncio.sleep(2.0)
+    before = known(alpha, "far")
+    for sequence in (1000, 1001):
+        bravo.host.peers.send("alpha", DirectoryUpdate(bravo.host.core.incarnation, 0, sequence, agents))
+    await asyncio.sleep(0.5)
+    assert alpha.log.count("status report ignored: ") == 1
+    assert why in alpha.log
+    assert known(alpha, "far").facts.keys() == before.facts.keys()
+    assert alpha.host.peers.incarnations
 
 
 STALE = (
@@ -344,34 +316,28 @@ coordinator Foreman {
 )
 
 
-def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_one_is_tried(fleet):
+async def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_one_is_tried(team, /):
     deployment = "//Foreman:foreman@alpha\n//Crane:far@bravo\n//Crane:near@alpha\n//Crane:small@alpha\n"
     capabilities = CAPABILITIES + "  near: {payload: 2.0}\nranking: {weights: {hop: 0.0}}\n"
 
-    async def story(team):
-        mission = team.mission(STALE, deployment, capabilities=capabilities, simulate=True)
-        alpha, bravo = (team.make(mission, name, unreachable_after=4.0) for name in ("alpha", "bravo"))
-        for running in (alpha, bravo):
-            Devices(running)
-            team.on_the_ground(running)
-        await asyncio.gather(alpha.host.start(), bravo.host.start())
-        await team.until(lambda: "far then near" in alpha.log)
-        await bravo.host.stop()
-        assert await team.ended("foreman") == "done"
-        assert "stale: far" in alpha.log
-        assert "lifted by near" in alpha.log
-        assert alpha.output == ["near hoists 1.5"]
-        assert bravo.output == []
-
-    fleet(story)
+    mission = team.mission(STALE, deployment, capabilities=capabilities, simulate=True)
+    alpha, bravo = (team.make(mission, name, unreachable_after=4.0) for name in ("alpha", "bravo"))
+    for running in (alpha, bravo):
+        Devices(running)
+        team.on_the_ground(running)
+    await asyncio.gather(alpha.host.start(), bravo.host.start())
+    await team.until(lambda: "far then near" in alpha.log)
+    await bravo.host.stop()
+    assert await team.ended("foreman") == "done"
+    assert "stale: far" in alpha.log
+    assert "lifted by near" in alpha.log
+    assert alpha.output == ["near hoists 1.5"]
+    assert bravo.output == []
 
 
-def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
-    async def story(team):
-        alpha, *_ = await two_hosts(team)
-        with pytest.raises(ConstraintError):
-            alpha.host.core.services.offers(ASKER, "Lift", "paylod >= 2.0")
-        with pytest.raises(ConstraintError):
-            alpha.host.core.services.explain(ASKER, "Lift", "payload >=")
-
-    fleet(story)
+async def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(team, /):
+    alpha, *_ = await two_hosts(team)
+    with pytest.raises(ConstraintError):
+        alpha.host.core.services.offers(ASKER, "Lift", "paylod >= 2.0")
+    with pytest.raises(ConstraintError):
+        alpha.host.core.services.explain(ASKER, "Lift", "payload >=")

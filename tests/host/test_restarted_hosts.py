@@ -34,49 +34,40 @@ LAST_HOME = "//Post:post@away\n//Guest:guest@home?post\n"
 
 
 @pytest.mark.parametrize("deployment", [FIRST_HOME, LAST_HOME])
-def test_a_coordinator_that_is_alive_elsewhere_is_not_started_again(fleet, deployment):
-    async def story(team):
-        mission = team.mission(PROGRAM, deployment)
-        home, away = await team.up(mission, "home", "away")
-        await team.until(lambda: away.output == ["arrived"])
-        await home.host.stop()
-        await asyncio.sleep(2.0)
-        (again,) = await team.up(mission, "home")
-        assert "guest not started again: it is alive on another host" in again.log
-        assert not again.holds("guest")
-        assert await team.ended("guest") == "done"
-        assert away.output == ["arrived", "done"]
-        assert "guest: goes on after 1 hop(s)" in away.log
-
-    fleet(story)
+async def test_a_coordinator_that_is_alive_elsewhere_is_not_started_again(team, /, deployment):
+    mission = team.mission(PROGRAM, deployment)
+    home, away = await team.up(mission, "home", "away")
+    await team.until(lambda: away.output == ["arrived"])
+    await home.host.stop()
+    await asyncio.sleep(2.0)
+    (again,) = await team.up(mission, "home")
+    assert "guest not started again: it is alive on another host" in again.log
+    assert not again.holds("guest")
+    assert await team.ended("guest") == "done"
+    assert away.output == ["arrived", "done"]
+    assert "guest: goes on after 1 hop(s)" in away.log
 
 
-def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, FIRST_HOME)
-        home, away = await team.up(mission)
-        await team.until(lambda: away.output == ["arrived"])
-        await home.host.stop()
-        await away.host.stop()
-        _, again = await team.up(mission)
-        assert await team.ended("guest") == "done"
-        assert again.output == ["arrived", "done"]
-
-    fleet(story)
+async def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(team, /):
+    mission = team.mission(PROGRAM, FIRST_HOME)
+    home, away = await team.up(mission)
+    await team.until(lambda: away.output == ["arrived"])
+    await home.host.stop()
+    await away.host.stop()
+    _, again = await team.up(mission)
+    assert await team.ended("guest") == "done"
+    assert again.output == ["arrived", "done"]
 
 
-def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, FIRST_HOME)
-        home, away = await team.up(mission)
-        await team.until(lambda: away.output == ["arrived"])
-        await away.host.stop()
-        await team.up(mission, "away")
-        (fate,) = await wait_until_done(home.host, lost_after=1000.0)
-        assert fate.outcome == "lost"
-        assert fate.detail.endswith("which was restarted")
-
-    fleet(story)
+async def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(team, /):
+    mission = team.mission(PROGRAM, FIRST_HOME)
+    home, away = await team.up(mission)
+    await team.until(lambda: away.output == ["arrived"])
+    await away.host.stop()
+    await team.up(mission, "away")
+    (fate,) = await wait_until_done(home.host, lost_after=1000.0)
+    assert fate.outcome == "lost"
+    assert fate.detail.endswith("which was restarted")
 
 
 TWICE = """
@@ -106,33 +97,29 @@ coordinator Guest {
 THREE_HOSTS = "//Post:h@home\n//Post:a@away\n//Post:c@carol\n//Guest:guest@home?h&a&c\n"
 
 
-def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
+async def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(team, /):
     """Two starts of one coordinator never both run on a host."""
-
-    async def story(team):
-        mission = team.mission(TWICE, THREE_HOSTS, without=("carol",))
-        home, _, carol = await team.up(mission, keeps=True)
-        await team.until(lambda: carol.output)
-        first = carol.output[0].split()[0]
-        # Nobody who can be reached knows of it, and its page on the disk is spoilt: a second one is started.
-        team.network.partition("home", "carol")
-        await home.host.stop()
-        await asyncio.sleep(10.0)
-        team.disks["home"].damage(RecordKey("copy", "guest", 1))
-        again = team.make(mission, "home", keeps=True)
-        await again.host.start()
-        await team.until(lambda: again.output)
-        second = again.output[0].split()[0]
-        assert second != first
-        await team.until(lambda: any(line.startswith(first) for line in again.output))
-        arrived = next(n for n, line in enumerate(again.output) if line.startswith(first))
-        await asyncio.sleep(5.0)
-        # A portal that the second one had begun may end; it begins no other.
-        assert f"{second} begins" not in again.output[arrived:]
-        assert again.host.failure is None
-        assert [a.generation for a in again.host.machine.agents.values() if a.id == "guest"]
-
-    fleet(story)
+    mission = team.mission(TWICE, THREE_HOSTS, without=("carol",))
+    home, _, carol = await team.up(mission, keeps=True)
+    await team.until(lambda: carol.output)
+    first = carol.output[0].split()[0]
+    # Nobody who can be reached knows of it, and its page on the disk is spoilt: a second one is started.
+    team.network.partition("home", "carol")
+    await home.host.stop()
+    await asyncio.sleep(10.0)
+    team.disks["home"].damage(RecordKey("copy", "guest", 1))
+    again = team.make(mission, "home", keeps=True)
+    await again.host.start()
+    await team.until(lambda: again.output)
+    second = again.output[0].split()[0]
+    assert second != first
+    await team.until(lambda: any(line.startswith(first) for line in again.output))
+    arrived = next(n for n, line in enumerate(again.output) if line.startswith(first))
+    await asyncio.sleep(5.0)
+    # A portal that the second one had begun may end; it begins no other.
+    assert f"{second} begins" not in again.output[arrived:]
+    assert again.host.failure is None
+    assert [a.generation for a in again.host.machine.agents.values() if a.id == "guest"]
 
 
 VISIT = """
@@ -155,19 +142,15 @@ async def life(running, lost_after: float = 15.0) -> str:
     return ", ".join(fate.outcome for fate in fates)
 
 
-def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(fleet):
+async def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(team, /):
     """Journals, its own or that of others, say that the coordinator has ended; its home begins it anew."""
-
-    async def story(team):
-        mission = team.mission(VISIT, ONE_VISIT)
-        for run in range(3):
-            away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
-            assert await asyncio.gather(life(home), life(away)) == ["done", "done"]
-            assert away.output == ["visited"]
-            if run == 1:
-                team.disks["away"].replace()
-
-    fleet(story)
+    mission = team.mission(VISIT, ONE_VISIT)
+    for run in range(3):
+        away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
+        assert await asyncio.gather(life(home), life(away)) == ["done", "done"]
+        assert away.output == ["visited"]
+        if run == 1:
+            team.disks["away"].replace()
 
 
 NEVER_AWAY = """
@@ -178,136 +161,110 @@ TWO_HOMES = "//Guest:first@home\n//Guest:second@away\n//Post:post@carol\n"
 
 
 @pytest.mark.parametrize("lost_after", [3.0, 300.0])
-def test_hosts_end_with_coordinators_that_they_have_never_had(fleet, lost_after):
+async def test_hosts_end_with_coordinators_that_they_have_never_had(team, /, lost_after):
     """All hosts, as soon as the last coordinator ends; in a second run not before."""
-
-    async def story(team):
-        mission = team.mission(NEVER_AWAY, TWO_HOMES)
-        for _ in range(2):
-            hosts = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
-            begin = hosts[0].host.clock.monotonic()
-            assert await asyncio.gather(*(life(one, lost_after) for one in hosts)) == ["done, done"] * 3
-            assert 12.0 <= hosts[0].host.clock.monotonic() - begin < 16.0
-
-    fleet(story)
+    mission = team.mission(NEVER_AWAY, TWO_HOMES)
+    for _ in range(2):
+        hosts = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
+        begin = hosts[0].host.clock.monotonic()
+        assert await asyncio.gather(*(life(one, lost_after) for one in hosts)) == ["done, done"] * 3
+        assert 12.0 <= hosts[0].host.clock.monotonic() - begin < 16.0
 
 
-def test_hosts_that_restart_after_the_last_end_all_end(fleet):
+async def test_hosts_that_restart_after_the_last_end_all_end(team, /):
     """Each home has the end of the other's coordinator only in its journal."""
-
-    async def story(team):
-        mission = team.mission(NEVER_AWAY, TWO_HOMES)
-        before = await team.up(mission, keeps=True)
-        await team.until(lambda: all(len(_ends(one)) == 2 for one in before))
-        # They cannot store that the run is over, like hosts that are killed.
-        for disk in team.disks.values():
-            disk.full, disk.reserve = True, 0
-        for one in before:
-            await one.host.stop()
-        for disk in team.disks.values():
-            disk.full = False
-        after = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
-        assert await asyncio.gather(*(life(one, 300.0) for one in after)) == ["done, done"] * 3
-        log = after[0].log + after[1].log
-        assert "first not started again: it has ended (done) in the current run" in log
-
-    fleet(story)
-
-
-def test_a_host_that_remembers_an_end_does_not_wait_for_a_home_that_has_gone(fleet):
-    async def story(team):
-        mission = team.mission(VISIT, ONE_VISIT)
-        away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
-        await asyncio.gather(life(home), life(away))
-        assert await life(team.make(mission, "away", keeps=True)) == "done"
-
-    fleet(story)
-
-
-def test_a_start_that_fails_leaves_the_run_as_it_was(fleet):
-    """The host was killed when all was over. One that tries again by itself begins no mission anew."""
-
-    async def story(team):
-        mission = team.mission(VISIT, ONE_VISIT)
-        away, home = await team.up(mission, keeps=True)
-        await team.until(lambda: _ended(home))
-        disk = team.disks["home"]
+    mission = team.mission(NEVER_AWAY, TWO_HOMES)
+    before = await team.up(mission, keeps=True)
+    await team.until(lambda: all(len(_ends(one)) == 2 for one in before))
+    # They cannot store that the run is over, like hosts that are killed.
+    for disk in team.disks.values():
         disk.full, disk.reserve = True, 0
-        await home.host.stop()
+    for one in before:
+        await one.host.stop()
+    for disk in team.disks.values():
         disk.full = False
-        # It opens no device, and ends.
-        await team.make(mission, "home", keeps=True).host.stop()
-        last = team.make(mission, "home", keeps=True)
-        await last.host.start()
-        assert "guest not started again: it has ended (done) in the current run" in last.log
-        assert away.output == ["visited"]
-
-    fleet(story)
+    after = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
+    assert await asyncio.gather(*(life(one, 300.0) for one in after)) == ["done, done"] * 3
+    log = after[0].log + after[1].log
+    assert "first not started again: it has ended (done) in the current run" in log
 
 
-def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_mission_again(fleet):
+async def test_a_host_that_remembers_an_end_does_not_wait_for_a_home_that_has_gone(team, /):
+    mission = team.mission(VISIT, ONE_VISIT)
+    away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
+    await asyncio.gather(life(home), life(away))
+    assert await life(team.make(mission, "away", keeps=True)) == "done"
+
+
+async def test_a_start_that_fails_leaves_the_run_as_it_was(team, /):
+    """The host was killed when all was over. One that tries again by itself begins no mission anew."""
+    mission = team.mission(VISIT, ONE_VISIT)
+    away, home = await team.up(mission, keeps=True)
+    await team.until(lambda: _ended(home))
+    disk = team.disks["home"]
+    disk.full, disk.reserve = True, 0
+    await home.host.stop()
+    disk.full = False
+    # It opens no device, and ends.
+    await team.make(mission, "home", keeps=True).host.stop()
+    last = team.make(mission, "home", keeps=True)
+    await last.host.start()
+    assert "guest not started again: it has ended (done) in the current run" in last.log
+    assert away.output == ["visited"]
+
+
+async def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_mission_again(team, /):
     """All coordinators have ended, and a service or unit restarts the host."""
-
-    async def story(team):
-        mission = team.mission(VISIT, ONE_VISIT)
-        away, home = await team.up(mission, keeps=True)
-        await team.until(lambda: _ended(home))
-        home.host.guards.close = asyncio.get_running_loop().create_future
-        stopping = asyncio.create_task(home.host.stop())
-        await asyncio.sleep(5.0)
-        stopping.cancel()
-        del home.host.guards.close
-        home.host.peers.close()
-        (again,) = await team.up(mission, "home", keeps=True)
-        assert "guest not started again: it has ended (done) in the current run" in again.log
-        assert away.output == ["visited"]
-
-    fleet(story)
+    mission = team.mission(VISIT, ONE_VISIT)
+    away, home = await team.up(mission, keeps=True)
+    await team.until(lambda: _ended(home))
+    home.host.guards.close = asyncio.get_running_loop().create_future
+    stopping = asyncio.create_task(home.host.stop())
+    await asyncio.sleep(5.0)
+    stopping.cancel()
+    del home.host.guards.close
+    home.host.peers.close()
+    (again,) = await team.up(mission, "home", keeps=True)
+    assert "guest not started again: it has ended (done) in the current run" in again.log
+    assert away.output == ["visited"]
 
 
-def test_the_result_is_written_before_the_journal_says_that_the_run_has_ended(fleet):
+async def test_the_result_is_written_before_the_journal_says_that_the_run_has_ended(team, /):
     """A service begins a new run after a host that was killed without a result."""
+    mission = team.mission(VISIT, "//Post:post@home\n//Guest:guest@home?post\n")
+    running = team.make(mission, "home", keeps=True)
+    found = []
 
-    async def story(team):
-        mission = team.mission(VISIT, "//Post:post@home\n//Guest:guest@home?post\n")
-        running = team.make(mission, "home", keeps=True)
-        found = []
+    def is_open() -> list[bool]:
+        return [page.open for page in team.disks["home"].pages() if isinstance(page, RunMarker)]
 
-        def is_open() -> list[bool]:
-            return [page.open for page in team.disks["home"].pages() if isinstance(page, RunMarker)]
+    def ended(status: int) -> None:
+        found.append((status, is_open()))
 
-        def ended(status: int) -> None:
-            found.append((status, is_open()))
-
-        signals = ShutdownSignals(running.host.clock)
-        assert await run_until_exit(running.host, signals, 3.0, ended=ended) == 0
-        assert (found, is_open()) == ([(0, [True])], [False])
-
-    fleet(story)
+    signals = ShutdownSignals(running.host.clock)
+    assert await run_until_exit(running.host, signals, 3.0, ended=ended) == 0
+    assert (found, is_open()) == ([(0, [True])], [False])
 
 
-def test_the_loader_of_the_language_document_goes_on_after_a_restart(fleet):
+async def test_the_loader_of_the_language_document_goes_on_after_a_restart(team, /):
     """Its host is stopped while its call is under way."""
     text = (Path(__file__).parents[2] / "lfield/docs/language.md").read_text(encoding="utf-8")
     (program,) = (block for block in text.split("```") if block.startswith("java\nresource Winch"))
     program = program.removeprefix("java\n").replace("return out;", "sleep(9.0); return out;")
 
-    async def story(team):
-        mission = team.mission(program, "//Winch:winch@away\n//Loader:loader@home?winch\n")
-        away, home = await team.up(mission, keeps=True)
-        await team.until(lambda: away.holds("loader"))
-        await asyncio.sleep(1.0)
-        await away.host.stop()
-        (again,) = await team.up(mission, "away", keeps=True)
-        assert "loader: away restarted; this call may have begun (winch.lower)" in again.log
-        assert await team.ended("loader") == "done"
-        assert "loader: lowered to 1.5" in again.log
-        assert not home.holds("loader")
-
-    fleet(story)
+    mission = team.mission(program, "//Winch:winch@away\n//Loader:loader@home?winch\n")
+    away, home = await team.up(mission, keeps=True)
+    await team.until(lambda: away.holds("loader"))
+    await asyncio.sleep(1.0)
+    await away.host.stop()
+    (again,) = await team.up(mission, "away", keeps=True)
+    assert "loader: away restarted; this call may have begun (winch.lower)" in again.log
+    assert await team.ended("loader") == "done"
+    assert "loader: lowered to 1.5" in again.log
+    assert not home.holds("loader")
 
 
-def test_the_exception_of_a_restart_names_what_was_called(fleet):
+async def test_the_exception_of_a_restart_names_what_was_called(team, /):
     program = """
 resource Post {
     int n;
@@ -325,16 +282,13 @@ coordinator Guest {
 }
 """
 
-    async def story(team):
-        mission = team.mission(program, "//Post:post@away\n//Guest:guest@away\n")
-        (away,) = await team.up(mission, "away", keeps=True)
-        await asyncio.sleep(1.0)
-        await away.host.stop()
-        (again,) = await team.up(mission, "away", keeps=True)
-        assert "away restarted; this call may have begun (post.mark) from post" in again.log
-        assert await team.ended("guest") == "done"
-
-    fleet(story)
+    mission = team.mission(program, "//Post:post@away\n//Guest:guest@away\n")
+    (away,) = await team.up(mission, "away", keeps=True)
+    await asyncio.sleep(1.0)
+    await away.host.stop()
+    (again,) = await team.up(mission, "away", keeps=True)
+    assert "away restarted; this call may have begun (post.mark) from post" in again.log
+    assert await team.ended("guest") == "done"
 
 
 def _ended(running) -> bool:

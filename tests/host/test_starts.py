@@ -31,121 +31,98 @@ def start_of(running, agent: str = "guest") -> int:
     return max(known.generation for known in running.host.mobility.known_states() if known.agent == agent)
 
 
-def test_a_start_that_is_away_is_not_made_again(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission, keeps=True)
-        await team.until(lambda: away.output)
-        # Nobody who can be reached knows of it but the disk.
-        team.network.partition("home", "away")
-        await home.host.stop()
-        (again,) = await team.up(mission, "home", keeps=True)
-        assert "guest not started again: it moved to away" in again.log
-        assert start_of(again) == start_of(away) == 1
-
-    fleet(story)
+async def test_a_start_that_is_away_is_not_made_again(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(mission, keeps=True)
+    await team.until(lambda: away.output)
+    # Nobody who can be reached knows of it but the disk.
+    team.network.partition("home", "away")
+    await home.host.stop()
+    (again,) = await team.up(mission, "home", keeps=True)
+    assert "guest not started again: it moved to away" in again.log
+    assert start_of(again) == start_of(away) == 1
 
 
-def test_what_another_host_knows_counts_when_the_disk_was_replaced(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission, keeps=True)
-        await team.until(lambda: away.output)
-        await home.host.stop()
-        team.disks["home"].replace()
-        (home,) = await team.up(mission, "home", keeps=True)
-        assert "guest not started again: it is alive on another host" in home.log
-        assert await team.ended("guest") == "done"
-        await home.host.stop()
-        (home,) = await team.up(mission, "home", keeps=True)
-        assert start_of(home) == 2
-
-    fleet(story)
+async def test_what_another_host_knows_counts_when_the_disk_was_replaced(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(mission, keeps=True)
+    await team.until(lambda: away.output)
+    await home.host.stop()
+    team.disks["home"].replace()
+    (home,) = await team.up(mission, "home", keeps=True)
+    assert "guest not started again: it is alive on another host" in home.log
+    assert await team.ended("guest") == "done"
+    await home.host.stop()
+    (home,) = await team.up(mission, "home", keeps=True)
+    assert start_of(home) == 2
 
 
-def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, TWO_GUESTS)
-        (home,) = await team.up(mission, "home", keeps=True, first_start=False)
-        await asyncio.sleep(30.0)
-        why = (
-            "guest and other not started: this host has no record of earlier starts, and away has to answer "
-            "first; --first-start states that there was no earlier start"
-        )
-        assert home.log.count(why) == 1
-        assert not home.holds("guest")
-        await team.up(mission, "away", keeps=True)
-        await team.until(lambda: home.host.mobility.known_states())
-        assert start_of(home) == start_of(home, "other") == 1
-
-    fleet(story)
+async def test_without_a_record_a_host_waits_until_it_has_heard_all(team, /):
+    mission = team.mission(PROGRAM, TWO_GUESTS)
+    (home,) = await team.up(mission, "home", keeps=True, first_start=False)
+    await asyncio.sleep(30.0)
+    why = (
+        "guest and other not started: this host has no record of earlier starts, and away has to answer "
+        "first; --first-start states that there was no earlier start"
+    )
+    assert home.log.count(why) == 1
+    assert not home.holds("guest")
+    await team.up(mission, "away", keeps=True)
+    await team.until(lambda: home.host.mobility.known_states())
+    assert start_of(home) == start_of(home, "other") == 1
 
 
-def test_somebody_may_say_that_there_was_no_earlier_start(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT, without=("away",))
-        (home,) = await team.up(mission, "home", keeps=True, first_start=True)
-        assert start_of(home) == 1
-
-    fleet(story)
+async def test_somebody_may_say_that_there_was_no_earlier_start(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT, without=("away",))
+    (home,) = await team.up(mission, "home", keeps=True, first_start=True)
+    assert start_of(home) == 1
 
 
-def test_where_no_record_is_kept_all_hosts_are_heard_first(fleet):
+async def test_where_no_record_is_kept_all_hosts_are_heard_first(team, /):
     """Fakes, and `up --all`."""
-
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        (home,) = await team.up(mission, "home", first_start=False)
-        await asyncio.sleep(5.0)
-        assert not home.holds("guest")
-        await team.up(mission, "away")
-        await team.until(lambda: home.host.mobility.known_states())
-        assert start_of(home) == 1
-
-    fleet(story)
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (home,) = await team.up(mission, "home", first_start=False)
+    await asyncio.sleep(5.0)
+    assert not home.holds("guest")
+    await team.up(mission, "away")
+    await team.until(lambda: home.host.mobility.known_states())
+    assert start_of(home) == 1
 
 
-def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        (home,) = await team.up(mission, "home", first_start=False)
-        await asyncio.sleep(5.0)
-        home.host.dispatch(HostExited("nobody we know"))
-        assert home.host.core.startup.unstartable(home.host.core.membership.ended) == {}
-        home.host.dispatch(HostExited("away"))
-        await asyncio.sleep(5.0)
-        assert not home.holds("guest")
-        # Who waits for the end of the mission does not wait for ever.
-        (fate,) = await wait_until_done(home.host, 3.0)
-        assert (fate.agent, fate.outcome) == ("guest", "lost")
-        assert fate.detail == "it was not started, since away has ended"
-
-    fleet(story)
+async def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (home,) = await team.up(mission, "home", first_start=False)
+    await asyncio.sleep(5.0)
+    home.host.dispatch(HostExited("nobody we know"))
+    assert home.host.core.startup.unstartable(home.host.core.membership.ended) == {}
+    home.host.dispatch(HostExited("away"))
+    await asyncio.sleep(5.0)
+    assert not home.holds("guest")
+    # Who waits for the end of the mission does not wait for ever.
+    (fate,) = await wait_until_done(home.host, 3.0)
+    assert (fate.agent, fate.outcome) == ("guest", "lost")
+    assert fate.detail == "it was not started, since away has ended"
 
 
 @pytest.mark.parametrize("keeps", [False, True])
-def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(fleet, keeps):
+async def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(team, /, keeps):
     """Its home has forgotten it, and nobody else has had it yet."""
-
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        away, opened = team.make(mission, "away", keeps=keeps), asyncio.Event()
-        _opens_later(away, opened)
-        starting = asyncio.ensure_future(away.host.start())
-        (home,) = await team.up(mission, "home", keeps=keeps)
-        await asyncio.sleep(1.0)
-        await home.host.stop()
-        if keeps:
-            team.disks["home"].replace()
-        (home,) = await team.up(mission, "home", keeps=keeps, first_start=False)
-        assert "guest not started again: it is alive on another host" in home.log
-        opened.set()
-        await starting
-        assert await team.ended("guest") == "done"
-        assert away.output == ["arrived"]
-        assert start_of(home) == start_of(away) == 1
-
-    fleet(story)
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    away, opened = team.make(mission, "away", keeps=keeps), asyncio.Event()
+    _opens_later(away, opened)
+    starting = asyncio.ensure_future(away.host.start())
+    (home,) = await team.up(mission, "home", keeps=keeps)
+    await asyncio.sleep(1.0)
+    await home.host.stop()
+    if keeps:
+        team.disks["home"].replace()
+    (home,) = await team.up(mission, "home", keeps=keeps, first_start=False)
+    assert "guest not started again: it is alive on another host" in home.log
+    opened.set()
+    await starting
+    assert await team.ended("guest") == "done"
+    assert away.output == ["arrived"]
+    assert start_of(home) == start_of(away) == 1
 
 
 def _opens_later(running, opened: asyncio.Event) -> None:
@@ -159,72 +136,59 @@ def _opens_later(running, opened: asyncio.Event) -> None:
     running.host.guards.open = later
 
 
-def test_a_start_that_cannot_be_kept_is_not_made(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n", without=("away",))
-        home = team.make(mission, "home", keeps=True)
-        team.disks["home"].broken = True
-        starting = asyncio.ensure_future(home.host.start())
-        await asyncio.sleep(5.0)
-        assert "coordinators blocked: journal write failed: " in home.log
-        assert home.log.count("coordinators blocked") == 1
-        assert not home.holds("guest")
-        # The resources are served all the same.
-        assert home.holds("here")
-        team.disks["home"].broken = False
-        await starting
-        assert home.holds("guest")
-
-    fleet(story)
+async def test_a_start_that_cannot_be_kept_is_not_made(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n", without=("away",))
+    home = team.make(mission, "home", keeps=True)
+    team.disks["home"].broken = True
+    starting = asyncio.ensure_future(home.host.start())
+    await asyncio.sleep(5.0)
+    assert "coordinators blocked: journal write failed: " in home.log
+    assert home.log.count("coordinators blocked") == 1
+    assert not home.holds("guest")
+    # The resources are served all the same.
+    assert home.holds("here")
+    team.disks["home"].broken = False
+    await starting
+    assert home.holds("guest")
 
 
-def test_a_mission_may_be_run_again_and_again(fleet):
+async def test_a_mission_may_be_run_again_and_again(team, /):
     """A host remembers how the last starts ended, and no more."""
-
-    async def story(team):
-        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
-        await team.up(mission, "away", keeps=True)
-        for number in range(1, 71):
-            (home,) = await team.up(mission, "home", keeps=True)
-            await team.until(lambda home=home, number=number: start_of(home) == number)
-            await team.until(lambda home=home: not home.holds("guest"))
-            await asyncio.sleep(1.0)
-            await home.host.stop()
-        kept = team.disks["home"].open(LoopClock(), print).records()
-        assert len(kept) <= MAX_STARTS + 4
-
-    fleet(story)
-
-
-def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
-        home, _ = await team.up(mission, keeps=True)
-        assert await team.ended("guest") == "done"
-        await asyncio.sleep(1.0)
-        crash(home)
-        (again,) = await team.up(mission, "home", keeps=True)
-        assert "guest not started again: it has ended (done) in the current run" in again.log
-        await again.host.stop()
-        (next_run,) = await team.up(mission, "home", keeps=True)
-        assert start_of(next_run) == 2
-
-    fleet(story)
-
-
-def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
-        home, _ = await team.up(mission, keeps=True)
-        assert await team.ended("guest") == "done"
+    mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+    await team.up(mission, "away", keeps=True)
+    for number in range(1, 71):
+        (home,) = await team.up(mission, "home", keeps=True)
+        await team.until(lambda home=home, number=number: start_of(home) == number)
+        await team.until(lambda home=home: not home.holds("guest"))
         await asyncio.sleep(1.0)
         await home.host.stop()
-        journal = team.disks["home"].open(LoopClock(), print)
-        await journal.persist([RunMarker(open=True), StartCounter(2)])
-        (again,) = await team.up(mission, "home", keeps=True)
-        assert start_of(again) == 3
+    kept = team.disks["home"].open(LoopClock(), print).records()
+    assert len(kept) <= MAX_STARTS + 4
 
-    fleet(story)
+
+async def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(team, /):
+    mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+    home, _ = await team.up(mission, keeps=True)
+    assert await team.ended("guest") == "done"
+    await asyncio.sleep(1.0)
+    crash(home)
+    (again,) = await team.up(mission, "home", keeps=True)
+    assert "guest not started again: it has ended (done) in the current run" in again.log
+    await again.host.stop()
+    (next_run,) = await team.up(mission, "home", keeps=True)
+    assert start_of(next_run) == 2
+
+
+async def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(team, /):
+    mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+    home, _ = await team.up(mission, keeps=True)
+    assert await team.ended("guest") == "done"
+    await asyncio.sleep(1.0)
+    await home.host.stop()
+    journal = team.disks["home"].open(LoopClock(), print)
+    await journal.persist([RunMarker(open=True), StartCounter(2)])
+    (again,) = await team.up(mission, "home", keeps=True)
+    assert start_of(again) == 3
 
 
 def crash(running) -> None:
@@ -234,25 +198,24 @@ def crash(running) -> None:
     running.host.fail(RuntimeError("killed"))
 
 
-def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission, keeps=True)
-        await team.until(lambda: away.output)
-        await away.host.stop()
-        # The holder throws away what it has, then the home begins again.
-        disk = team.disks["away"].open(LoopClock(), print)
-        await disk.persist(plan_reset("away", disk.records(), {}).pages)
-        (again,) = await team.up(mission, "away", keeps=True)
-        assert again.output == []
-        assert await team.ended("guest") == "lost"
-        await home.host.stop()
-        disk = team.disks["home"].open(LoopClock(), print)
-        found = plan_reset("home", disk.records(), states_of({"away": again.host.status()}))
-        assert (found.departed, found.discarded) == ([], [])
-        await disk.persist(found.pages)
-        (home,) = await team.up(mission, "home", keeps=True)
-        await team.until(lambda: again.output == ["arrived"])
-        assert start_of(home) == start_of(again) == 2
-
-    fleet(story)
+async def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(
+    team, /
+):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(mission, keeps=True)
+    await team.until(lambda: away.output)
+    await away.host.stop()
+    # The holder throws away what it has, then the home begins again.
+    disk = team.disks["away"].open(LoopClock(), print)
+    await disk.persist(plan_reset("away", disk.records(), {}).pages)
+    (again,) = await team.up(mission, "away", keeps=True)
+    assert again.output == []
+    assert await team.ended("guest") == "lost"
+    await home.host.stop()
+    disk = team.disks["home"].open(LoopClock(), print)
+    found = plan_reset("home", disk.records(), states_of({"away": again.host.status()}))
+    assert (found.departed, found.discarded) == ([], [])
+    await disk.persist(found.pages)
+    (home,) = await team.up(mission, "home", keeps=True)
+    await team.until(lambda: again.output == ["arrived"])
+    assert start_of(home) == start_of(again) == 2

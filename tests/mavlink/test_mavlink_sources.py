@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.driver.device import check_methods
 from lfield.lang.frontend import check_file, check_text
@@ -61,11 +62,9 @@ def test_a_mission_includes_them():
     assert [d.render() for d in checked.diagnostics] == []
 
 
-def test_every_instruction_has_its_method(bench):
-    async def look(fc):
-        check_methods(type(fc), MANIFESTS["Mavlink"], fc.parts)
-
-    bench().run(look, opened=False)
+@on_bench("bench", opened=False)
+async def test_every_instruction_has_its_method(b, fc, /):
+    check_methods(type(fc), MANIFESTS["Mavlink"], fc.parts)
 
 
 def test_every_message_that_is_asked_for_has_a_rate():

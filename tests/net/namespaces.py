@@ -41,8 +41,10 @@ def can_be_made() -> bool:
 class Process:
     """A `peer.py` on one of the computers; its lines as they come, with their times."""
 
-    def __init__(self, words: list[str]) -> None:
-        self._popen = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    def __init__(self, words: list[str], stderr: int | None = None) -> None:
+        self._popen = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, text=True
+        )
         self.lines: list[str] = []
         self._changed = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -52,8 +54,11 @@ class Process:
         assert self._popen.stdout is not None
         for line in self._popen.stdout:
             with self._changed:
-                self.lines.append(line.rstrip("\n"))
+                self.lines.append(self._timed(line.rstrip("\n")))
                 self._changed.notify_all()
+
+    def _timed(self, line: str) -> str:
+        return line
 
     def wait_for(self, pattern: str, since: int = 0) -> float:
         """When the first line with this came, on the monotonic clock; of those after the first `since`."""

@@ -47,97 +47,83 @@ async def floods(inn: Inn, caller, seconds: float) -> None:
         await asyncio.sleep(0.001)
 
 
-def test_no_turn_of_the_loop_takes_messages_of_members_for_longer_than_a_slice():
-    async def story(inn):
-        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+@pytest.fixture(scope="session")
+def runner():
+    return run_tls
+
+
+async def test_no_turn_of_the_loop_takes_messages_of_members_for_longer_than_a_slice(inn, /):
+    bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+    before = inn.work
+    # Both in the same turn.
+    bravo.say(PINGS)
+    charlie.say(PINGS)
+    assert SLICE <= inn.work - before <= SLICE + COST
+    assert not bravo.wire.reads
+    assert not charlie.wire.reads
+    for _ in range(10):
         before = inn.work
-        # Both in the same turn.
-        bravo.say(PINGS)
-        charlie.say(PINGS)
-        assert SLICE <= inn.work - before <= SLICE + COST
-        assert not bravo.wire.reads
-        assert not charlie.wire.reads
-        for _ in range(10):
-            before = inn.work
-            await asyncio.sleep(0)
-            assert inn.work - before <= SLICE + COST
-        assert min(bravo.heard, charlie.heard) > 0.4 * max(bravo.heard, charlie.heard)
-
-    run_tls(story)
+        await asyncio.sleep(0)
+        assert inn.work - before <= SLICE + COST
+    assert min(bravo.heard, charlie.heard) > 0.4 * max(bravo.heard, charlie.heard)
 
 
-def test_a_stop_gets_through_the_floods_of_all_members_at_once():
-    async def story(inn):
-        flooding = [member(inn, f"host{number}") for number in range(8)]
-        for caller in flooding:
-            caller.say(PINGS)
-        anna = inn.caller("anna")
-        before = inn.work
-        anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop(bytes(16), "now")))
-        assert anna.hears.messages[-1] == EmergencyStop(bytes(16), "now")
-        assert inn.work - before <= COST
-
-    run_tls(story)
+async def test_a_stop_gets_through_the_floods_of_all_members_at_once(inn, /):
+    flooding = [member(inn, f"host{number}") for number in range(8)]
+    for caller in flooding:
+        caller.say(PINGS)
+    anna = inn.caller("anna")
+    before = inn.work
+    anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop(bytes(16), "now")))
+    assert anna.hears.messages[-1] == EmergencyStop(bytes(16), "now")
+    assert inn.work - before <= COST
 
 
-def test_whose_messages_are_within_the_budget_comes_before_who_is_over_it():
-    async def story(inn):
-        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
-        await asyncio.wait_for(floods(inn, bravo, 2.0), 5.0)
-        before = inn.work
-        charlie.say(encode(Ping(2)) * 20)
-        assert charlie.heard == 21
-        assert inn.work - before <= 20.5 * COST
-
-    run_tls(story)
+async def test_whose_messages_are_within_the_budget_comes_before_who_is_over_it(inn, /):
+    bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+    await asyncio.wait_for(floods(inn, bravo, 2.0), 5.0)
+    before = inn.work
+    charlie.say(encode(Ping(2)) * 20)
+    assert charlie.heard == 21
+    assert inn.work - before <= 20.5 * COST
 
 
-def test_a_flood_is_reported_once_held_to_its_ration_and_closed_after_five_seconds_over_budget():
-    async def story(inn):
-        bravo, began = member(inn, "bravo"), inn.loop.time()
-        await floods(inn, bravo, 20.0)
-        took = inn.loop.time() - began
-        first, last = bravo.hears.excesses
-        assert (first.closes, last.closes) == (False, True)
-        assert MAX_EXCESS_TIME <= took <= MAX_EXCESS_TIME + 2.0
-        assert inn.work <= BURST + CPU_SHARE * took + 0.2
-        assert bravo.link.closed
-        bravo.link.connection_lost(None)
-        (end,) = bravo.hears.ends
-        assert isinstance(end, CpuBudgetExceeded)
-        inn.callers.remove(bravo)
-        bravo.wire.free()
-
-    run_tls(story)
+async def test_a_flood_is_reported_once_held_to_its_ration_and_closed_after_five_seconds_over_budget(inn, /):
+    bravo, began = member(inn, "bravo"), inn.loop.time()
+    await floods(inn, bravo, 20.0)
+    took = inn.loop.time() - began
+    first, last = bravo.hears.excesses
+    assert (first.closes, last.closes) == (False, True)
+    assert MAX_EXCESS_TIME <= took <= MAX_EXCESS_TIME + 2.0
+    assert inn.work <= BURST + CPU_SHARE * took + 0.2
+    assert bravo.link.closed
+    bravo.link.connection_lost(None)
+    (end,) = bravo.hears.ends
+    assert isinstance(end, CpuBudgetExceeded)
+    inn.callers.remove(bravo)
+    bravo.wire.free()
 
 
-def test_messages_that_arrive_alone_are_charged_in_units():
+async def test_messages_that_arrive_alone_are_charged_in_units(inn, /):
     """Each costs less than a unit, and all of them more than the share of a member."""
-
-    async def story(inn):
-        bravo, began = member(inn, "bravo", CHARGE_UNIT * 0.75), inn.loop.time()
-        while not bravo.hears.excesses and inn.loop.time() - began < 30.0:
-            bravo.say(encode(Ping(1)))
-            await asyncio.sleep(0.01)
-        assert not bravo.hears.excesses[0].closes
-        took = inn.loop.time() - began
-        used_up = BURST / (inn.work / took - CPU_SHARE)
-        assert used_up <= took <= used_up + 2.0, "a probe shows that it does not wait for answers"
-
-    run_tls(story)
+    bravo, began = member(inn, "bravo", CHARGE_UNIT * 0.75), inn.loop.time()
+    while not bravo.hears.excesses and inn.loop.time() - began < 30.0:
+        bravo.say(encode(Ping(1)))
+        await asyncio.sleep(0.01)
+    assert not bravo.hears.excesses[0].closes
+    took = inn.loop.time() - began
+    used_up = BURST / (inn.work / took - CPU_SHARE)
+    assert used_up <= took <= used_up + 2.0, "a probe shows that it does not wait for answers"
 
 
-def test_the_debt_outlives_the_link():
-    async def story(inn):
-        bravo = member(inn, "bravo")
-        await floods(inn, bravo, 20.0)
-        again = member(inn, "bravo")
-        before, began = inn.work, inn.loop.time()
-        await floods(inn, again, 1.0)
-        assert inn.work - before <= CPU_SHARE * (inn.loop.time() - began) + 0.1
-        assert not again.wire.closing
-
-    run_tls(story)
+async def test_the_debt_outlives_the_link(inn, /):
+    bravo = member(inn, "bravo")
+    await floods(inn, bravo, 20.0)
+    again = member(inn, "bravo")
+    before, began = inn.work, inn.loop.time()
+    await floods(inn, again, 1.0)
+    assert inn.work - before <= CPU_SHARE * (inn.loop.time() - began) + 0.1
+    assert not again.wire.closing
 
 
 class Hops:
@@ -176,21 +162,17 @@ class Hops:
             self._read = len(self._caller.wire.said)
 
 
-def test_a_hop_after_hop_is_neither_held_for_long_nor_closed():
+async def test_a_hop_after_hop_is_neither_held_for_long_nor_closed(inn, /):
     """One coordinator whose block costs a slow computer a millisecond, as fast as it can."""
-
-    async def story(inn):
-        bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
-        hop = encode_transfer(replace(transfer(len(block)), agent="tom"), block) + block
-        hops = Hops(inn, bravo, 1e-3)
-        while inn.loop.time() < began + 10.0:
-            await hops.send(hop)
-            await hops.answers("tom")
-            count += 1
-        assert count > 0.8 * 10.0 / 2e-3
-        assert not bravo.wire.closing
-
-    run_tls(story)
+    bravo, block, began, count = member(inn, "bravo", 1e-3), b"block", inn.loop.time(), 0
+    hop = encode_transfer(replace(transfer(len(block)), agent="tom"), block) + block
+    hops = Hops(inn, bravo, 1e-3)
+    while inn.loop.time() < began + 10.0:
+        await hops.send(hop)
+        await hops.answers("tom")
+        count += 1
+    assert count > 0.8 * 10.0 / 2e-3
+    assert not bravo.wire.closing
 
 
 #: A block that comes in several reads of CHUNK bytes.
@@ -201,127 +183,102 @@ def large(agent: str = "tom", size: int = 20 << 10) -> bytes:
     return encode_transfer(replace(transfer(size), agent=agent), BLOCK) + bytes(size)
 
 
-def test_large_hops_that_wait_for_answers_are_not_closed():
+async def test_large_hops_that_wait_for_answers_are_not_closed(inn, /):
     """Several coordinators at once, each of which is sent again when its answer has come."""
-
-    async def story(inn):
-        bravo, began, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")
-        hops = Hops(inn, bravo, 0.02)
-        while inn.loop.time() < began + 20.0:
-            await hops.send(b"".join(map(large, agents)))
-            await hops.answers(*agents)
-            await asyncio.sleep(0.04)
-        assert inn.work > 8 * CPU_SHARE * 20.0
-        assert not bravo.wire.closing
-
-    run_tls(story)
+    bravo, began, agents = member(inn, "bravo"), inn.loop.time(), ("tom", "ann", "eve")
+    hops = Hops(inn, bravo, 0.02)
+    while inn.loop.time() < began + 20.0:
+        await hops.send(b"".join(map(large, agents)))
+        await hops.answers(*agents)
+        await asyncio.sleep(0.04)
+    assert inn.work > 8 * CPU_SHARE * 20.0
+    assert not bravo.wire.closing
 
 
 @pytest.mark.parametrize("agents", [1, 3, 40])
-def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget(agents):
+async def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget(inn, /, agents):
     """Of one coordinator, and of several in turn."""
-
-    async def story(inn):
-        bravo, began = member(inn, "bravo"), inn.loop.time()
-        hops, stream = Hops(inn, bravo, 4e-3), b"".join(large(f"c{number}") for number in range(agents))
-        while await hops.send(stream):
-            assert inn.loop.time() < began + 20.0
-        assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
-
-    run_tls(story)
+    bravo, began = member(inn, "bravo"), inn.loop.time()
+    hops, stream = Hops(inn, bravo, 4e-3), b"".join(large(f"c{number}") for number in range(agents))
+    while await hops.send(stream):
+        assert inn.loop.time() < began + 20.0
+    assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
 
 
 @pytest.mark.parametrize("times", [4, 100], ids=["many", "one that never ends"])
-def test_blocks_that_are_too_long_without_end_are_closed_after_five_seconds_over_budget(monkeypatch, times):
-    async def story(inn):
-        bravo, began, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
-        hops, feed = Hops(inn, bravo, 0.0), TlsChannel.receive
-        monkeypatch.setattr(
-            TlsChannel,
-            "receive",
-            lambda self, data: (setattr(inn, "work", inn.work + 4e-3), feed(self, data))[1],
-        )
-        for agent in cycle(("tom", "ann", "eve")):
-            await hops.send(encode_transfer(replace(transfer(size), agent=agent), bytes(size)))
-            for _ in range(times):
-                if not await hops.send(bytes(MAX_BLOCK)):
-                    break
-                assert inn.loop.time() < began + 20.0
-            if bravo.wire.closing:
+async def test_blocks_that_are_too_long_without_end_are_closed_after_five_seconds_over_budget(
+    inn, /, monkeypatch, times
+):
+    bravo, began, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
+    hops, feed = Hops(inn, bravo, 0.0), TlsChannel.receive
+    monkeypatch.setattr(
+        TlsChannel,
+        "receive",
+        lambda self, data: (setattr(inn, "work", inn.work + 4e-3), feed(self, data))[1],
+    )
+    for agent in cycle(("tom", "ann", "eve")):
+        await hops.send(encode_transfer(replace(transfer(size), agent=agent), bytes(size)))
+        for _ in range(times):
+            if not await hops.send(bytes(MAX_BLOCK)):
                 break
-        assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
+            assert inn.loop.time() < began + 20.0
+        if bravo.wire.closing:
+            break
+    assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
 
-    run_tls(story)
 
-
-def test_long_messages_count_for_more():
+async def test_long_messages_count_for_more(inn, /):
     """A few of a megabyte each cost as much as thousands of short ones."""
-
-    async def story(inn):
-        bravo = member(inn, "bravo", 0.02)
-        long = encode(Backpressure("x" * 1900)) * 3
-        began = inn.loop.time()
-        while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
-            if bravo.wire.reads:
-                bravo.say(long * 40)
-            await asyncio.sleep(1e-3)
-        assert bravo.wire.closing
-
-    run_tls(story)
+    bravo = member(inn, "bravo", 0.02)
+    long = encode(Backpressure("x" * 1900)) * 3
+    began = inn.loop.time()
+    while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
+        if bravo.wire.reads:
+            bravo.say(long * 40)
+        await asyncio.sleep(1e-3)
+    assert bravo.wire.closing
 
 
-def test_what_comes_with_a_greeting_is_rationed():
-    async def story(inn):
-        bravo = inn.caller("bravo", host=True)
-        bravo.hears.works = lambda: setattr(inn, "work", inn.work + COST)
-        bravo.say(encode(Hello("host", "bravo", 7)) + PINGS)
-        assert bravo.heard <= 2 + SLICE / COST
-
-    run_tls(story)
+async def test_what_comes_with_a_greeting_is_rationed(inn, /):
+    bravo = inn.caller("bravo", host=True)
+    bravo.hears.works = lambda: setattr(inn, "work", inn.work + COST)
+    bravo.say(encode(Hello("host", "bravo", 7)) + PINGS)
+    assert bravo.heard <= 2 + SLICE / COST
 
 
-def test_records_without_a_message_are_taken_in_pieces(monkeypatch):
-    async def story(inn):
-        bravo, fed = member(inn, "bravo"), []
-        feed = TlsChannel.receive
-        monkeypatch.setattr(
-            TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
-        )
-        bravo.say(PINGS, record=16 << 10)
-        while not bravo.wire.reads:
-            await asyncio.sleep(0.1)
-        assert len(fed) > 1
-        assert max(fed) <= MEMBER_PIECE
-
-    run_tls(story)
+async def test_records_without_a_message_are_taken_in_pieces(inn, /, monkeypatch):
+    bravo, fed = member(inn, "bravo"), []
+    feed = TlsChannel.receive
+    monkeypatch.setattr(
+        TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
+    )
+    bravo.say(PINGS, record=16 << 10)
+    while not bravo.wire.reads:
+        await asyncio.sleep(0.1)
+    assert len(fed) > 1
+    assert max(fed) <= MEMBER_PIECE
 
 
-def test_who_goes_while_it_waits_or_is_held_is_forgotten():
-    async def story(inn):
-        bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
-        await floods(inn, bravo, 3.0)
-        charlie.say(PINGS)
-        for caller in (bravo, charlie):
-            caller.link.connection_lost(None)
-            had = caller.heard
-            await asyncio.sleep(2.0)
-            assert caller.heard == had
-            inn.callers.remove(caller)
-            caller.wire.free()
-
-    run_tls(story)
+async def test_who_goes_while_it_waits_or_is_held_is_forgotten(inn, /):
+    bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
+    await floods(inn, bravo, 3.0)
+    charlie.say(PINGS)
+    for caller in (bravo, charlie):
+        caller.link.connection_lost(None)
+        had = caller.heard
+        await asyncio.sleep(2.0)
+        assert caller.heard == had
+        inn.callers.remove(caller)
+        caller.wire.free()
 
 
 @pytest.mark.parametrize("who", ["anna", "bravo"])
-def test_an_observer_is_no_member_whoever_it_is(who):
-    async def story(inn):
-        caller = inn.caller(who, host=who == "bravo")
-        caller.say(encode(Hello("observer", who, 0)) + FLOOD)
-        await asyncio.sleep(8.0)
-        assert caller.hears.excesses == []
-        assert not caller.wire.closing
-
-    run_tls(story)
+async def test_an_observer_is_no_member_whoever_it_is(inn, /, who):
+    caller = inn.caller(who, host=who == "bravo")
+    caller.say(encode(Hello("observer", who, 0)) + FLOOD)
+    await asyncio.sleep(8.0)
+    assert caller.hears.excesses == []
+    assert not caller.wire.closing
 
 
 def test_ever_new_names_fill_no_log():

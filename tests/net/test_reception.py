@@ -155,7 +155,7 @@ class Inn:
 
 
 @pytest.fixture(params=["unix", "tls"])
-def at_inn(request):
+def runner(request):
     """Run a story at a host."""
 
     def run(story) -> None:
@@ -171,133 +171,106 @@ def at_inn(request):
     return run
 
 
-def test_one_read_of_thousands_is_taken_in_rounds_and_no_more_is_read_meanwhile(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        anna.say(encode(HELLO) + FLOOD)
-        assert anna.heard == AT_ONCE
-        assert not anna.wire.reads
-        await asyncio.sleep(10.5 * ROUND)
-        assert 6 * AT_ONCE <= anna.heard <= 11 * AT_ONCE
-        assert not anna.wire.reads
-
-    at_inn(story)
+async def test_one_read_of_thousands_is_taken_in_rounds_and_no_more_is_read_meanwhile(inn, /):
+    anna = inn.caller("anna")
+    anna.say(encode(HELLO) + FLOOD)
+    assert anna.heard == AT_ONCE
+    assert not anna.wire.reads
+    await asyncio.sleep(10.5 * ROUND)
+    assert 6 * AT_ONCE <= anna.heard <= 11 * AT_ONCE
+    assert not anna.wire.reads
 
 
-def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        said = [Ping(number) for number in range(200)]
-        anna.say(b"".join(map(encode, [HELLO, *said])))
-        assert not anna.wire.reads
-        while not anna.wire.reads:
-            await asyncio.sleep(ROUND)
-        assert anna.hears.messages == [HELLO, *said]
+async def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(inn, /):
+    anna = inn.caller("anna")
+    said = [Ping(number) for number in range(200)]
+    anna.say(b"".join(map(encode, [HELLO, *said])))
+    assert not anna.wire.reads
+    while not anna.wire.reads:
         await asyncio.sleep(ROUND)
-        whole = encode(STOP)
-        anna.say(whole[:7])
-        anna.say(whole[7:])
-        assert anna.hears.messages[-1] == STOP
-
-    at_inn(story)
-
-
-def test_of_what_costs_much_less_is_taken(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        anna.hears.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
-        anna.say(encode(HELLO) + FLOOD)
-        assert anna.heard == 2
-        await asyncio.sleep(9.5 * ROUND)
-        assert anna.heard == 20
-
-    at_inn(story)
+    assert anna.hears.messages == [HELLO, *said]
+    await asyncio.sleep(ROUND)
+    whole = encode(STOP)
+    anna.say(whole[:7])
+    anna.say(whole[7:])
+    assert anna.hears.messages[-1] == STOP
 
 
-def test_sixty_links_together_have_no_more_than_one(at_inn):
-    async def story(inn):
-        for _ in range(60):
-            inn.caller("anna").say(encode(HELLO) + FLOOD)
-        assert inn.heard <= AT_ONCE
-        await asyncio.sleep(9.5 * ROUND)
-        assert inn.heard <= 10 * AT_ONCE
-        assert max(caller.heard for caller in inn.callers[1:]) <= 3
-
-    at_inn(story)
+async def test_of_what_costs_much_less_is_taken(inn, /):
+    anna = inn.caller("anna")
+    anna.hears.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
+    anna.say(encode(HELLO) + FLOOD)
+    assert anna.heard == 2
+    await asyncio.sleep(9.5 * ROUND)
+    assert anna.heard == 20
 
 
-def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(at_inn):
-    async def story(inn):
-        for _ in range(60):
-            inn.caller("anna").say(encode(HELLO) + FLOOD)
-        await asyncio.sleep(5 * ROUND)
-        ben = inn.caller("ben")
-        ben.say(encode(HELLO) + encode(STOP))
-        await asyncio.sleep(1.1 * ROUND)
-        assert ben.hears.messages == [HELLO, STOP]
-        # And one of whoever floods, behind one turn of each other link.
-        again = inn.caller("anna")
-        again.say(encode(HELLO) + encode(STOP))
-        await asyncio.sleep(18 * ROUND)
-        assert again.hears.messages == [HELLO, STOP]
-
-    at_inn(story)
+async def test_sixty_links_together_have_no_more_than_one(inn, /):
+    for _ in range(60):
+        inn.caller("anna").say(encode(HELLO) + FLOOD)
+    assert inn.heard <= AT_ONCE
+    await asyncio.sleep(9.5 * ROUND)
+    assert inn.heard <= 10 * AT_ONCE
+    assert max(caller.heard for caller in inn.callers[1:]) <= 3
 
 
-def test_nobody_who_asks_now_and_then_waits(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        anna.say(encode(HELLO))
-        for count in range(2, 50):
-            anna.say(encode(Subscribe(once=True)))
-            assert anna.heard == count
-            await asyncio.sleep(ROUND)
-
-    at_inn(story)
-
-
-def test_a_long_message_comes_whole(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        stop = EmergencyStop(bytes(16), "x" * MAX_TEXT)
-        anna.say(encode(HELLO) + encode(stop) + FLOOD)
-        await asyncio.sleep(ROUND * 20)
-        assert anna.hears.messages[:3] == [HELLO, stop, Subscribe(once=True)]
-
-    at_inn(story)
+async def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(inn, /):
+    for _ in range(60):
+        inn.caller("anna").say(encode(HELLO) + FLOOD)
+    await asyncio.sleep(5 * ROUND)
+    ben = inn.caller("ben")
+    ben.say(encode(HELLO) + encode(STOP))
+    await asyncio.sleep(1.1 * ROUND)
+    assert ben.hears.messages == [HELLO, STOP]
+    # And one of whoever floods, behind one turn of each other link.
+    again = inn.caller("anna")
+    again.say(encode(HELLO) + encode(STOP))
+    await asyncio.sleep(18 * ROUND)
+    assert again.hears.messages == [HELLO, STOP]
 
 
-def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(at_inn):
-    async def story(inn):
-        anna, ben = inn.caller("anna"), inn.caller("ben")
-        anna.say(encode(HELLO) + encode(Ping(1)) * 30 + frame_header(99, 1) + FLOOD)
-        await asyncio.sleep(ROUND * 10)
-        assert anna.heard == 31
-        assert anna.wire.closing
-        assert anna.link.closed
-        ben.say(encode(HELLO) + FLOOD)
-        ben.link.abort()
-        had = ben.heard
-        await asyncio.sleep(ROUND * 10)
-        assert ben.heard == had
-        assert ben.link._remaining is None
-
-    at_inn(story)
+async def test_nobody_who_asks_now_and_then_waits(inn, /):
+    anna = inn.caller("anna")
+    anna.say(encode(HELLO))
+    for count in range(2, 50):
+        anna.say(encode(Subscribe(once=True)))
+        assert anna.heard == count
+        await asyncio.sleep(ROUND)
 
 
-def test_who_goes_while_it_waits_is_forgotten(at_inn):
-    async def story(inn):
-        anna = inn.caller("anna")
-        anna.say(encode(HELLO) + FLOOD)
-        anna.link.connection_lost(None)
-        had = anna.heard
-        await asyncio.sleep(ROUND * 10)
-        assert anna.heard == had
-        assert anna.hears.ends == [None]
-        inn.callers.remove(anna)
-        anna.wire.free()
+async def test_a_long_message_comes_whole(inn, /):
+    anna = inn.caller("anna")
+    stop = EmergencyStop(bytes(16), "x" * MAX_TEXT)
+    anna.say(encode(HELLO) + encode(stop) + FLOOD)
+    await asyncio.sleep(ROUND * 20)
+    assert anna.hears.messages[:3] == [HELLO, stop, Subscribe(once=True)]
 
-    at_inn(story)
+
+async def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(inn, /):
+    anna, ben = inn.caller("anna"), inn.caller("ben")
+    anna.say(encode(HELLO) + encode(Ping(1)) * 30 + frame_header(99, 1) + FLOOD)
+    await asyncio.sleep(ROUND * 10)
+    assert anna.heard == 31
+    assert anna.wire.closing
+    assert anna.link.closed
+    ben.say(encode(HELLO) + FLOOD)
+    ben.link.abort()
+    had = ben.heard
+    await asyncio.sleep(ROUND * 10)
+    assert ben.heard == had
+    assert ben.link._remaining is None
+
+
+async def test_who_goes_while_it_waits_is_forgotten(inn, /):
+    anna = inn.caller("anna")
+    anna.say(encode(HELLO) + FLOOD)
+    anna.link.connection_lost(None)
+    had = anna.heard
+    await asyncio.sleep(ROUND * 10)
+    assert anna.heard == had
+    assert anna.hears.ends == [None]
+    inn.callers.remove(anna)
+    anna.wire.free()
 
 
 # In TLS alone

@@ -172,7 +172,7 @@ def test_answers_are_told_while_another_host_is_still_asked(doors, monkeypatch):
     assert [(place.host, type(answer)) for place, answer in rest.items()] == [("h0", AddressError)]
 
 
-def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
+async def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
     """A future with an error that nobody has taken is told by Python itself, on stderr."""
     said: list[str] = []
 
@@ -181,14 +181,11 @@ def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
             handler.on_closed(None, NoListener(address))
             raise AddressError(address, "no answer within 2 s")
 
-    async def main():
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
-        found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, SNAPSHOT)
-        # An error keeps what it came through.
-        kinds = [type(answer) for answer in found.values()]
-        del found
-        gc.collect()
-        return kinds
-
-    assert asyncio.run(main()) == [AddressError]
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
+    found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, SNAPSHOT)
+    # An error keeps what it came through.
+    kinds = [type(answer) for answer in found.values()]
+    del found
+    gc.collect()
+    assert kinds == [AddressError]
     assert said == []

@@ -155,23 +155,18 @@ def test_a_host_that_has_the_keys_of_another_gets_no_command(ring):
     assert "bravo answered at the address of alpha" in str(over_tcp)
 
 
-def test_a_host_may_stop_one_of_another_bundle_of_its_authority(ring):
+async def test_a_host_may_stop_one_of_another_bundle_of_its_authority(ring):
     """Whoever stops names no bundle; that they do not link is for the greeting of hosts."""
     host = Alpha()
     host.hello = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32)
 
-    async def story():
-        transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / "alpha", "host")))
-        listener = await transport.listen("127.0.0.1:0", host.called)
-        bravo = client.observer_transport(keystore.read_keys(ring.folder / "bravo", "host"))
-        places = {"alpha": listener.address}
-        answers = [
-            await client.ask_all(bravo, places, what) for what in (client.emergency_stop("fire"), LIFT)
-        ]
-        listener.close()
-        return [answer["alpha"] for answer in answers]
-
-    stopped, lifted = asyncio.run(story())
+    transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / "alpha", "host")))
+    listener = await transport.listen("127.0.0.1:0", host.called)
+    bravo = client.observer_transport(keystore.read_keys(ring.folder / "bravo", "host"))
+    places = {"alpha": listener.address}
+    answers = [await client.ask_all(bravo, places, what) for what in (client.emergency_stop("fire"), LIFT)]
+    listener.close()
+    stopped, lifted = [answer["alpha"] for answer in answers]
     assert stopped == EmergencyStopResult({})
     assert "a person has it, not a host" in str(lifted)
 

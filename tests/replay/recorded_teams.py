@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -114,7 +115,7 @@ def recorded(mission: Mission, memory: RecordingMemory) -> RecordedTeam:
 def contents_of(frames: Iterable[bytes]) -> Iterator[bytes]:
     """The contents of frames as they are in a file."""
     for each in frames:
-        yield from SegmentReader(MAGIC + each)
+        yield from SegmentReader(BytesIO(MAGIC + each))
 
 
 def compare(team: RecordedTeam, engines: Engines = ReferenceEngine, *, at_checkpoints: bool) -> ReplaySummary:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 
 import msgspec
@@ -10,6 +11,7 @@ import pytest
 from recorded_teams import content, run_recorded, walk_mission
 
 from lfield.errors import RecordingError
+from lfield.guard.recording.guard_segments import read_segment
 from lfield.host.inputs import BatchDurable, DeviceAnswered
 from lfield.host.recording import flight_recorder, host_records
 from lfield.host.recording.host_records import CheckpointRecord, IdleTurn, TurnRecord
@@ -49,6 +51,31 @@ def test_a_file_cut_at_any_byte_has_the_turns_of_its_complete_frames(team, tmp_p
         assert loaded.problems
         last = turns
     assert 0 < last < all_turns
+
+
+def test_zeros_behind_the_last_frame_are_a_cut(team, tmp_path):
+    """As after a power failure. The file is much larger than its frames, and is not read at once."""
+    path = tmp_path / "core-000001.lfrec"
+    path.write_bytes(MAGIC + b"".join(map(frame, team.hosts[0][1][:4])))
+    turns = read_all(path)
+    os.truncate(path, 1 << 28)
+    assert read_all(path) == turns
+    assert load_incarnation(tmp_path).losses == ()
+    with path.open("r+b") as stream:
+        stream.seek(-1, os.SEEK_END)
+        stream.write(b"x")
+    assert read_all(path) == turns
+    assert len(load_incarnation(tmp_path).losses) == 1
+
+
+def test_a_huge_file_that_is_no_recording_is_refused_at_once(tmp_path):
+    for name in ("core-000001.lfrec", "guard-000001.lfrec"):
+        (tmp_path / name).touch()
+        os.truncate(tmp_path / name, 1 << 40)
+    with pytest.raises(RecordingError):
+        load_incarnation(tmp_path)
+    with pytest.raises(RecordingError):
+        read_segment(tmp_path / "guard-000001.lfrec")
 
 
 def test_a_flipped_byte_ends_the_file_or_is_refused(team, tmp_path):

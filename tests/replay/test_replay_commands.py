@@ -9,6 +9,7 @@ import shutil
 import socket
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -18,11 +19,21 @@ from msgspec.structs import replace
 
 from lfield.host.inputs import DeviceAnswered
 from lfield.host.recording.host_records import TurnRecord, decode_frame, encode_frame, header_of
+from lfield.mission.loader import load_mission
 from lfield.recording.segments import MAGIC, SegmentReader, frame
+from lfield.replay import computation_limit
+from lfield.replay.call_log import CallLog
+from lfield.replay.program_replay import mission_with, run_program
+from lfield.replay.recording_files import load_team
+from lfield.replay.team_order import TeamOrder
 
 ROOT = Path(__file__).parents[2]
 #: Options for commands that would read from a terminal.
 PLAIN = {"debug flight": ("-c", "where")}
+
+
+#: Instructions without a call or a pause that another program may execute in these tests.
+MOST = 20_000
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +127,7 @@ def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None
 
 def with_another_input(data: bytes) -> bytes:
     """A segment in which devices have answered with an error."""
-    frames = list(SegmentReader(data))
+    frames = list(SegmentReader(BytesIO(data)))
     for place, each in enumerate(frames):
         records = decode_frame(each)
         for at, record in enumerate(records):
@@ -293,3 +304,42 @@ def test_the_commands_of_the_page_about_a_bad_flight_run(recorded: Path, tmp_pat
             move = move.replace(name, here)
         made = lfield("debug", "flight", "-c", "hop boss", "-c", move, cwd=tmp_path)
         assert made.returncode == 0, made.stderr
+
+
+def calls_of(recorded: Path, folder: Path, program: str) -> tuple[CallLog, CallLog]:
+    """The calls of the recorded program, and of another one, with a low limit of computations."""
+    recording = load_team([recorded / "records"])
+    order = TeamOrder([part for each in recording.incarnations for part in each.parts])
+    mission = mission_with(recording, load_mission(write_mission(folder, program), simulate=True))
+    before = run_program(recording, order, recording.mission)
+    return before, run_program(recording, order, mission, recorded=before)
+
+
+@pytest.mark.parametrize(
+    ("replaced", "loop", "agent", "line"),
+    [
+        ("fc.takeoff(height);", "while (true) { }", "one", 7),
+        ("fc.takeoff(height);", 'string s = ""; while (true) { s = "x" + i2s(1); }', "one", 7),
+        ('sum = sum + findPost("two")', 'while (true) { } sum = sum + findPost("two")', "boss", 16),
+        ('print("climbed', 'int n = 0; while (n >= 0) { n = n + 1; n = n - 1; } print("climbed', "boss", 17),
+    ],
+)
+def test_an_endless_loop_is_a_difference_at_its_line(
+    replaced: str, loop: str, agent: str, line: int, recorded: Path, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(computation_limit, "MAX_INSTRUCTIONS", MOST)
+    before, now = calls_of(recorded, tmp_path, PROGRAM.replace(replaced, loop))
+    found = before.first_difference(now)
+    assert found is not None
+    assert (found.agent, found.replayed.place) == (agent, f"mission.L:{line}")
+    assert "computes on" in found.replayed.text
+    assert now.count < before.count or agent == "boss"
+    assert not now.may_follow(before)
+
+
+def test_a_long_computation_that_ends_is_none(recorded: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(computation_limit, "MAX_INSTRUCTIONS", MOST)
+    loop = "int n = 0; while (n < 2000) n = n + 1; fc.takeoff(height);"
+    before, now = calls_of(recorded, tmp_path, PROGRAM.replace("fc.takeoff(height);", loop))
+    assert before.first_difference(now) is None
+    assert now.longest_computation < MOST

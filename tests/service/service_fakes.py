@@ -152,6 +152,7 @@ class FakeProbe:
     hold_trouble: str = ""
     release_trouble: str = ""
     without: list[str] = field(default_factory=list)
+    is_starting: bool = False
     #: Seconds for an answer about the vehicles.
     delay: float = 0.1
     #: Called when a hold has been requested, before it is answered.
@@ -180,6 +181,9 @@ class FakeProbe:
         self.held = self.held if self.release_trouble else b""
         return self.release_trouble
 
+    async def is_up(self) -> bool:
+        return not self.is_starting
+
     async def condition(self) -> str:
         return "paused" if self.paused else ""
 
@@ -187,7 +191,7 @@ class FakeProbe:
         self.without = hosts
         return ""
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = "") -> list[str]:
         names, self.waiting = [each.agent for each in self.waiting], []
         return names
 
@@ -257,7 +261,7 @@ class Robot:
         return [line.code for line in self.log]
 
 
-async def unreachable(host: str, query: VoteQuery) -> BallotState:
+async def unreachable(host: str, query: VoteQuery | ServiceQuery) -> BallotState:
     raise AddressError(host, "no answer")
 
 

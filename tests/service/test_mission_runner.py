@@ -40,20 +40,22 @@ class Computer:
         self.disk = self.runner.record
 
 
-@pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
-def test_after_a_crash_it_is_restarted(status: int) -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.processes.end(status)
-        await asyncio.sleep(0.5 * RESTART_DELAY)
-        assert computer.runner.info.phase == "waiting"
-        await asyncio.sleep(RESTART_DELAY)
-        assert computer.processes.started == [OLD, OLD]
-        assert computer.runner.info.phase == "running"
-        assert computer.disk == run_of(OLD, 102)
+@pytest.fixture(scope="session")
+def runner():
+    return lambda test: run_jumping(test())
 
-    run_jumping(story())
+
+@pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
+async def test_after_a_crash_it_is_restarted(status: int) -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.processes.end(status)
+    await asyncio.sleep(0.5 * RESTART_DELAY)
+    assert computer.runner.info.phase == "waiting"
+    await asyncio.sleep(RESTART_DELAY)
+    assert computer.processes.started == [OLD, OLD]
+    assert computer.runner.info.phase == "running"
+    assert computer.disk == run_of(OLD, 102)
 
 
 @pytest.mark.parametrize(
@@ -71,52 +73,43 @@ def test_after_a_crash_it_is_restarted(status: int) -> None:
         exit_status.INTERRUPTED,
     ],
 )
-def test_an_end_in_order_is_no_crash(status: int) -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.processes.end(status, "why")
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-        info = computer.runner.info
-        assert (info.phase, info.status, info.reason) == ("ended", status, "why")
-        assert computer.disk.bundle == b""
-        assert bool(computer.disk.unsafe) is (status == exit_status.UNSAFE)
-
-    run_jumping(story())
+async def test_an_end_in_order_is_no_crash(status: int) -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.processes.end(status, "why")
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+    info = computer.runner.info
+    assert (info.phase, info.status, info.reason) == ("ended", status, "why")
+    assert computer.disk.bundle == b""
+    assert bool(computer.disk.unsafe) is (status == exit_status.UNSAFE)
 
 
-def test_it_is_restarted_five_times_in_ten_minutes_at_most() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        for _ in range(MAX_RESTARTS + 1):
-            computer.processes.end(-11)
-            await asyncio.sleep(SOON)
-        assert len(computer.processes.started) == MAX_RESTARTS + 1
-        assert computer.runner.info.phase == "ended"
-        assert computer.disk.unsafe
-        # A start by a person counts again from 0, and its vehicles are observed again.
-        await computer.runner.start(OLD)
-        assert not computer.disk.unsafe
+async def test_it_is_restarted_five_times_in_ten_minutes_at_most() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    for _ in range(MAX_RESTARTS + 1):
         computer.processes.end(-11)
         await asyncio.sleep(SOON)
-        assert computer.runner.info.phase == "running"
+    assert len(computer.processes.started) == MAX_RESTARTS + 1
+    assert computer.runner.info.phase == "ended"
+    assert computer.disk.unsafe
+    # A start by a person counts again from 0, and its vehicles are observed again.
+    await computer.runner.start(OLD)
+    assert not computer.disk.unsafe
+    computer.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert computer.runner.info.phase == "running"
 
-    run_jumping(story())
 
-
-def test_rare_crashes_are_always_followed_by_a_restart() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        for _ in range(3 * MAX_RESTARTS):
-            await asyncio.sleep(PERIOD / MAX_RESTARTS)
-            computer.processes.end(-11)
-            await asyncio.sleep(SOON)
-        assert computer.runner.info.phase == "running"
-
-    run_jumping(story())
+async def test_rare_crashes_are_always_followed_by_a_restart() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    for _ in range(3 * MAX_RESTARTS):
+        await asyncio.sleep(PERIOD / MAX_RESTARTS)
+        computer.processes.end(-11)
+        await asyncio.sleep(SOON)
+    assert computer.runner.info.phase == "running"
 
 
 @pytest.mark.parametrize(
@@ -141,60 +134,52 @@ def test_the_policy(status: int, earlier: list[float], restarts: bool) -> None:
     assert verdict.reason
 
 
-def test_the_next_service_adopts_a_host_that_runs() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.runner.detach()
-        computer.boot()
-        computer.runner.adopt()
-        assert computer.runner.is_running
-        assert computer.processes.started == [OLD]
-        computer.processes.end(-11)
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD, OLD]
-
-    run_jumping(story())
+async def test_the_next_service_adopts_a_host_that_runs() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.runner.detach()
+    computer.boot()
+    computer.runner.adopt()
+    assert computer.runner.is_running
+    assert computer.processes.started == [OLD]
+    computer.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD, OLD]
 
 
 @pytest.mark.parametrize(("status", "starts"), [(-9, 2), (exit_status.DONE, 1), (exit_status.UNSAFE, 1)])
-def test_a_host_that_ended_while_no_service_ran_is_judged_by_its_result(status: int, starts: int) -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.runner.detach()
-        computer.processes.end(status)
-        computer.boot()
-        computer.runner.adopt()
-        assert not computer.runner.is_running
-        assert computer.runner.info.phase == "waiting"
-        await asyncio.sleep(SOON)
-        assert len(computer.processes.started) == starts
+async def test_a_host_that_ended_while_no_service_ran_is_judged_by_its_result(
+    status: int, starts: int
+) -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.runner.detach()
+    computer.processes.end(status)
+    computer.boot()
+    computer.runner.adopt()
+    assert not computer.runner.is_running
+    assert computer.runner.info.phase == "waiting"
+    await asyncio.sleep(SOON)
+    assert len(computer.processes.started) == starts
 
-    run_jumping(story())
 
-
-def test_a_host_whose_number_was_not_stored_is_found() -> None:
+async def test_a_host_whose_number_was_not_stored_is_found() -> None:
     """The service ended, or its disk was full, between the start of the process and the record of it."""
-
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.runner.detach()
-        computer.disk = run_of(OLD)
-        computer.boot()
-        computer.runner.adopt()
-        assert computer.runner.is_running
-        assert computer.disk == run_of(OLD, 101)
-        computer.runner.detach()
-        computer.processes.end(0)
-        computer.disk = run_of(OLD)
-        computer.boot()
-        computer.runner.adopt()
-        assert computer.runner.info.phase == "interrupted"
-        assert computer.disk == RunRecord(open_run=OLD)
-
-    run_jumping(story())
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.runner.detach()
+    computer.disk = run_of(OLD)
+    computer.boot()
+    computer.runner.adopt()
+    assert computer.runner.is_running
+    assert computer.disk == run_of(OLD, 101)
+    computer.runner.detach()
+    computer.processes.end(0)
+    computer.disk = run_of(OLD)
+    computer.boot()
+    computer.runner.adopt()
+    assert computer.runner.info.phase == "interrupted"
+    assert computer.disk == RunRecord(open_run=OLD)
 
 
 @pytest.mark.parametrize(
@@ -202,211 +187,174 @@ def test_a_host_whose_number_was_not_stored_is_found() -> None:
     [RunRecord(), run_of(NEW, 55), run_of(NEW, 55, "an earlier boot")],
     ids=["deleted", "of a backup", "of an earlier boot"],
 )
-def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(record: RunRecord) -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.runner.detach()
-        computer.disk = record
-        computer.boot()
-        computer.runner.adopt()
-        await asyncio.sleep(SOON)
-        assert computer.disk == run_of(OLD, 101)
-        assert (computer.runner.info.phase, computer.runner.info.bundle) == ("running", OLD)
-        await computer.runner.stop("stopped by anna")
-        assert computer.processes.started == [OLD]
-        assert not computer.processes.alive
-        assert computer.disk == RunRecord(open_run=OLD)
-
-    run_jumping(story())
+async def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(record: RunRecord) -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.runner.detach()
+    computer.disk = record
+    computer.boot()
+    computer.runner.adopt()
+    await asyncio.sleep(SOON)
+    assert computer.disk == run_of(OLD, 101)
+    assert (computer.runner.info.phase, computer.runner.info.bundle) == ("running", OLD)
+    await computer.runner.stop("stopped by anna")
+    assert computer.processes.started == [OLD]
+    assert not computer.processes.alive
+    assert computer.disk == RunRecord(open_run=OLD)
 
 
-def test_another_boot_interrupts_the_mission() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.runner.detach()
-        computer.processes.boot = "second boot"
-        # Another process has the same number now.
-        computer.processes.alive[101] = b""
-        computer.boot()
-        computer.runner.adopt()
-        await asyncio.sleep(SOON)
-        assert computer.runner.info.phase == "interrupted"
-        assert not computer.runner.is_running
-        assert computer.processes.started == [OLD]
-        # A vehicle may have been in the air: a person has to look.
-        assert computer.disk == RunRecord(unsafe=REBOOTED, open_run=OLD)
-
-    run_jumping(story())
+async def test_another_boot_interrupts_the_mission() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.runner.detach()
+    computer.processes.boot = "second boot"
+    # Another process has the same number now.
+    computer.processes.alive[101] = b""
+    computer.boot()
+    computer.runner.adopt()
+    await asyncio.sleep(SOON)
+    assert computer.runner.info.phase == "interrupted"
+    assert not computer.runner.is_running
+    assert computer.processes.started == [OLD]
+    # A vehicle may have been in the air: a person has to look.
+    assert computer.disk == RunRecord(unsafe=REBOOTED, open_run=OLD)
 
 
-def test_a_stop_ends_the_host_and_is_stored() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        await computer.runner.start(OLD)
-        assert computer.processes.started == [OLD]
-        await computer.runner.stop("stopped by anna")
-        assert computer.processes.terminated == [101]
-        info = computer.runner.info
-        assert (info.phase, info.reason) == ("stopped", "stopped by anna")
-        assert computer.disk == RunRecord(open_run=OLD)
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-        await computer.runner.start(NEW)
-        assert computer.processes.started == [OLD, NEW]
-
-    run_jumping(story())
+async def test_a_stop_ends_the_host_and_is_stored() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    await computer.runner.start(OLD)
+    assert computer.processes.started == [OLD]
+    await computer.runner.stop("stopped by anna")
+    assert computer.processes.terminated == [101]
+    info = computer.runner.info
+    assert (info.phase, info.reason) == ("stopped", "stopped by anna")
+    assert computer.disk == RunRecord(open_run=OLD)
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+    await computer.runner.start(NEW)
+    assert computer.processes.started == [OLD, NEW]
 
 
 @pytest.mark.parametrize("status", [-11, exit_status.UNAVAILABLE])
-def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
-    async def story() -> None:
-        computer = Computer()
+async def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.processes.end(status)
+    await asyncio.sleep(0.5 * RESTART_DELAY)
+    await computer.runner.stop("stopped by anna")
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+    assert computer.runner.info.phase == "stopped"
+    assert computer.disk.bundle == b""
+    # A vehicle that it flew when it was killed may still fly.
+    assert bool(computer.disk.unsafe) is (status < 0)
+
+
+async def test_a_stop_forgets_that_vehicles_may_move() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.processes.end(exit_status.UNSAFE)
+    await asyncio.sleep(SOON)
+    computer.boot()
+    computer.runner.adopt()
+    assert computer.runner.info.phase == "ended"
+    await computer.runner.stop("stopped by anna", checked=computer.disk.unsafe)
+    assert computer.disk == RunRecord(open_run=OLD)
+
+
+async def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_in_motion() -> None:
+    computer = Computer()
+    computer.processes.obeys = False
+    await computer.runner.start(OLD)
+    stopping = asyncio.create_task(computer.runner.stop("stopped by anna"))
+    await asyncio.sleep(1.0)
+    assert computer.runner.info.phase == "stopping"
+    computer.processes.end(-9)
+    await stopping
+    assert (computer.disk.bundle, bool(computer.disk.unsafe)) == (b"", True)
+
+
+async def test_a_host_that_was_stopped_before_it_opened_a_device_has_moved_nothing() -> None:
+    """It handles SIGTERM first: this signal ends only a host that has just been started."""
+    computer = Computer()
+    computer.processes.obeys = False
+    for before, after in ((0, ""), (-9, "killed by signal 9")):
         await computer.runner.start(OLD)
-        computer.processes.end(status)
-        await asyncio.sleep(0.5 * RESTART_DELAY)
-        await computer.runner.stop("stopped by anna")
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-        assert computer.runner.info.phase == "stopped"
-        assert computer.disk.bundle == b""
-        # A vehicle that it flew when it was killed may still fly.
-        assert bool(computer.disk.unsafe) is (status < 0)
-
-    run_jumping(story())
-
-
-def test_a_stop_forgets_that_vehicles_may_move() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.processes.end(exit_status.UNSAFE)
-        await asyncio.sleep(SOON)
-        computer.boot()
-        computer.runner.adopt()
-        assert computer.runner.info.phase == "ended"
-        await computer.runner.stop("stopped by anna", checked=computer.disk.unsafe)
-        assert computer.disk == RunRecord(open_run=OLD)
-
-    run_jumping(story())
-
-
-def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_in_motion() -> None:
-    async def story() -> None:
-        computer = Computer()
-        computer.processes.obeys = False
-        await computer.runner.start(OLD)
+        if before:
+            computer.processes.end(before)
+            await asyncio.sleep(SOON)
         stopping = asyncio.create_task(computer.runner.stop("stopped by anna"))
         await asyncio.sleep(1.0)
-        assert computer.runner.info.phase == "stopping"
-        computer.processes.end(-9)
+        computer.processes.end(-signal.SIGTERM)
         await stopping
-        assert (computer.disk.bundle, bool(computer.disk.unsafe)) == (b"", True)
-
-    run_jumping(story())
-
-
-def test_a_host_that_was_stopped_before_it_opened_a_device_has_moved_nothing() -> None:
-    """It handles SIGTERM first: this signal ends only a host that has just been started."""
-
-    async def story() -> None:
-        computer = Computer()
-        computer.processes.obeys = False
-        for before, after in ((0, False), (-9, True)):
-            await computer.runner.start(OLD)
-            if before:
-                computer.processes.end(before)
-                await asyncio.sleep(SOON)
-            stopping = asyncio.create_task(computer.runner.stop("stopped by anna"))
-            await asyncio.sleep(1.0)
-            computer.processes.end(-signal.SIGTERM)
-            await stopping
-            # A vehicle that an earlier host flew may still fly.
-            assert bool(computer.disk.unsafe) is after
-
-    run_jumping(story())
+        # A vehicle that an earlier host flew may still fly.
+        assert computer.disk.unsafe == after
 
 
-def test_a_refusal_ends_restarts() -> None:
-    async def story() -> None:
-        computer = Computer()
+async def test_a_refusal_ends_restarts() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.refusal = "a ballot is open"
+    computer.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+    computer.refusal = ""
+    await computer.runner.start(OLD)
+    computer.processes.end(-11)
+    await asyncio.sleep(0.5 * RESTART_DELAY)
+    # Also one that comes while the restart waits.
+    computer.refusal = "a ballot is open"
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD, OLD]
+    assert computer.runner.info.phase == "interrupted"
+    # Its end, the refusal of that moment, and what to do.
+    reason = computer.runner.info.reason
+    assert "a ballot is open" in reason
+    assert "lfield start" in reason
+
+
+async def test_no_host_starts_before_it_is_stored() -> None:
+    computer = Computer()
+    computer.is_full = True
+    with pytest.raises(OutputFileError):
         await computer.runner.start(OLD)
-        computer.refusal = "a ballot is open"
-        computer.processes.end(-11)
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-        computer.refusal = ""
+    assert computer.processes.started == []
+    assert computer.runner.record == RunRecord()
+
+
+async def test_a_full_disk_interrupts_restarts_and_the_service_continues() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.is_full = True
+    computer.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+    assert computer.runner.info.phase == "interrupted"
+    computer.is_full = False
+    await computer.runner.start(OLD)
+    assert computer.runner.info.phase == "running"
+
+
+async def test_a_stop_with_a_full_disk_ends_the_host() -> None:
+    computer = Computer()
+    await computer.runner.start(OLD)
+    computer.is_full = True
+    await computer.runner.stop("stopped by anna")
+    assert computer.runner.info.phase == "stopped"
+    assert not computer.processes.alive
+    # The next service finds its process ended in order.
+    computer.is_full = False
+    computer.boot()
+    computer.runner.adopt()
+    await asyncio.sleep(SOON)
+    assert computer.processes.started == [OLD]
+
+
+async def test_a_process_that_cannot_be_started_is_not_recorded() -> None:
+    computer = Computer()
+    computer.processes.trouble = OutputFileError("host.result", "Permission denied")
+    with pytest.raises(OutputFileError):
         await computer.runner.start(OLD)
-        computer.processes.end(-11)
-        await asyncio.sleep(0.5 * RESTART_DELAY)
-        # Also one that comes while the restart waits.
-        computer.refusal = "a ballot is open"
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD, OLD]
-        assert computer.runner.info.phase == "interrupted"
-        # Its end, the refusal of that moment, and what to do.
-        reason = computer.runner.info.reason
-        assert "a ballot is open" in reason
-        assert "lfield start" in reason
-
-    run_jumping(story())
-
-
-def test_no_host_starts_before_it_is_stored() -> None:
-    async def story() -> None:
-        computer = Computer()
-        computer.is_full = True
-        with pytest.raises(OutputFileError):
-            await computer.runner.start(OLD)
-        assert computer.processes.started == []
-        assert computer.runner.record == RunRecord()
-
-    run_jumping(story())
-
-
-def test_a_full_disk_interrupts_restarts_and_the_service_continues() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.is_full = True
-        computer.processes.end(-11)
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-        assert computer.runner.info.phase == "interrupted"
-        computer.is_full = False
-        await computer.runner.start(OLD)
-        assert computer.runner.info.phase == "running"
-
-    run_jumping(story())
-
-
-def test_a_stop_with_a_full_disk_ends_the_host() -> None:
-    async def story() -> None:
-        computer = Computer()
-        await computer.runner.start(OLD)
-        computer.is_full = True
-        await computer.runner.stop("stopped by anna")
-        assert computer.runner.info.phase == "stopped"
-        assert not computer.processes.alive
-        # The next service finds its process ended in order.
-        computer.is_full = False
-        computer.boot()
-        computer.runner.adopt()
-        await asyncio.sleep(SOON)
-        assert computer.processes.started == [OLD]
-
-    run_jumping(story())
-
-
-def test_a_process_that_cannot_be_started_is_not_recorded() -> None:
-    async def story() -> None:
-        computer = Computer()
-        computer.processes.trouble = OutputFileError("host.result", "Permission denied")
-        with pytest.raises(OutputFileError):
-            await computer.runner.start(OLD)
-        assert computer.disk == RunRecord()
-        assert not computer.runner.is_running
-
-    run_jumping(story())
+    assert computer.disk == RunRecord()
+    assert not computer.runner.is_running

@@ -47,161 +47,139 @@ async def running(robot: Robot) -> None:
 # --- votes ---------------------------------------------------------------------------------------------
 
 
-def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        answer = await robot.propose()
-        assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
-        assert robot.files.record.activation.ballot == answer
-        assert robot.probe.held
-        assert robot.files.record.held
-        # The proposed bundle, and the running one, whose coordinators must have ended.
-        assert robot.verifications == 2
+@pytest.fixture(scope="session")
+def runner():
+    return lambda test: run_jumping(test())
 
-    run_jumping(story())
+
+async def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
+    robot = Robot()
+    await running(robot)
+    answer = await robot.propose()
+    assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
+    assert robot.files.record.activation.ballot == answer
+    assert robot.probe.held
+    assert robot.files.record.held
+    # The proposed bundle, and the running one, whose coordinators must have ended.
+    assert robot.verifications == 2
 
 
 @pytest.mark.parametrize(
     "why", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
 )
-def test_it_votes_no_with_a_reason(why: str) -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        proposal = ballot()
-        match why:
-            case "flying":
-                robot.probe.motion = "drone is off the ground"
-            case "walking":
-                robot.probe.waiting = [WALKER]
-            case "unknown bundle":
-                proposal = ballot(digest=bytes(32))
-            case "bad signature":
-                robot.files.bundles[NEW] = b"damaged"
-            case "restarting":
-                robot.processes.end(-11)
-                await asyncio.sleep(0.5 * RESTART_DELAY)
-            case "killed":
-                for _ in range(6):
-                    robot.processes.end(-11)
-                    await asyncio.sleep(SOON)
-        answer = await robot.propose(proposal)
-        assert answer.votes == {"alpha": "no"}
-        assert answer.outcome == "aborted"
-        assert answer.reasons["alpha"]
-        assert not robot.probe.held
-        assert robot.files.record.activation.open_ballot is None
-        status = await robot.service.answer(ServiceQuery(), "anna")
-        assert isinstance(status, ServiceStatus)
-        assert bool(status.refusal) is (why not in ("unknown bundle", "bad signature"))
-
-    run_jumping(story())
-
-
-def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-
-        def take_off() -> None:
+async def test_it_votes_no_with_a_reason(why: str) -> None:
+    robot = Robot()
+    await running(robot)
+    proposal = ballot()
+    match why:
+        case "flying":
             robot.probe.motion = "drone is off the ground"
-
-        robot.probe.on_hold = take_off
-        answer = await robot.propose()
-        assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.held
-        assert not robot.files.record.held
-
-    run_jumping(story())
-
-
-def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.probe.hold_trouble = robot.probe.release_trouble = "no answer"
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        assert (await robot.propose()).votes == {"alpha": "no"}
-        assert robot.files.record.held
-        # The hold was received after all.
-        robot.probe.held, robot.probe.release_trouble = ballot().id, ""
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.held
-        assert not robot.files.record.held
-        task.cancel()
-
-    run_jumping(story())
+        case "walking":
+            robot.probe.waiting = [WALKER]
+        case "unknown bundle":
+            proposal = ballot(digest=bytes(32))
+        case "bad signature":
+            robot.files.bundles[NEW] = b"damaged"
+        case "restarting":
+            robot.processes.end(-11)
+            await asyncio.sleep(0.5 * RESTART_DELAY)
+        case "killed":
+            for _ in range(6):
+                robot.processes.end(-11)
+                await asyncio.sleep(SOON)
+    answer = await robot.propose(proposal)
+    assert answer.votes == {"alpha": "no"}
+    assert answer.outcome == "aborted"
+    assert answer.reasons["alpha"]
+    assert not robot.probe.held
+    assert robot.files.record.activation.open_ballot is None
+    status = await robot.service.answer(ServiceQuery(), "anna")
+    assert isinstance(status, ServiceStatus)
+    assert bool(status.refusal) is (why not in ("unknown bundle", "bad signature"))
 
 
-def test_a_host_outside_the_ballot_is_not_bound() -> None:
-    async def story() -> None:
-        robot = Robot()
-        robot.boot_service()
-        with pytest.raises(WireError):
-            await robot.propose(ballot(hosts=["bravo"]))
-        assert robot.files.record == ServiceRecord(ActivationState(active=OLD))
+async def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
+    robot = Robot()
+    await running(robot)
 
-    run_jumping(story())
-
-
-def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        asking = asyncio.create_task(robot.propose())
-        await asyncio.sleep(0.25)
-        closed = await robot.query(ballot().id, closes=True)
-        assert closed.votes == {"alpha": "no"}
-        answer = await asking
-        assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.held
-        assert not robot.files.record.held
-
-    run_jumping(story())
-
-
-def test_two_proposals_at_once_get_one_yes() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
-        assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
-        assert answers[1].reasons["alpha"]
-        assert robot.probe.held
-
-    run_jumping(story())
-
-
-def test_activating_the_active_bundle_changes_nothing() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
+    def take_off() -> None:
         robot.probe.motion = "drone is off the ground"
-        await robot.propose(ballot(digest=OLD))
-        await robot.service.answer(VoteReport(ballot().id, YES), "anna")
-        assert robot.runner.is_running
-        assert not robot.probe.held
-        assert robot.service.activation.active == OLD
-        assert robot.service.activation.previous == b""
 
-    run_jumping(story())
+    robot.probe.on_hold = take_off
+    answer = await robot.propose()
+    assert answer.votes == {"alpha": "no"}
+    assert not robot.probe.held
+    assert not robot.files.record.held
 
 
-def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
-    async def story() -> None:
-        robot = Robot()
-        robot.boot_service()
-        file = sha256(b"new").digest()
-        for _ in range(2):
-            answer = await robot.service.answer(StageRequest(NEW, file), "anna")
-            assert answer == StageResult(NEW)
-        # Another file of the same bundle, with another signature, is not stored.
-        other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
-        assert isinstance(other, StageResult)
-        assert other.trouble
+async def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> None:
+    robot = Robot()
+    await running(robot)
+    robot.probe.hold_trouble = robot.probe.release_trouble = "no answer"
+    task = asyncio.create_task(robot.service.resolve(unreachable))
+    assert (await robot.propose()).votes == {"alpha": "no"}
+    assert robot.files.record.held
+    # The hold was received after all.
+    robot.probe.held, robot.probe.release_trouble = ballot().id, ""
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert not robot.probe.held
+    assert not robot.files.record.held
+    task.cancel()
 
-    run_jumping(story())
+
+async def test_a_host_outside_the_ballot_is_not_bound() -> None:
+    robot = Robot()
+    robot.boot_service()
+    with pytest.raises(WireError):
+        await robot.propose(ballot(hosts=["bravo"]))
+    assert robot.files.record == ServiceRecord(ActivationState(active=OLD))
+
+
+async def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> None:
+    robot = Robot()
+    await running(robot)
+    asking = asyncio.create_task(robot.propose())
+    await asyncio.sleep(0.25)
+    closed = await robot.query(ballot().id, closes=True)
+    assert closed.votes == {"alpha": "no"}
+    answer = await asking
+    assert answer.votes == {"alpha": "no"}
+    assert not robot.probe.held
+    assert not robot.files.record.held
+
+
+async def test_two_proposals_at_once_get_one_yes() -> None:
+    robot = Robot()
+    await running(robot)
+    answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
+    assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
+    assert answers[1].reasons["alpha"]
+    assert robot.probe.held
+
+
+async def test_activating_the_active_bundle_changes_nothing() -> None:
+    robot = Robot()
+    await running(robot)
+    robot.probe.motion = "drone is off the ground"
+    await robot.propose(ballot(digest=OLD))
+    await robot.service.answer(VoteReport(ballot().id, YES), "anna")
+    assert robot.runner.is_running
+    assert not robot.probe.held
+    assert robot.service.activation.active == OLD
+    assert robot.service.activation.previous == b""
+
+
+async def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
+    robot = Robot()
+    robot.boot_service()
+    file = sha256(b"new").digest()
+    for _ in range(2):
+        answer = await robot.service.answer(StageRequest(NEW, file), "anna")
+        assert answer == StageResult(NEW)
+    # Another file of the same bundle, with another signature, is not stored.
+    other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
+    assert isinstance(other, StageResult)
+    assert other.trouble
 
 
 def _without_bravo(number: int = 1) -> Ballot:
@@ -210,284 +188,230 @@ def _without_bravo(number: int = 1) -> Ballot:
 
 
 @pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
-def test_a_coordinator_whose_home_is_left_out_is_unaccounted_for(state: str) -> None:
+async def test_a_coordinator_whose_home_is_left_out_is_unaccounted_for(state: str) -> None:
     """It has never been on this host, so only the deployment shows that it may exist."""
-
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        if state != "runs":
-            await robot.command(MissionCommand("stop"))
-        if state == "killed service":
-            robot.kill_service()
-            robot.boot_service()
-        answer = await robot.propose(_without_bravo())
-        assert answer.votes == {"alpha": "no"}
-        assert "pilot of bravo" in answer.reasons["alpha"]
-        assert "walker" not in answer.reasons["alpha"]
-        assert robot.service.activation.active == OLD
-        await robot.command(MissionCommand("stop", discards=True))
-        assert (await robot.propose(_without_bravo(2))).outcome == "activated"
-
-    run_jumping(story())
+    robot = Robot()
+    await running(robot)
+    if state != "runs":
+        await robot.command(MissionCommand("stop"))
+    if state == "killed service":
+        robot.kill_service()
+        robot.boot_service()
+    answer = await robot.propose(_without_bravo())
+    assert answer.votes == {"alpha": "no"}
+    assert "pilot of bravo" in answer.reasons["alpha"]
+    assert "walker" not in answer.reasons["alpha"]
+    assert robot.service.activation.active == OLD
+    await robot.command(MissionCommand("stop", discards=True))
+    assert (await robot.propose(_without_bravo(2))).outcome == "activated"
 
 
 @pytest.mark.parametrize("status", [0, 1])
-def test_a_run_that_has_ended_needs_no_host(status: int) -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.processes.end(status)
-        await asyncio.sleep(SOON)
-        assert (await robot.propose(_without_bravo())).outcome == "activated"
-
-    run_jumping(story())
+async def test_a_run_that_has_ended_needs_no_host(status: int) -> None:
+    robot = Robot()
+    await running(robot)
+    robot.processes.end(status)
+    await asyncio.sleep(SOON)
+    assert (await robot.propose(_without_bravo())).outcome == "activated"
 
 
-def test_a_run_that_no_host_has_started_or_that_all_have_accounted_for_needs_no_host() -> None:
-    async def story() -> None:
-        robot = Robot()
-        robot.boot_service()
-        assert (await robot.propose(_without_bravo())).outcome == "activated"
-        await robot.start()
-        assert (await robot.propose(ballot(2, OLD))).votes == {"alpha": "yes"}
-        await robot.service.on_votes(ballot(2).id, {"bravo": "yes"})
-        assert (await robot.propose(_without_bravo(3))).outcome == "activated"
-
-    run_jumping(story())
+async def test_a_run_that_no_host_has_started_or_that_all_have_accounted_for_needs_no_host() -> None:
+    robot = Robot()
+    robot.boot_service()
+    assert (await robot.propose(_without_bravo())).outcome == "activated"
+    await robot.start()
+    assert (await robot.propose(ballot(2, OLD))).votes == {"alpha": "yes"}
+    await robot.service.on_votes(ballot(2).id, {"bravo": "yes"})
+    assert (await robot.propose(_without_bravo(3))).outcome == "activated"
 
 
 # --- what a vote binds ---------------------------------------------------------------------------------
 
 
-def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        robot.processes.end(-11)
-        await asyncio.sleep(SOON)
-        assert robot.processes.started == [OLD]
-        assert (await robot.start()).trouble
-        assert robot.processes.started == [OLD]
-        # Nor does the next service.
-        robot.kill_service()
-        robot.boot_service()
-        await asyncio.sleep(SOON)
-        assert (await robot.start()).trouble
-        assert robot.processes.started == [OLD]
-
-    run_jumping(story())
+async def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    robot.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert robot.processes.started == [OLD]
+    assert (await robot.start()).trouble
+    assert robot.processes.started == [OLD]
+    # Nor does the next service.
+    robot.kill_service()
+    robot.boot_service()
+    await asyncio.sleep(SOON)
+    assert (await robot.start()).trouble
+    assert robot.processes.started == [OLD]
 
 
-def test_after_an_abort_the_host_is_resumed() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert robot.runner.is_running
-        assert not robot.probe.held
-        assert not robot.files.record.held
-        robot.processes.end(-11)
-        await asyncio.sleep(SOON)
-        assert robot.processes.started == [OLD, OLD]
-
-    run_jumping(story())
+async def test_after_an_abort_the_host_is_resumed() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    await robot.service.on_votes(ballot().id, {"bravo": "no"})
+    assert robot.runner.is_running
+    assert not robot.probe.held
+    assert not robot.files.record.held
+    robot.processes.end(-11)
+    await asyncio.sleep(SOON)
+    assert robot.processes.started == [OLD, OLD]
 
 
 @pytest.mark.parametrize("moment", ["before", "after"])
-def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.probe.paused = moment == "before"
-        await robot.propose()
-        assert robot.probe.held == ballot().id
-        robot.probe.paused = True
-        await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert (robot.probe.paused, robot.probe.held) == (True, b"")
-
-    run_jumping(story())
+async def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
+    robot = Robot()
+    await running(robot)
+    robot.probe.paused = moment == "before"
+    await robot.propose()
+    assert robot.probe.held == ballot().id
+    robot.probe.paused = True
+    await robot.service.on_votes(ballot().id, {"bravo": "no"})
+    assert (robot.probe.paused, robot.probe.held) == (True, b"")
 
 
-def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
+async def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
     """The new process is not held."""
+    robot = Robot()
+    await running(robot)
 
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-
-        def restart() -> None:
-            robot.processes.end(-11)
-
-        robot.probe.on_hold = restart
-        robot.probe.delay = SOON
-        assert (await robot.propose()).votes == {"alpha": "no"}
-        assert robot.processes.started == [OLD, OLD]
-
-    run_jumping(story())
-
-
-def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        await robot.propose()
+    def restart() -> None:
         robot.processes.end(-11)
-        await asyncio.sleep(SOON)
-        await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        await robot.start()
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.held
-        assert not robot.files.record.held
-        task.cancel()
 
-    run_jumping(story())
+    robot.probe.on_hold = restart
+    robot.probe.delay = SOON
+    assert (await robot.propose()).votes == {"alpha": "no"}
+    assert robot.processes.started == [OLD, OLD]
 
 
-def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        robot.processes.obeys = False
-        ending = asyncio.create_task(robot.service.on_votes(ballot().id, {"bravo": "yes"}))
-        await asyncio.sleep(30.0)
-        assert robot.processes.terminated == [101]
-        assert robot.probe.held
-        robot.processes.end(0)
-        await ending
-        assert not robot.files.record.held
-
-    run_jumping(story())
+async def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -> None:
+    robot = Robot()
+    await running(robot)
+    task = asyncio.create_task(robot.service.resolve(unreachable))
+    await robot.propose()
+    robot.processes.end(-11)
+    await asyncio.sleep(SOON)
+    await robot.service.on_votes(ballot().id, {"bravo": "no"})
+    await robot.start()
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert not robot.probe.held
+    assert not robot.files.record.held
+    task.cancel()
 
 
-def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        robot.kill_service()
-        robot.files.record = ServiceRecord()
-        robot.boot_service()
-        await robot.service.settle()
-        assert not robot.probe.held
-
-    run_jumping(story())
-
-
-def test_an_activation_ends_the_host_of_another_bundle() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        await robot.service.answer(VoteReport(ballot().id, {"bravo": "yes"}), "anna")
-        assert robot.service.activation.active == NEW
-        assert robot.processes.terminated == [101]
-        assert not robot.runner.is_running
-        assert not robot.files.record.held
-        await robot.start()
-        assert robot.processes.started == [OLD, NEW]
-
-    run_jumping(story())
+async def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    robot.processes.obeys = False
+    ending = asyncio.create_task(robot.service.on_votes(ballot().id, {"bravo": "yes"}))
+    await asyncio.sleep(30.0)
+    assert robot.processes.terminated == [101]
+    assert robot.probe.held
+    robot.processes.end(0)
+    await ending
+    assert not robot.files.record.held
 
 
-def test_a_host_of_the_old_bundle_is_not_restarted_after_an_activation() -> None:
+async def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    robot.kill_service()
+    robot.files.record = ServiceRecord()
+    robot.boot_service()
+    await robot.service.settle()
+    assert not robot.probe.held
+
+
+async def test_an_activation_ends_the_host_of_another_bundle() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    await robot.service.answer(VoteReport(ballot().id, {"bravo": "yes"}), "anna")
+    assert robot.service.activation.active == NEW
+    assert robot.processes.terminated == [101]
+    assert not robot.runner.is_running
+    assert not robot.files.record.held
+    await robot.start()
+    assert robot.processes.started == [OLD, NEW]
+
+
+async def test_a_host_of_the_old_bundle_is_not_restarted_after_an_activation() -> None:
     """The service and the host were killed between the record of the result and the end of the host."""
-
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.kill_service()
-        robot.processes.end(-9)
-        robot.files.record = ServiceRecord(ActivationState(active=NEW, earlier=(OLD,)), run_of(OLD, 101))
-        robot.boot_service()
-        await asyncio.sleep(SOON)
-        assert robot.processes.started == [OLD]
-
-    run_jumping(story())
+    robot = Robot()
+    await running(robot)
+    robot.kill_service()
+    robot.processes.end(-9)
+    robot.files.record = ServiceRecord(ActivationState(active=NEW, earlier=(OLD,)), run_of(OLD, 101))
+    robot.boot_service()
+    await asyncio.sleep(SOON)
+    assert robot.processes.started == [OLD]
 
 
-def test_a_start_names_the_bundle_that_must_be_active() -> None:
-    async def story() -> None:
-        robot = Robot()
-        robot.boot_service()
-        assert (await robot.command(MissionCommand("start", NEW))).trouble
-        assert robot.processes.started == []
-        result = await robot.command(MissionCommand("start", OLD, without=["bravo"]))
-        assert (result.trouble, result.run.phase) == ("", "running")
-        assert robot.probe.without == ["bravo"]
-        robot = Robot(active=b"")
-        robot.boot_service()
-        assert (await robot.start()).trouble
-
-    run_jumping(story())
+async def test_a_start_names_the_bundle_that_must_be_active() -> None:
+    robot = Robot()
+    robot.boot_service()
+    assert (await robot.command(MissionCommand("start", NEW))).trouble
+    assert robot.processes.started == []
+    result = await robot.command(MissionCommand("start", OLD, without=["bravo"]))
+    assert (result.trouble, result.run.phase) == ("", "running")
+    assert robot.probe.without == ["bravo"]
+    robot = Robot(active=b"")
+    robot.boot_service()
+    assert (await robot.start()).trouble
 
 
-def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
-    async def story() -> None:
-        robot = Robot()
-        robot.boot_service()
-        result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
-        assert (bool(result.trouble), result.run.phase) == (True, "stopped")
-        assert robot.processes.started == []
-
-    run_jumping(story())
+async def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
+    robot = Robot()
+    robot.boot_service()
+    result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
+    assert (bool(result.trouble), result.run.phase) == (True, "stopped")
+    assert robot.processes.started == []
 
 
-def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        voting = asyncio.create_task(robot.propose())
-        stopping = asyncio.create_task(robot.command(MissionCommand("stop")))
-        await asyncio.sleep(0.05)
-        robot.processes.end(-9)
-        assert (await stopping).trouble
-        await voting
-        await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert (await robot.propose(ballot(2))).votes == {"alpha": "no"}
-        # The next one is sent by an operator who has read that.
-        answer = await robot.command(MissionCommand("stop"))
-        assert (answer.trouble, answer.checked) == ("", "killed by signal 9")
-        assert (await robot.propose(ballot(3))).votes == {"alpha": "yes"}
-
-    run_jumping(story())
+async def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
+    robot = Robot()
+    await running(robot)
+    voting = asyncio.create_task(robot.propose())
+    stopping = asyncio.create_task(robot.command(MissionCommand("stop")))
+    await asyncio.sleep(0.05)
+    robot.processes.end(-9)
+    assert (await stopping).trouble
+    await voting
+    await robot.service.on_votes(ballot().id, {"bravo": "no"})
+    assert (await robot.propose(ballot(2))).votes == {"alpha": "no"}
+    # The next one is sent by an operator who has read that.
+    answer = await robot.command(MissionCommand("stop"))
+    assert (answer.trouble, answer.checked) == ("", "killed by signal 9")
+    assert (await robot.propose(ballot(3))).votes == {"alpha": "yes"}
 
 
-def test_a_stop_with_discard_ends_what_is_parked() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.probe.waiting = [WALKER]
-        result = await robot.command(MissionCommand("stop"))
-        assert (result.run.phase, result.discarded) == ("stopped", [])
-        assert (await robot.propose()).votes == {"alpha": "no"}
-        result = await robot.command(MissionCommand("stop", discards=True))
-        assert result.discarded == ["walker"]
-        assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
-
-    run_jumping(story())
+async def test_a_stop_with_discard_ends_what_is_parked() -> None:
+    robot = Robot()
+    await running(robot)
+    robot.probe.waiting = [WALKER]
+    result = await robot.command(MissionCommand("stop"))
+    assert (result.run.phase, result.discarded) == ("stopped", [])
+    assert (await robot.propose()).votes == {"alpha": "no"}
+    result = await robot.command(MissionCommand("stop", discards=True))
+    assert result.discarded == ["walker"]
+    assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
 
 
-def test_a_service_whose_state_was_deleted_leaves_its_host_alone_and_votes_no() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        robot.kill_service()
-        robot.files.record = ServiceRecord()
-        robot.probe.motion = "its vehicles are unknown"
-        robot.boot_service()
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.processes.alive == {101: OLD}
-        answer = await robot.propose()
-        assert (answer.votes, answer.reasons) == ({"alpha": "no"}, {"alpha": "its vehicles are unknown"})
-        await robot.command(MissionCommand("stop"))
-        assert not robot.processes.alive
-        assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
-        task.cancel()
-
-    run_jumping(story())
+async def test_a_service_whose_state_was_deleted_leaves_its_host_alone_and_votes_no() -> None:
+    robot = Robot()
+    await running(robot)
+    robot.kill_service()
+    robot.files.record = ServiceRecord()
+    robot.probe.motion = "its vehicles are unknown"
+    robot.boot_service()
+    task = asyncio.create_task(robot.service.resolve(unreachable))
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert robot.processes.alive == {101: OLD}
+    answer = await robot.propose()
+    assert (answer.votes, answer.reasons) == ({"alpha": "no"}, {"alpha": "its vehicles are unknown"})
+    await robot.command(MissionCommand("stop"))
+    assert not robot.processes.alive
+    assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
+    task.cancel()

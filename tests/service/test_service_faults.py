@@ -58,151 +58,135 @@ class Bravo:
         return BallotState(query.id, None, vote if query.closes or self.state.ballot else {}, {}, "open")
 
 
-def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(3 * RESOLVE_EVERY)
-        assert robot.service.activation.open_ballot is not None
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not any(query.closes for query in bravo.queries)
-        asked = len(bravo.queries)
-        await asyncio.sleep(CLOSE_AFTER)
-        assert len(bravo.queries) == asked
-        task.cancel()
-
-    run_jumping(story())
+@pytest.fixture(scope="session")
+def runner():
+    return lambda test: run_jumping(test())
 
 
-def test_it_closes_a_ballot_after_half_a_minute() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(CLOSE_AFTER + 2 * RESOLVE_EVERY)
-        assert bravo.queries[-1].closes
-        assert robot.service.activation.open_ballot is None
-        assert robot.service.activation.active == OLD
-        assert not robot.probe.held
-        assert "service-ballot-open" in robot.codes
-        task.cancel()
-
-    run_jumping(story())
-
-
-def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        await asyncio.sleep(CLOSE_AFTER + 2 * REPORT_EVERY - 10.0)
-        assert robot.codes.count("service-ballot-open") == 2
-        await asyncio.sleep(REPORT_EVERY)
-        assert robot.codes.count("service-ballot-open") == 3
-        task.cancel()
-
-    run_jumping(story())
+async def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
+    robot, bravo = Robot(), Bravo()
+    await running(robot)
+    await robot.propose()
+    task = asyncio.create_task(robot.service.resolve(bravo.ask))
+    await asyncio.sleep(3 * RESOLVE_EVERY)
+    assert robot.service.activation.open_ballot is not None
+    bravo.state = propose(bravo.state, "bravo", ballot(), "")
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert robot.service.activation.active == NEW
+    assert not any(query.closes for query in bravo.queries)
+    asked = len(bravo.queries)
+    await asyncio.sleep(CLOSE_AFTER)
+    assert len(bravo.queries) == asked
+    task.cancel()
 
 
-def test_a_service_that_was_restarted_still_asks() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        robot.kill_service()
-        robot.boot_service()
-        await robot.service.settle()
-        assert robot.probe.held
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not robot.runner.is_running
-        task.cancel()
+async def test_it_closes_a_ballot_after_half_a_minute() -> None:
+    robot, bravo = Robot(), Bravo()
+    await running(robot)
+    await robot.propose()
+    task = asyncio.create_task(robot.service.resolve(bravo.ask))
+    await asyncio.sleep(CLOSE_AFTER + 2 * RESOLVE_EVERY)
+    assert bravo.queries[-1].closes
+    assert robot.service.activation.open_ballot is None
+    assert robot.service.activation.active == OLD
+    assert not robot.probe.held
+    assert "service-ballot-open" in robot.codes
+    task.cancel()
 
-    run_jumping(story())
+
+async def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
+    robot = Robot()
+    await running(robot)
+    await robot.propose()
+    task = asyncio.create_task(robot.service.resolve(unreachable))
+    await asyncio.sleep(CLOSE_AFTER + 2 * REPORT_EVERY - 10.0)
+    assert robot.codes.count("service-ballot-open") == 2
+    await asyncio.sleep(REPORT_EVERY)
+    assert robot.codes.count("service-ballot-open") == 3
+    task.cancel()
+
+
+async def test_a_service_that_was_restarted_still_asks() -> None:
+    robot, bravo = Robot(), Bravo()
+    await running(robot)
+    await robot.propose()
+    robot.kill_service()
+    robot.boot_service()
+    await robot.service.settle()
+    assert robot.probe.held
+    bravo.state = propose(bravo.state, "bravo", ballot(), "")
+    task = asyncio.create_task(robot.service.resolve(bravo.ask))
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert robot.service.activation.active == NEW
+    assert not robot.runner.is_running
+    task.cancel()
 
 
 # --- full disks ----------------------------------------------------------------------------------------
 
 
-def test_a_full_disk_before_the_vote_changes_nothing() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        before = robot.files.record
-        robot.files.is_full = True
-        with pytest.raises(OutputFileError):
-            await robot.propose()
-        assert robot.files.record == before
-        assert robot.service.activation == before.activation
-        assert not robot.probe.held
-        assert (await robot.query(ballot().id)).votes == {}
-        with pytest.raises(OutputFileError):
-            await robot.query(ballot().id, closes=True)
-        assert (await robot.query(ballot().id)).votes == {}
-        # It is shown until there is room again.
-        for _ in range(2):
-            assert "No space left on device" in (await robot.status()).refusal
-        assert robot.codes.count("service-state-error") == 1
-        robot.files.is_full = False
-        assert (await robot.status()).refusal == ""
-        assert (await robot.propose()).votes == {"alpha": "yes"}
-
-    run_jumping(story())
-
-
-def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-
-        def fill() -> None:
-            robot.files.is_full = True
-
-        robot.probe.on_hold = fill
-        with pytest.raises(OutputFileError):
-            await robot.propose()
-        assert (await robot.query(ballot().id)).votes == {}
-        assert not robot.probe.held
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        robot.files.is_full = False
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.files.record.held
-        assert not task.done()
-        task.cancel()
-
-    run_jumping(story())
-
-
-def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
+async def test_a_full_disk_before_the_vote_changes_nothing() -> None:
+    robot = Robot()
+    await running(robot)
+    before = robot.files.record
+    robot.files.is_full = True
+    with pytest.raises(OutputFileError):
         await robot.propose()
-        robot.files.is_full = True
-        with pytest.raises(OutputFileError):
-            await robot.service.answer(VoteReport(ballot().id, YES), "anna")
-        assert robot.service.activation.open_ballot is not None
-        assert robot.probe.held
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.open_ballot is not None
-        robot.files.is_full = False
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not robot.runner.is_running
-        task.cancel()
+    assert robot.files.record == before
+    assert robot.service.activation == before.activation
+    assert not robot.probe.held
+    assert (await robot.query(ballot().id)).votes == {}
+    with pytest.raises(OutputFileError):
+        await robot.query(ballot().id, closes=True)
+    assert (await robot.query(ballot().id)).votes == {}
+    # It is shown until there is room again.
+    for _ in range(2):
+        assert "No space left on device" in (await robot.status()).refusal
+    assert robot.codes.count("service-state-error") == 1
+    robot.files.is_full = False
+    assert (await robot.status()).refusal == ""
+    assert (await robot.propose()).votes == {"alpha": "yes"}
 
-    run_jumping(story())
+
+async def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
+    robot = Robot()
+    await running(robot)
+
+    def fill() -> None:
+        robot.files.is_full = True
+
+    robot.probe.on_hold = fill
+    with pytest.raises(OutputFileError):
+        await robot.propose()
+    assert (await robot.query(ballot().id)).votes == {}
+    assert not robot.probe.held
+    task = asyncio.create_task(robot.service.resolve(unreachable))
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    robot.files.is_full = False
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert not robot.files.record.held
+    assert not task.done()
+    task.cancel()
+
+
+async def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
+    robot, bravo = Robot(), Bravo()
+    await running(robot)
+    await robot.propose()
+    robot.files.is_full = True
+    with pytest.raises(OutputFileError):
+        await robot.service.answer(VoteReport(ballot().id, YES), "anna")
+    assert robot.service.activation.open_ballot is not None
+    assert robot.probe.held
+    task = asyncio.create_task(robot.service.resolve(bravo.ask))
+    bravo.state = propose(bravo.state, "bravo", ballot(), "")
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert robot.service.activation.open_ballot is not None
+    robot.files.is_full = False
+    await asyncio.sleep(2 * RESOLVE_EVERY)
+    assert robot.service.activation.active == NEW
+    assert not robot.runner.is_running
+    task.cancel()
 
 
 # --- kills ---------------------------------------------------------------------------------------------
@@ -270,16 +254,13 @@ def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates
     run_jumping(story())
 
 
-def test_the_record_of_a_process_identifies_it_also_after_its_number_was_used_again() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        assert not robot.processes.is_alive(ProcessId(101, 1))
-        robot.kill_service()
-        robot.files.record = ServiceRecord(ActivationState(active=OLD), run_of(OLD, 101))
-        robot.processes.end(0)
-        robot.boot_service()
-        await asyncio.sleep(SOON)
-        assert not robot.runner.is_running
-
-    run_jumping(story())
+async def test_the_record_of_a_process_identifies_it_also_after_its_number_was_used_again() -> None:
+    robot = Robot()
+    await running(robot)
+    assert not robot.processes.is_alive(ProcessId(101, 1))
+    robot.kill_service()
+    robot.files.record = ServiceRecord(ActivationState(active=OLD), run_of(OLD, 101))
+    robot.processes.end(0)
+    robot.boot_service()
+    await asyncio.sleep(SOON)
+    assert not robot.runner.is_running

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import OrderedDict
 from pathlib import Path
 
 import pytest
 from _pytest.python import CallSpec
+from coroutine_tests import on_bench
 from parametrized_cases import failures_of, sample
 
 
@@ -101,3 +103,42 @@ def test_the_time_limit_ends_merged_cases():
     with pytest.raises(pytest.fail.Exception, match="Timeout"):
         failures_of(cases(kinds=2, seeds=1), check, {})
     assert seen == [0]
+
+
+class Bench:
+    """Runs a scenario with the name of a device."""
+
+    def __init__(self, *given, **options):
+        self.given, self.options = given, options
+
+    def run(self, scenario, *, opened):
+        asyncio.run(scenario("fc", opened))
+
+
+@pytest.fixture
+def bench():
+    return Bench
+
+
+@pytest.mark.parametrize("speed", [1, 2])
+@on_bench("bench", 7, given="speed", opened=False, kind="rover")
+async def test_a_test_on_a_bench_gets_bench_and_devices(b, device, opened, /, speed, tmp_path):
+    assert (b.given, b.options) == ((7,), {"kind": "rover", "speed": speed})
+    assert (device, opened, tmp_path.is_dir()) == ("fc", False, True)
+
+
+def test_a_test_on_a_bench_that_fails_fails():
+    @on_bench(Bench)
+    async def test(b, device, opened, /):
+        await asyncio.sleep(0)
+        assert device != "fc"
+
+    with pytest.raises(AssertionError):
+        test()
+
+
+@pytest.mark.xfail(raises=(ZeroDivisionError, BaseExceptionGroup), strict=True)
+@pytest.mark.parametrize("divisor", [0, -0])
+async def test_a_coroutine_function_is_run_for_each_of_its_cases(divisor):
+    await asyncio.sleep(0)
+    assert 1 / divisor

@@ -36,7 +36,6 @@ SMALL = {
     "lfield/net/coding/link_compression.py": "two streams of zlib",
     "lfield/inventory/location.py": "which inventory counts, without YAML",
     "lfield/service/messages.py": "the log lines of the service",
-    "lfield/service/service_interfaces.py": "what surrounds the service, as types",
     "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
     "drivers/lfield_can/log_messages.py": "the log lines of a driver",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import secrets
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -127,13 +128,14 @@ def _start(
 ) -> int:
     """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
     from lfield.cli.fleet.status_view import differing_versions
+    from lfield.operator.fleet.activation import ID_SIZE
     from lfield.operator.fleet.active_missions import idle_coordinators, idle_text, is_idle
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
     if versions := differing_versions(before):
         print(versions, file=sys.stderr)
     hosts, continues, digest = list(before), _suspended(before), mission.digest
-    order = MissionCommand("start", digest, without=without)
+    order = MissionCommand("start", digest, without=without, order=secrets.token_bytes(ID_SIZE))
     results, failed = split_answers(desk.command(hosts, order, CommandResult, START_TIMEOUT))
     report_unreached(failed, ", its start is not confirmed")
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
@@ -148,7 +150,9 @@ def _start(
         for agent in continues:
             print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
     if failed or (waits := _waits(statuses)):
-        text = "the mission does not run on all hosts yet: 'lfield status' shows it"
+        is_over = any(one.run.has_completed for one in statuses.values())
+        what = "has ended with a failure" if is_over else "does not run on all hosts yet"
+        text = f"the mission {what}: 'lfield status' shows it"
         return _report(args, _waits(statuses), failed, text, continues)
     waits = {one.host: idle_text(idle, one.host) for one in idle}
     bundle = short_digest(digest)
@@ -172,8 +176,9 @@ def _wait_until_up(
     """
     end = time.monotonic() + SETTLE_TIMEOUT
     up_since: float | None = None
-    #: When hosts have failed.
+    #: When hosts have failed, and since when one has ended for good.
     failures: set[tuple[str, float]] = set()
+    gone_since: float | None = None
     while True:
         statuses, failed = split_answers(desk.statuses(hosts))
         now, waits = time.monotonic(), _waits(statuses)
@@ -187,7 +192,10 @@ def _wait_until_up(
         most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
         # A host whose mission has ended in order does not mean that others will not come up.
         gone = [host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")]
-        if now > end or gone or most >= MAX_FAILURES:
+        gone_since = gone_since or now if gone else None
+        # The others may be in the middle of their start, or end too.
+        is_stable = gone_since is not None and (len(gone) == len(waits) or now - gone_since >= STEADY)
+        if now > end or is_stable or most >= MAX_FAILURES:
             return statuses, failed
         time.sleep(POLL_INTERVAL)
 

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from lfield.operator.fleet.service_link import ServiceLinks
     from lfield.wire.service_messages import ServiceStatus
 
-#: Default of --patience (s), and seconds in which a host must answer first.
-PATIENCE, FIRST_CONTACT = 60.0, 15.0
+#: Default of --patience (s), seconds in which a host must answer first, and in which its service must listen.
+PATIENCE, FIRST_CONTACT, FIRST_LISTENER = 60.0, 15.0, 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,7 +93,7 @@ async def _push(
     links = desk.links(hosts)
     try:
         # A host that is off is not waited for, but named.
-        statuses, silent = split_answers(await current_statuses(links))
+        statuses, silent = split_answers(await service_states(links))
         sent, failed = split_answers(await _upload_all(links, what, list(statuses), args.patience, report))
         failed |= silent
         report.on_sent(sent, what.size)
@@ -115,16 +115,13 @@ async def _push(
         links.close()
 
 
-async def current_statuses(
-    links: ServiceLinks, hosts: list[str] | None = None
+async def service_states(
+    links: ServiceLinks, hosts: list[str] | None = None, *, restart: float = FIRST_LISTENER
 ) -> dict[str, ServiceStatus | LfieldError]:
-    """The states of services before a vote, which waits for those that are restarting."""
-    from lfield.operator.fleet.service_link import RESTART_TIME
+    """The states of services. One that does not listen is asked again for `restart` seconds."""
     from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
-    return await ask_all_services(
-        links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts, restart=RESTART_TIME
-    )
+    return await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts, restart=restart)
 
 
 async def vote(
@@ -139,13 +136,15 @@ async def vote(
     `statuses` are those of a moment ago.
     """
     from lfield.operator.fleet.activation import activate, new_ballot
+    from lfield.operator.fleet.service_link import RESTART_TIME
 
     hosts = list(statuses)
     if all(status.active == digest for status in statuses.values()):
         report.finish("activated", {}, f"already active on {listed(hosts)}")
         return exit_status.DONE
     # A vote holds the missions of all hosts: not for one that a host would refuse.
-    now, silent = split_answers(await current_statuses(links, hosts))
+    # All have answered before, so one that does not listen is restarting.
+    now, silent = split_answers(await service_states(links, hosts, restart=RESTART_TIME))
     reasons = {host: one.refusal for host, one in now.items() if one.refusal and one.active != digest}
     if silent or reasons:
         report_unreached(silent, "")

@@ -58,16 +58,16 @@ def run(args: argparse.Namespace) -> int:
 
 async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:
     from lfield.cli.fleet.ballot_report import PushReport
-    from lfield.cli.fleet.push import current_statuses, vote
+    from lfield.cli.fleet.push import service_states, vote
     from lfield.operator.fleet.active_missions import bundle_info
 
     links = desk.links(hosts)
     try:
-        statuses, silent = split_answers(await current_statuses(links))
+        statuses, silent = split_answers(await service_states(links))
         # Only the mission that is active counts, not every robot of the inventory.
         now = _hosts_of_mission(statuses, silent, args.without)
         failed = {host: error for host, error in silent.items() if host in now}
-        digest = b"" if failed else _common_previous({host: statuses[host] for host in now})
+        digest = b"" if failed else _common_previous(statuses, now, args.without)
         info = bundle_info(statuses, digest) if digest else None
         # A host that only the previous mission has takes part in the vote.
         then = [host for host in (info.hosts if info else now) if host not in args.without]
@@ -98,16 +98,37 @@ def _hosts_of_mission(
     return [*(host for host, status in statuses.items() if status.active or status.previous), *silent]
 
 
-def _common_previous(statuses: Mapping[str, ServiceStatus]) -> bytes:
-    """The previous bundle of all hosts. Raises UsageError where they differ."""
-    found = {host: status.previous for host, status in statuses.items()}
+def _common_previous(
+    statuses: Mapping[str, ServiceStatus], hosts: Sequence[str], without: Sequence[str]
+) -> bytes:
+    """The previous bundle of all these hosts. Raises UsageError where they differ."""
+    found = {host: statuses[host].previous for host in hosts}
     if len(set(found.values())) > 1:
-        each = listed([f"{host}: {short_digest(digest) or 'none'}" for host, digest in found.items()])
-        raise UsageError(f"the previous bundles differ ({each}): push the bundle that all should have")
+        each = [_way_back(digest, found, statuses, without) for digest in dict.fromkeys(found.values())]
+        raise UsageError(f"nothing was changed: the previous bundles differ: {'; '.join(each)}")
     digest = next(iter(found.values()), b"")
     if not digest:
         raise UsageError("no host has had another bundle: there is nothing to go back to")
     return digest
+
+
+def _way_back(
+    digest: bytes, found: Mapping[str, bytes], statuses: Mapping[str, ServiceStatus], without: Sequence[str]
+) -> str:
+    """To which of the previous bundles some hosts would return, and by which command."""
+    from lfield.operator.fleet.active_missions import bundle_info
+
+    own = [host for host, previous in found.items() if previous == digest]
+    if not digest:
+        return f"{listed(own)}: no other bundle was active there"
+    others, info = [host for host in found if host not in own], bundle_info(statuses, digest)
+    name = f"{info.name}, " if info is not None else ""
+    options = "".join(f" --without {host}" for host in (*without, *others))
+    command = f"'lfield rollback{options}'"
+    if info is not None and (left := [host for host in others if host in info.hosts]):
+        # Without them the mission would not be complete.
+        command = f"'lfield push' activates it there and on {listed(left)}"
+    return f"{listed(own)}: {name}bundle {short_digest(digest)}: {command}"
 
 
 def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:

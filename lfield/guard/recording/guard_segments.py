@@ -19,7 +19,8 @@ from lfield.guard.recording.guard_records import (
 from lfield.guard.recording.guard_rings import RECORDS
 from lfield.manifest import DeviceValue
 from lfield.recording.folders import guard_folders, segments_of
-from lfield.recording.segments import SegmentEnd, SegmentReader, format_problem
+from lfield.recording.segments import SegmentEnd, SegmentReader
+from lfield.text.input_files import error_reason
 
 #: Why a file without a record is of no use.
 NO_RECORD = "it has no record"
@@ -86,13 +87,13 @@ def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
 def read_segment(path: Path) -> GuardSegment:
     """One file. Raises RecordingError for one that is no segment, or of another format."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as stream:
+            reader = SegmentReader(stream)
+            if reader.problem:
+                raise RecordingError(reader.problem)
+            records = [_decoded(record) for record in reader]
     except OSError as error:
-        raise RecordingError(f"it cannot be read: {error.strerror or error}") from None
-    if problem := format_problem(data):
-        raise RecordingError(problem)
-    reader = SegmentReader(data)
-    records = [_decoded(record) for record in reader]
+        raise RecordingError(f"it cannot be read: {error_reason(error)}") from None
     start = records[0] if records else None
     if start is not None and not isinstance(start, SegmentStart):
         raise RecordingError("it is not the recording of a guard")

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from lfield import exit_status
 from lfield.wire.service_messages import BundleInfo, ServiceStatus
 
 
@@ -69,13 +68,14 @@ def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
     """The hosts of a mission with different active bundles, in order; none if all missions are complete.
 
     A host that only has a bundle of an earlier mission, whose other hosts have a newer mission now, is not
-    one of them.
+    one of them, unless it runs that mission.
     """
     complete = {host for mission in active_missions(statuses) for host in mission.hosts}
     left = {host: status for host, status in statuses.items() if host not in complete}
     found: set[str] = set()
     for status in left.values():
-        hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in left}
+        known = statuses if status.run.phase == "running" else left
+        hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in known}
         found |= hosts if len(hosts) > 1 else set()
     return [host for host in statuses if host in found]
 
@@ -111,7 +111,7 @@ def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -
     """
     known = [statuses[host] for host in mission.hosts if host in statuses]
     runs = any(one.state in _RUNNING for status in known for one in status.unfinished)
-    if runs or not any(_has_completed(one) for one in known):
+    if runs or not any(one.run.has_completed for one in known):
         return []
     return [one.host for one in known if one.run.phase == "running" and not one.run.reason]
 
@@ -124,11 +124,6 @@ def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
 def idle_text(idle: Collection[IdleCoordinator], host: str) -> str:
     """The reasons of the idle coordinators of a host."""
     return "; ".join(one.reason for one in idle if one.host == host)
-
-
-def _has_completed(status: ServiceStatus) -> bool:
-    """Whether the mission has ended on a host, by a result of the whole mission."""
-    return status.run.phase == "ended" and status.run.status in (exit_status.DONE, exit_status.FAILED)
 
 
 def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:

@@ -224,8 +224,10 @@ class Debugger:
     def search(self, target: Target, *, backward: bool = False) -> bool:
         """Move to the next or last moment that meets a target, and follow the thread that runs there."""
         found = self.team.find(target, self.place, backward=backward)
-        if found is None:
-            return False
+        return found is not None and self._arrive(found, target)
+
+    def _arrive(self, found: Place, target: Target) -> bool:
+        """Move to what a search has found, and follow the thread that runs there."""
         self.go_to(found)
         if self.moment.running is not None:
             self.focus = display_key(self.moment, self.moment.running)
@@ -250,13 +252,20 @@ class Debugger:
         return self.search(self._step(None, by_line=False), backward=backward)
 
     def step_line(self, *, backward: bool = False) -> bool:
-        """To another line of the followed thread, into calls and portals."""
-        return self.search(self._step(None, by_line=True), backward=backward)
+        """To another line of the followed thread, into calls and portals; backward to its beginning."""
+        return self._step_by_line(None, backward=backward)
 
     def step_over(self, *, backward: bool = False) -> bool:
-        """To another line in this frame or a calling one."""
+        """To another line in this frame or a calling one; backward to its beginning."""
         top = self._top
-        return self.search(self._step(top.depth if top else None, by_line=True), backward=backward)
+        return self._step_by_line(top.depth if top else None, backward=backward)
+
+    def _step_by_line(self, deepest: int | None, *, backward: bool) -> bool:
+        step = self._step(deepest, by_line=True)
+        if not backward or not isinstance(step, StepTarget):
+            return self.search(step, backward=backward)
+        found = self.team.find_line_start(step, self.place)
+        return found is not None and self._arrive(found, step)
 
     def step_out(self, *, backward: bool = False) -> bool:
         """To a statement of the calling frame: backward to that of the call."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from lfield.bytecode.program import DEVICE
 from lfield.errors import UsageError
@@ -22,13 +22,17 @@ from lfield.replay.debugger.frames import reader_of
 from lfield.replay.debugger.moment import Moment
 from lfield.replay.debugger.value_tree import ValueReader, Variable
 from lfield.text.source_text import Diagnostics, Source
+from lfield.vm.engine_interface import Trap
+from lfield.vm.reference.arithmetic import INT, REAL
 
-_OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "%": operator.mod,
+_ARITHMETIC: Mapping[str, tuple[Callable[[Any, Any], object], Callable[[Any, Any], object]]] = {
+    "+": (operator.add, operator.add),
+    "-": (operator.sub, operator.sub),
+    "*": (operator.mul, operator.mul),
+    "/": (INT["divi"], REAL["divf"]),
+    "%": (INT["mod"], REAL["modf"]),
+}
+_COMPARISONS: Mapping[str, Callable[[Any, Any], object]] = {
     "<": operator.lt,
     "<=": operator.le,
     ">": operator.gt,
@@ -36,8 +40,6 @@ _OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
-
-
 #: Operators whose results are true or false.
 _CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
 #: What an expression without a value has; null is a value. AWAY: its coordinator is on another host.
@@ -175,15 +177,17 @@ def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
         case syntax.Literal_(value=value):
             return value
         case syntax.Unary(operator="!"):
-            return not _plain(tree.operand, scope)
+            return not _truth(tree.operand, scope)
         case syntax.Unary(operator="-"):
-            return _number(tree.operand, scope) * -1
+            return _computed("*", -1, _plain(tree.operand, scope))
         case syntax.Binary(operator="&&"):
-            return bool(_plain(tree.left, scope)) and bool(_plain(tree.right, scope))
+            return _truth(tree.left, scope) and _truth(tree.right, scope)
         case syntax.Binary(operator="||"):
-            return bool(_plain(tree.left, scope)) or bool(_plain(tree.right, scope))
-        case syntax.Binary() if tree.operator in _OPERATORS:
-            return _binary(tree, scope)
+            return _truth(tree.left, scope) or _truth(tree.right, scope)
+        case syntax.Binary(operator=sign) if sign in _ARITHMETIC:
+            return _computed(sign, _plain(tree.left, scope), _plain(tree.right, scope))
+        case syntax.Binary(operator=sign) if sign in _COMPARISONS:
+            return _compared(sign, _plain(tree.left, scope), _plain(tree.right, scope))
         case syntax.Member(name="length") if (found := _variable(tree.object, scope)) is not None:
             return _length(found, scope)
         case syntax.Name() | syntax.Member() | syntax.Index() | syntax.This():
@@ -194,16 +198,40 @@ def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
     raise ValueUnknown("it has a part that is not evaluated here")
 
 
-def _binary(tree: syntax.Binary, scope: WatchScope) -> object:
-    left, right = _plain(tree.left, scope), _plain(tree.right, scope)
+def _truth(tree: syntax.Expr, scope: WatchScope) -> bool:
+    value = _plain(tree, scope)
+    if not isinstance(value, bool):
+        raise ValueUnknown("it is not true or false")
+    return value
+
+
+def _computed(sign: str, left: object, right: object) -> object:
+    """The result of arithmetic, as the program computes it."""
+    if sign == "+" and isinstance(left, str) and isinstance(right, str):
+        return left + right
+    if not (_is_number(left) and _is_number(right)):
+        raise ValueUnknown(f"{sign} is for numbers of the program")
+    of_ints, of_reals = _ARITHMETIC[sign]
+    is_int = isinstance(left, int) and isinstance(right, int)
     try:
-        value = _OPERATORS[tree.operator](left, right)
-    except ZeroDivisionError:
+        value = (of_ints if is_int else of_reals)(left, right)
+    except (ZeroDivisionError, Trap):
         raise ValueUnknown("division by zero") from None
-    except TypeError:
-        raise ValueUnknown(f"the sides of {tree.operator} are of different types") from None
-    whole = tree.operator == "/" and type(left) is int and type(right) is int
-    return int(value) if whole and isinstance(value, float) else value
+    if is_int and not -(1 << 63) <= cast(int, value) < 1 << 63:
+        raise ValueUnknown("it has more than 64 bits")
+    return value
+
+
+def _compared(sign: str, left: object, right: object) -> object:
+    is_same_type = type(left) is type(right) and (sign in ("==", "!=") or isinstance(left, str))
+    is_with_null = sign in ("==", "!=") and (left is None or right is None)
+    if not (is_same_type or is_with_null or (_is_number(left) and _is_number(right))):
+        raise ValueUnknown(f"the sides of {sign} are of different types")
+    return _COMPARISONS[sign](left, right)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _length(owner: FoundValue, scope: WatchScope) -> object:
@@ -213,13 +241,6 @@ def _length(owner: FoundValue, scope: WatchScope) -> object:
     if (found := scope.part(owner, "length")) is None:
         raise ValueUnknown("it has no length")
     return scope.plain(found)
-
-
-def _number(tree: syntax.Expr, scope: WatchScope) -> float:
-    value = _plain(tree, scope)
-    if not isinstance(value, int | float):
-        raise ValueUnknown("it is not a number")
-    return value
 
 
 def _variable(tree: syntax.Expr, scope: WatchScope) -> FoundValue | None:

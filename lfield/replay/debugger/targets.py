@@ -49,6 +49,16 @@ class StepTarget:
             return False
         return self._other_than is None or moment.depth != self._depth or moment.line != self._other_than
 
+    def moved_to(self, moment: Moment) -> StepTarget:
+        """The same kind of step from a statement that has met this one."""
+        assert moment.running is not None
+        deepest = None if self._deepest is None else moment.depth
+        return StepTarget(moment.running, moment.depth, deepest, moment.line)
+
+    def to_any_line(self) -> StepTarget:
+        """The step to the next statement of the same thread, in the same frames."""
+        return StepTarget(self._key, self._depth, self._deepest)
+
 
 class StatementTarget:
     """The next statement of any thread, or only of those of a logical thread, or of coordinators."""

@@ -20,7 +20,7 @@ from lfield.mission.mission import Mission
 from lfield.replay.debugger.host_timeline import HostTimeline, Step
 from lfield.replay.debugger.moment import Moment, Target
 from lfield.replay.debugger.statement_table import StatementTable
-from lfield.replay.debugger.targets import is_of_readings
+from lfield.replay.debugger.targets import StepTarget, is_of_readings
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.team_order import TeamOrder, TransferKey
 
@@ -153,6 +153,21 @@ class TeamTimeline:
                 return found
             length = min(2.0 * length, LONGEST_INTERVAL)
         return None
+
+    def find_line_start(self, step: StepTarget, place: Place) -> Place | None:
+        """The beginning of the line that a thread was on before a position; None at its first line.
+
+        There a step forward stops. From within a line it is the beginning of that line. `step` is the step to
+        another line.
+        """
+        before = self.find(step, place, backward=True)
+        start = self.find(step.to_any_line(), self.start if before is None else before)
+        if start is not None and self.order_of(start) < self.order_of(place):
+            return start
+        if before is None:
+            return None
+        step = step.moved_to(self.moment_at(before)[0])
+        return self.find(step.to_any_line(), self.find(step, before, backward=True) or self.start)
 
     def _busy_from(self, at: float) -> float:
         """The time of the first turn that is not earlier than a time: clocks that are off leave long gaps."""

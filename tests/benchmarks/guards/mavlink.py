@@ -7,9 +7,8 @@ import asyncio
 import time
 from pathlib import Path
 
-from guards.copters import fake_copters
-from guards.telemetry import asking
-from harness.checkout import Checkout
+from guards.copters import bindings, fake_copters
+from harness.checkout import Checkout, paced_mission
 from harness.figure import Figure
 from harness.paced import Paced, Round
 from harness.processes import Processes
@@ -28,13 +27,20 @@ RAW = str(Path(__file__).with_name("mavlink_raw.py"))
 def pymavlink(checkout: Checkout, processes: Processes) -> Contender:
     """mavlink_raw.py."""
     port = fake_copters(checkout, processes)
-    return Paced([checkout.run(processes, RAW, "command", port, str(COMMANDS))])
+    return Paced([checkout.run(processes, RAW, port, str(COMMANDS))])
 
 
 def driver(checkout: Checkout, processes: Processes) -> Contender:
     """The driver in this process, without a guard."""
     port = fake_copters(checkout, processes)
     return lambda: event_loop.run(_driver_commands(port))
+
+
+def whole(checkout: Checkout, processes: Processes) -> Contender:
+    """The pilot of device.L, with a fake copter behind its guard."""
+    devices = bindings([(fake_copters(checkout, processes), 1)])
+    program = Path(__file__).with_name("device.L")
+    return paced_mission(checkout, processes, program, [f"//Pilot:v0@here?{COMMANDS}"], devices)
 
 
 async def _driver_commands(port: str) -> Round:
@@ -63,7 +69,7 @@ async def _driver_commands(port: str) -> Round:
 
 FIGURE = Figure(
     "A MAVLink command; ratio to pymavlink's mavutil",
-    {"pymavlink": pymavlink, "the driver alone": driver, "L, host and guard": asking(COMMANDS, 0)},
+    {"pymavlink": pymavlink, "the driver alone": driver, "L, host and guard": whole},
     base=("pymavlink",),
     one_size="one command",
     targets={"the driver alone": "1.11x"},

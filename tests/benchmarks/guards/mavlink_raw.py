@@ -1,7 +1,6 @@
-"""pymavlink's own connection, as its examples use it: the other side of the figures `mavlink` and `streams`.
+"""pymavlink's own connection, as its examples use it: the other side of the figure `mavlink`.
 
-python mavlink_raw.py listen PORT RATE SECONDS SYSTEM...   how much of a processor a stream of telemetry takes
-python mavlink_raw.py command PORT COUNT                   rounds of the seconds of each command, for ever
+python mavlink_raw.py PORT COUNT   rounds of the seconds of each command, for ever
 """
 
 from __future__ import annotations
@@ -14,9 +13,6 @@ from typing import Any
 os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil  # it chooses its dialect by the environment when it is imported
 
-#: Ten messages of telemetry.
-STREAMS = ("33", "32", "30", "31", "1", "147", "24", "74", "245", "242")
-
 
 def connect(port: str) -> Any:
     """A ground station that the fake answers."""
@@ -24,21 +20,6 @@ def connect(port: str) -> Any:
     link.mav.heartbeat_send(6, 8, 0, 0, 4)
     link.recv_match(type="HEARTBEAT", blocking=True, timeout=10)
     return link
-
-
-def listen(port: str, rate: str, seconds: str, *systems: str) -> None:
-    """Ask every vehicle for so many messages a second in all, then listen."""
-    link = connect(port)
-    interval = 1e6 * len(STREAMS) / float(rate)
-    for system in systems:
-        for stream in STREAMS:
-            link.mav.command_long_send(int(system), 1, 511, 0, int(stream), interval, 0, 0, 0, 0, 0)
-    start, cpu = time.monotonic(), time.process_time()
-    while time.monotonic() < start + float(seconds):
-        link.recv_match(blocking=True, timeout=0.5)
-    print(
-        f"processor = {100 * (time.process_time() - cpu) / (time.monotonic() - start):.6f}\nend", flush=True
-    )
 
 
 def command(port: str, count: str) -> None:
@@ -61,4 +42,4 @@ def command(port: str, count: str) -> None:
 
 
 if __name__ == "__main__":
-    {"listen": listen, "command": command}[sys.argv[1]](*sys.argv[2:])
+    command(*sys.argv[1:])

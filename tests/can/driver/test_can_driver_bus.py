@@ -250,18 +250,15 @@ def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
     )
 )
 def test_no_bytes_break_the_client(pieces):
-    async def story():
-        frames = []
-        client = Socketcand(Listener(frames.append, lambda identifier, data: None, pytest.fail))
-        client._answers = None
-        for piece in pieces:
-            client.data_received(piece)
-            assert len(client._unread) <= socketcand.LONGEST
-        client.data_received(b"><frame 123 0.0 01>")
-        assert frames[-1] == Frame(0x123, b"\1")
-        assert all(frame.id < 1 << 29 and len(frame.data) <= 8 for frame in frames)
-
-    asyncio.run(story())
+    frames = []
+    client = Socketcand(Listener(frames.append, lambda identifier, data: None, pytest.fail))
+    client._answers = None
+    for piece in pieces:
+        client.data_received(piece)
+        assert len(client._unread) <= socketcand.LONGEST
+    client.data_received(b"><frame 123 0.0 01>")
+    assert frames[-1] == Frame(0x123, b"\1")
+    assert all(frame.id < 1 << 29 and len(frame.data) <= 8 for frame in frames)
 
 
 def test_frames_are_sent_in_the_words_of_the_protocol(server):

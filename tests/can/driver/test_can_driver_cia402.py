@@ -7,6 +7,7 @@ import math
 
 import pytest
 from can_local_drive import LocalDrive
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 
@@ -34,17 +35,13 @@ def rig(bench, binding, bus):
     return make
 
 
-def test_a_drive_is_identified_set_up_and_moves(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("moveTo", [2.0, 10.0])
-        assert b.values["position"] == pytest.approx(2.0, abs=0.01)
-        assert b.drive.position == pytest.approx(2.0 / math.tau * 10_000, abs=20)
-        await axis.execute("disable", [])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_drive_is_identified_set_up_and_moves(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("moveTo", [2.0, 10.0])
+    assert b.values["position"] == pytest.approx(2.0, abs=0.01)
+    assert b.drive.position == pytest.approx(2.0 / math.tau * 10_000, abs=20)
+    await axis.execute("disable", [])
     assert b.drive.get(0x1017) == 100
     assert b.drive.get(0x607F) == round(20.0 / math.tau * 10_000)
     assert b.values["enabled"] is False
@@ -53,35 +50,27 @@ def test_a_drive_is_identified_set_up_and_moves(rig):
     assert any("does not tell current" in note for note in b.notes)
 
 
-def test_who_it_is(rig):
-    b = rig()
-
-    async def mission(axis):
-        return await axis.open(), await axis.serial()
-
+@on_bench("rig", opened=False)
+async def test_who_it_is(b, axis, /):
     identity = "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
-    assert b.run(mission, opened=False) == (identity, "serial number 4711")
+    assert (await axis.open(), await axis.serial()) == (identity, "serial number 4711")
 
 
-def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):
-    b = rig(ttl=0.1)
-
-    async def mission(axis):
-        assert b.drive.get(0x1016, 1) == 127 << 16 | 200
-        assert b.drive.get(0x6007) == 3
-        await asyncio.sleep(0.5)
-        gaps = [later - sooner for sooner, later in zip(b.drive.beats, b.drive.beats[1:], strict=False)]
-        assert max(gaps) < 0.2
-        b.driver.quiet()
-        sent = len(b.drive.beats)
-        await asyncio.sleep(0.3)
-        assert len(b.drive.beats) <= sent + 1
-        b.driver.resume()
-        # The first at once: its watchdog may be about to run out.
-        assert b.bus.sent[-1].id == 0x77F
-        await b.until(lambda: len(b.drive.beats) > sent + 2)
-
-    b.run(mission)
+@on_bench("rig", ttl=0.1)
+async def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(b, axis, /):
+    assert b.drive.get(0x1016, 1) == 127 << 16 | 200
+    assert b.drive.get(0x6007) == 3
+    await asyncio.sleep(0.5)
+    gaps = [later - sooner for sooner, later in zip(b.drive.beats, b.drive.beats[1:], strict=False)]
+    assert max(gaps) < 0.2
+    b.driver.quiet()
+    sent = len(b.drive.beats)
+    await asyncio.sleep(0.3)
+    assert len(b.drive.beats) <= sent + 1
+    b.driver.resume()
+    # The first at once: its watchdog may be about to run out.
+    assert b.bus.sent[-1].id == 0x77F
+    await b.until(lambda: len(b.drive.beats) > sent + 2)
 
 
 @pytest.mark.parametrize("absent", [0x6007, 0x1016])
@@ -93,23 +82,19 @@ def test_a_drive_without_a_watchdog_needs_a_waiver(rig, absent):
     rig(LocalDrive(without={absent})).run(mission, opened=False)
 
 
-def test_setpoints_are_sent_once(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [3.0])
-        await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
-        sent = [frame for frame in b.bus.sent if frame.id == 0x405]
-        await asyncio.sleep(0.3)
-        assert [frame for frame in b.bus.sent if frame.id == 0x405] == sent
-        assert len(sent) == 1
-        await axis.execute("setPosition", [axis.protocol.state.position])
-        await axis.execute("setTorque", [0.1])
-        assert b.drive.get(0x6061) == 4
-        assert b.drive.get(0x6071) == 200  # thousandths of 0.5 N m
-
-    b.run(mission)
+@on_bench("rig")
+async def test_setpoints_are_sent_once(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [3.0])
+    await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
+    sent = [frame for frame in b.bus.sent if frame.id == 0x405]
+    await asyncio.sleep(0.3)
+    assert [frame for frame in b.bus.sent if frame.id == 0x405] == sent
+    assert len(sent) == 1
+    await axis.execute("setPosition", [axis.protocol.state.position])
+    await axis.execute("setTorque", [0.1])
+    assert b.drive.get(0x6061) == 4
+    assert b.drive.get(0x6071) == 200  # thousandths of 0.5 N m
 
 
 def test_a_drive_that_only_positions(rig):
@@ -165,59 +150,47 @@ def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
     b.run(mission)
 
 
-def test_a_halt_of_a_drive_that_is_off_changes_nothing(rig):
-    b = rig()
-
-    async def mission(axis):
-        sent = len(b.drive.controls)
-        await axis.execute("halt", [])
-        assert b.drive.controls[sent:] == []
-        assert b.values["enabled"] is False
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_halt_of_a_drive_that_is_off_changes_nothing(b, axis, /):
+    sent = len(b.drive.controls)
+    await axis.execute("halt", [])
+    assert b.drive.controls[sent:] == []
+    assert b.values["enabled"] is False
 
 
-def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
+@on_bench("rig", ttl=5.0)
+async def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(b, axis, /):
     """It begins to watch with the first one: a guard that dies before it would never be missed."""
-    b = rig(ttl=5.0)
-
-    async def mission(axis):
-        await b.until(lambda: b.drive.beats, 0.5)
-        watched = [
-            frame.data
-            for frame in b.bus.sent
-            if frame.id == 0x605 and frame.data[:4] == bytes.fromhex("23161001")
-        ]
-        assert watched[-1][4:] == (127 << 16 | 10_000).to_bytes(4, "little")
-        last_write = max(n for n, frame in enumerate(b.bus.sent) if frame.data == watched[-1])
-        assert any(frame.id == 0x77F for frame in b.bus.sent[last_write:])
-
-    b.run(mission)
+    await b.until(lambda: b.drive.beats, 0.5)
+    watched = [
+        frame.data
+        for frame in b.bus.sent
+        if frame.id == 0x605 and frame.data[:4] == bytes.fromhex("23161001")
+    ]
+    assert watched[-1][4:] == (127 << 16 | 10_000).to_bytes(4, "little")
+    last_write = max(n for n, frame in enumerate(b.bus.sent) if frame.data == watched[-1])
+    assert any(frame.id == 0x77F for frame in b.bus.sent[last_write:])
 
 
-def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(rig):
-    b = rig(ttl=0.2, options={"cyclic": True})
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        start = b.driver.clock.monotonic()
-        await axis.execute("setVelocity", [3.0])
-        await asyncio.sleep(0.1)
-        assert len([f for f in b.bus.sent if f.id == 0x405]) > 3
-        await asyncio.sleep(0.2)
-        sent = len([f for f in b.bus.sent if f.id == 0x405])
-        await asyncio.sleep(0.1)
-        assert len([f for f in b.bus.sent if f.id == 0x405]) == sent
-        assert b.driver.clock.monotonic() - start > 0.3
-        await axis.make_safe()
-        await axis.execute("enable", [])
-        before = b.drive.position
-        await axis.execute("setPosition", [axis.protocol.state.position + 50.0])
-        await asyncio.sleep(0.1)
-        # Within the speed limit, not with a leap.
-        assert 0 < b.drive.position - before < 20.0 / math.tau * 10_000 * 0.2
-
-    b.run(mission)
+@on_bench("rig", ttl=0.2, options={"cyclic": True})
+async def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(b, axis, /):
+    await axis.execute("enable", [])
+    start = b.driver.clock.monotonic()
+    await axis.execute("setVelocity", [3.0])
+    await asyncio.sleep(0.1)
+    assert len([f for f in b.bus.sent if f.id == 0x405]) > 3
+    await asyncio.sleep(0.2)
+    sent = len([f for f in b.bus.sent if f.id == 0x405])
+    await asyncio.sleep(0.1)
+    assert len([f for f in b.bus.sent if f.id == 0x405]) == sent
+    assert b.driver.clock.monotonic() - start > 0.3
+    await axis.make_safe()
+    await axis.execute("enable", [])
+    before = b.drive.position
+    await axis.execute("setPosition", [axis.protocol.state.position + 50.0])
+    await asyncio.sleep(0.1)
+    # Within the speed limit, not with a leap.
+    assert 0 < b.drive.position - before < 20.0 / math.tau * 10_000 * 0.2
 
 
 @pytest.mark.parametrize(
@@ -255,24 +228,20 @@ def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
     b.run(mission)
 
 
-def test_a_fault_is_told_in_words_and_reset(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [5.0])
-        b.drive.fail(0x7121)
-        await b.until(lambda: b.values["fault"] != "")
-        assert b.values["fault"] == "motor blocked (0x7121)"
-        for call in (("setVelocity", [1.0]), ("enable", [])):
-            with pytest.raises(DeviceError, match=r"motor blocked \(0x7121\); resetFault\(\) clears it"):
-                await axis.execute(*call)
-        await axis.make_safe()
-        await axis.execute("resetFault", [])
-        await b.until(lambda: b.values["fault"] == "")
-        await axis.execute("enable", [])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_fault_is_told_in_words_and_reset(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [5.0])
+    b.drive.fail(0x7121)
+    await b.until(lambda: b.values["fault"] != "")
+    assert b.values["fault"] == "motor blocked (0x7121)"
+    for call in (("setVelocity", [1.0]), ("enable", [])):
+        with pytest.raises(DeviceError, match=r"motor blocked \(0x7121\); resetFault\(\) clears it"):
+            await axis.execute(*call)
+    await axis.make_safe()
+    await axis.execute("resetFault", [])
+    await b.until(lambda: b.values["fault"] == "")
+    await axis.execute("enable", [])
 
 
 def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
@@ -290,82 +259,64 @@ def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
     b.run(mission)
 
 
-def test_homing_gives_the_positions_a_meaning(rig):
-    b = rig(waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        with pytest.raises(DeviceError, match=r"has not been homed; call home\(\) first"):
-            await axis.execute("moveTo", [1.0, 5.0])
-        await axis.execute("home", [])
-        await b.until(lambda: b.values["referenced"])
+@on_bench("rig", waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
+async def test_homing_gives_the_positions_a_meaning(b, axis, /):
+    await axis.execute("enable", [])
+    with pytest.raises(DeviceError, match=r"has not been homed; call home\(\) first"):
         await axis.execute("moveTo", [1.0, 5.0])
-
-    b.run(mission)
+    await axis.execute("home", [])
+    await b.until(lambda: b.values["referenced"])
+    await axis.execute("moveTo", [1.0, 5.0])
     assert b.drive.get(0x6098) == 37
     assert b.drive.get(0x6099, 1) == round(1.0 / math.tau * 10_000)
 
 
-def test_a_drive_that_restarts_is_set_up_again_and_stays_off(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
-        await asyncio.sleep(0.2)
-        b.drive.restart()
-        with pytest.raises(DeviceError, match="has restarted"):
-            await travel
-        assert (b.values["enabled"], b.values["state"]) == (False, "not operational"), (
-            "read where it is caught"
-        )
-        await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
-        assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
-        assert b.values["enabled"] is False
-        await axis.execute("enable", [])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_drive_that_restarts_is_set_up_again_and_stays_off(b, axis, /):
+    await axis.execute("enable", [])
+    travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
+    await asyncio.sleep(0.2)
+    b.drive.restart()
+    with pytest.raises(DeviceError, match="has restarted"):
+        await travel
+    assert (b.values["enabled"], b.values["state"]) == (False, "not operational"), "read where it is caught"
+    await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
+    assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
+    assert b.values["enabled"] is False
+    await axis.execute("enable", [])
 
 
-def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        start = b.driver.clock.monotonic()
-        travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
-        await asyncio.sleep(0.2)
-        b.drive.silent = True
-        with pytest.raises(DeviceError, match="no message for") as error:
-            await travel
-        assert error.value.kind == "DeviceTimeoutException"
-        assert b.driver.clock.monotonic() - start < 3.0
-        assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
-        await b.until(lambda: b.values["state"] == "silent")
-        b.drive.silent = False
-        await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
-        await axis.make_safe()
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(b, axis, /):
+    await axis.execute("enable", [])
+    start = b.driver.clock.monotonic()
+    travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
+    await asyncio.sleep(0.2)
+    b.drive.silent = True
+    with pytest.raises(DeviceError, match="no message for") as error:
+        await travel
+    assert error.value.kind == "DeviceTimeoutException"
+    assert b.driver.clock.monotonic() - start < 3.0
+    assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
+    await b.until(lambda: b.values["state"] == "silent")
+    b.drive.silent = False
+    await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
+    await axis.make_safe()
     assert [note.code for note in b.notes if note.startswith("link ")] == ["can-silent", "can-responding"]
 
 
-def test_two_devices_with_one_id_are_seen(rig):
-    b = rig()
+@on_bench("rig", opened=False)
+async def test_two_devices_with_one_id_are_seen(b, axis, /):
+    said = b.drive.say
 
-    async def mission(axis):
-        said = b.drive.say
-
-        def twice(can_id, data):
+    def twice(can_id, data):
+        said(can_id, data)
+        if can_id == 0x585:
             said(can_id, data)
-            if can_id == 0x585:
-                said(can_id, data)
 
-        b.drive.network.say = twice
-        with pytest.raises(DeviceError, match="two devices answer to this node id"):
-            await axis.open()
-
-    b.run(mission, opened=False)
+    b.drive.network.say = twice
+    with pytest.raises(DeviceError, match="two devices answer to this node id"):
+        await axis.open()
 
 
 def test_two_bindings_of_one_node_are_refused(rig, binding):
@@ -396,15 +347,11 @@ def test_options_that_make_no_sense(rig, options, words):
         rig(options=options).run(mission)
 
 
-def test_something_else_that_answers_is_no_drive(rig):
-    b = rig()
-
-    async def mission(axis):
-        b.drive.node.data_store[0x1000] = {0: (0x191).to_bytes(4, "little")}
-        with pytest.raises(DeviceError, match="is not a CiA 402 drive: its device type 0x1000 is 0x00000191"):
-            await axis.open()
-
-    b.run(mission, opened=False)
+@on_bench("rig", opened=False)
+async def test_something_else_that_answers_is_no_drive(b, axis, /):
+    b.drive.node.data_store[0x1000] = {0: (0x191).to_bytes(4, "little")}
+    with pytest.raises(DeviceError, match="is not a CiA 402 drive: its device type 0x1000 is 0x00000191"):
+        await axis.open()
 
 
 def test_nobody_there_is_an_error_within_its_bound(rig):
@@ -421,13 +368,9 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
     b.run(mission, opened=False)
 
 
-def test_answers_that_are_nonsense_are_errors_not_crashes(rig):
-    b = rig()
-
-    async def mission(axis):
-        said = b.drive.say
-        b.drive.network.say = lambda can_id, data: said(can_id, bytes(8) if can_id == 0x585 else data)
-        with pytest.raises(DeviceError, match="device type 0x1000:0"):
-            await axis.open()
-
-    b.run(mission, opened=False)
+@on_bench("rig", opened=False)
+async def test_answers_that_are_nonsense_are_errors_not_crashes(b, axis, /):
+    said = b.drive.say
+    b.drive.network.say = lambda can_id, data: said(can_id, bytes(8) if can_id == 0x585 else data)
+    with pytest.raises(DeviceError, match="device type 0x1000:0"):
+        await axis.open()

@@ -9,6 +9,7 @@ import struct
 
 import pytest
 from can_local_drive import LocalDrive
+from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,53 +104,41 @@ async def restarts(b, axis) -> None:
 
 
 @pytest.mark.parametrize("foreign", [1, 20])
-def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(rig, foreign):
-    b = rig()
-
-    async def mission(axis):
-        for _ in range(foreign):
-            b.bus.say(0x580 + NODE, answer(0x6041))
-            b.bus.say(0x580 + NODE, answer(0x1018, 1))
-        for _ in range(3):
-            await restarts(b, axis)
-
-    b.run(mission)
+@on_bench("rig")
+async def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(b, axis, /, foreign):
+    for _ in range(foreign):
+        b.bus.say(0x580 + NODE, answer(0x6041))
+        b.bus.say(0x580 + NODE, answer(0x1018, 1))
+    for _ in range(3):
+        await restarts(b, axis)
     assert not any("two devices" in note for note in b.notes)
 
 
-def test_one_answer_too_many_within_a_set_up_is_no_second_device(rig):
-    b = rig()
+@on_bench("rig", opened=False)
+async def test_one_answer_too_many_within_a_set_up_is_no_second_device(b, axis, /):
+    said = b.wire.say
 
-    async def mission(axis):
-        said = b.wire.say
+    def once_more(identifier, data):
+        said(identifier, data)
+        if identifier == 0x580 + NODE and data[1:3] == bytes([0x18, 0x10]):
+            b.wire.say = said
+            said(identifier, data[:4] + b"\1\2\3\4")
 
-        def once_more(identifier, data):
-            said(identifier, data)
-            if identifier == 0x580 + NODE and data[1:3] == bytes([0x18, 0x10]):
-                b.wire.say = said
-                said(identifier, data[:4] + b"\1\2\3\4")
-
-        b.wire.say = once_more
-        await axis.open()
-
-    b.run(mission, opened=False)
+    b.wire.say = once_more
+    await axis.open()
 
 
-def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(rig):
-    b = rig()
+@on_bench("rig")
+async def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(b, axis, /):
+    async def poll() -> None:
+        while True:
+            for key in ((0x1018, 4), (0x1018, 1), (0x1000, 0), (0x6041, 0)):
+                b.wire.read(*key)
+                await asyncio.sleep(0.004)
 
-    async def mission(axis):
-        async def poll() -> None:
-            while True:
-                for key in ((0x1018, 4), (0x1018, 1), (0x1000, 0), (0x6041, 0)):
-                    b.wire.read(*key)
-                    await asyncio.sleep(0.004)
-
-        polling = asyncio.ensure_future(poll())
-        await restarts(b, axis)
-        polling.cancel()
-
-    b.run(mission)
+    polling = asyncio.ensure_future(poll())
+    await restarts(b, axis)
+    polling.cancel()
     assert not any("two devices" in note for note in b.notes)
 
 
@@ -193,125 +182,101 @@ def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_lost_answers_hide_no_second_device(rig, seed):
-    b = rig(loss=0.25, seed=seed)
-
-    async def mission(axis):
-        b.wire.join()
-        told = ""
-        for _ in range(5):  # with so much lost a set-up may also fail for want of an answer
-            with pytest.raises(DeviceError) as error:
-                await axis.open()
-            told = error.value.reason
-            if error.value.kind != "DeviceTimeoutException":
-                break
-        assert re.search(TWO, told), told
-
-    b.run(mission, opened=False)
+@on_bench("rig", loss=0.25, given="seed", opened=False)
+async def test_lost_answers_hide_no_second_device(b, axis, /, seed):
+    b.wire.join()
+    told = ""
+    for _ in range(5):  # with so much lost a set-up may also fail for want of an answer
+        with pytest.raises(DeviceError) as error:
+            await axis.open()
+        told = error.value.reason
+        if error.value.kind != "DeviceTimeoutException":
+            break
+    assert re.search(TWO, told), told
 
 
-def test_a_second_device_that_joins_later_is_named_and_nothing_moves(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        second = b.wire.join()
-        await b.until(lambda: any("two devices" in note for note in b.notes))
-        for call in (["enable"], ["moveTo", 1.0, 1.0], ["setVelocity", 1.0]):
-            with pytest.raises(DeviceError, match=f"{call[0]} refused: {TWO}"):
-                await axis.execute(call[0], call[1:])
-        await asyncio.sleep(10.0)
-        assert sum("two devices" in note for note in b.notes) == 1
-        second.silent = True
-        second.node.nmt.stop_heartbeat()
-        second.task.cancel()
-        b.wire.drives.remove(second)
-        await b.until(lambda: any("set up again" in note for note in b.notes))
-        await axis.execute("enable", [])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_second_device_that_joins_later_is_named_and_nothing_moves(b, axis, /):
+    await axis.execute("enable", [])
+    second = b.wire.join()
+    await b.until(lambda: any("two devices" in note for note in b.notes))
+    for call in (["enable"], ["moveTo", 1.0, 1.0], ["setVelocity", 1.0]):
+        with pytest.raises(DeviceError, match=f"{call[0]} refused: {TWO}"):
+            await axis.execute(call[0], call[1:])
+    await asyncio.sleep(10.0)
+    assert sum("two devices" in note for note in b.notes) == 1
+    second.silent = True
+    second.node.nmt.stop_heartbeat()
+    second.task.cancel()
+    b.wire.drives.remove(second)
+    await b.until(lambda: any("set up again" in note for note in b.notes))
+    await axis.execute("enable", [])
 
 
 @pytest.mark.parametrize("boots", [True, False])
-def test_a_second_device_that_joins_stops_the_first_one_in_motion(rig, boots):
+@on_bench("rig")
+async def test_a_second_device_that_joins_stops_the_first_one_in_motion(b, axis, /, boots):
     """Also one that is plugged in with its power on, which sends no boot-up message; nobody commands it."""
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [1.0])
+    await asyncio.sleep(0.5)
+    first, said = b.wire.drives[0], b.wire.say
+    assert first.velocity > 0.0
+    if not boots:
+        b.wire.say = lambda identifier, data: None
+    second = b.wire.join()
+    b.wire.say = said
+    await asyncio.sleep(2.5)
+    assert any("two devices" in note for note in b.notes)
+    assert first.velocity == second.velocity == 0.0
+    assert first.state != 0x0237
+    with pytest.raises(DeviceError, match=TWO):
         await axis.execute("setVelocity", [1.0])
-        await asyncio.sleep(0.5)
-        first, said = b.wire.drives[0], b.wire.say
-        assert first.velocity > 0.0
-        if not boots:
-            b.wire.say = lambda identifier, data: None
-        second = b.wire.join()
-        b.wire.say = said
-        await asyncio.sleep(2.5)
-        assert any("two devices" in note for note in b.notes)
-        assert first.velocity == second.velocity == 0.0
-        assert first.state != 0x0237
-        with pytest.raises(DeviceError, match=TWO):
-            await axis.execute("setVelocity", [1.0])
-
-    b.run(mission)
     assert sum("two devices" in note for note in b.notes) == 1
 
 
-def test_a_drive_that_another_master_takes_out_of_operation_is_stopped(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [1.0])
-        await asyncio.sleep(0.5)
-        drive = b.wire.drives[0]
-        drive.node.nmt.state = "PRE-OPERATIONAL"
-        await b.until(lambda: any("set up again" in note for note in b.notes))
-        assert drive.velocity == 0.0
-        assert b.values["enabled"] is False
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_drive_that_another_master_takes_out_of_operation_is_stopped(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [1.0])
+    await asyncio.sleep(0.5)
+    drive = b.wire.drives[0]
+    drive.node.nmt.state = "PRE-OPERATIONAL"
+    await b.until(lambda: any("set up again" in note for note in b.notes))
+    assert drive.velocity == 0.0
+    assert b.values["enabled"] is False
 
 
-def test_the_silence_that_an_exception_tells_of_can_be_read_when_it_is_caught(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        motion = asyncio.ensure_future(axis.execute("moveTo", [100.0, 2.0]))
-        await asyncio.sleep(0.5)
-        b.wire.drives[0].silent = True
-        with pytest.raises(DeviceError, match="no message"):
-            await motion
-        assert (b.values["online"], b.values["enabled"], b.values["state"]) == (False, False, "silent")
-
-    b.run(mission)
+@on_bench("rig")
+async def test_the_silence_that_an_exception_tells_of_can_be_read_when_it_is_caught(b, axis, /):
+    await axis.execute("enable", [])
+    motion = asyncio.ensure_future(axis.execute("moveTo", [100.0, 2.0]))
+    await asyncio.sleep(0.5)
+    b.wire.drives[0].silent = True
+    with pytest.raises(DeviceError, match="no message"):
+        await motion
+    assert (b.values["online"], b.values["enabled"], b.values["state"]) == (False, False, "silent")
 
 
 @pytest.mark.parametrize("every", [1, 7])
-def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_then(rig, every):
-    b = rig()
+@on_bench("rig")
+async def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_then(b, axis, /, every):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [1.0])
+    said, count = b.wire.say, [0]
 
-    async def mission(axis):
-        await axis.execute("enable", [])
+    def at_times_twice(identifier, data):
+        said(identifier, data)
+        if identifier == 0x580 + NODE and struct.unpack_from("<H", data, 1)[0] != 0x1018:
+            count[0] += 1
+            if count[0] % every == 0:
+                said(identifier, data)
+
+    b.wire.say = at_times_twice
+    for _ in range(10):
+        await asyncio.sleep(0.5)
         await axis.execute("setVelocity", [1.0])
-        said, count = b.wire.say, [0]
-
-        def at_times_twice(identifier, data):
-            said(identifier, data)
-            if identifier == 0x580 + NODE and struct.unpack_from("<H", data, 1)[0] != 0x1018:
-                count[0] += 1
-                if count[0] % every == 0:
-                    said(identifier, data)
-
-        b.wire.say = at_times_twice
-        for _ in range(10):
-            await asyncio.sleep(0.5)
-            await axis.execute("setVelocity", [1.0])
-        assert b.wire.drives[0].velocity > 0.0
-
-    b.run(mission)
+    assert b.wire.drives[0].velocity > 0.0
 
 
 def test_a_drive_that_ignores_what_it_does_not_have_is_asked_at_its_set_up_alone(rig):

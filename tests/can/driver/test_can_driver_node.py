@@ -47,92 +47,77 @@ class Node:
         return [data[1] | data[2] << 8 for data in self.heard if data[0] != ABORT]
 
 
-def test_transfers_take_turns():
-    async def story():
-        node, open_now = Node(0.1, 0.1, 0.1), []
-        answered = node.client.on_answer
-        node.client.on_answer = lambda data: (open_now.append(len(node.heard)), answered(data))
-        reads = (node.client.read(*key) for key in (POSITION, VELOCITY, POSITION))
-        assert await asyncio.gather(*reads) == [7, 8, 7]
-        assert open_now == [1, 2, 3]
-
-    run_jumping(story())
+@pytest.fixture(scope="session")
+def runner():
+    return lambda test: run_jumping(test())
 
 
-def test_silence_is_an_exception_in_its_time():
-    async def story():
-        node, running = Node(None, None, None), asyncio.get_running_loop()
-        start = running.time()
-        with pytest.raises(
-            DeviceError, match=r"position 0x6064:0: no answer within 0\.3 s, 3 times"
-        ) as error:
-            await node.client.read(*POSITION)
-        assert error.value.kind == "DeviceTimeoutException"
-        assert running.time() - start == pytest.approx(TRIES * ANSWER)
-        assert await node.client.read(*VELOCITY) == 8
-        assert node.requests == [0x6064, 0x6064, 0x6064, 0x606C]
-
-    run_jumping(story())
+async def test_transfers_take_turns():
+    node, open_now = Node(0.1, 0.1, 0.1), []
+    answered = node.client.on_answer
+    node.client.on_answer = lambda data: (open_now.append(len(node.heard)), answered(data))
+    reads = (node.client.read(*key) for key in (POSITION, VELOCITY, POSITION))
+    assert await asyncio.gather(*reads) == [7, 8, 7]
+    assert open_now == [1, 2, 3]
 
 
-def test_an_answer_that_comes_late_is_not_that_to_the_next_question():
-    async def story():
-        node = Node(1.0, None, None, 0.2)
-        with pytest.raises(DeviceError):
-            await node.client.read(*POSITION)
-        node.values[POSITION] = 9
-        # The late one comes while the node is asked about its identity.
-        assert await node.client.read(*POSITION) == 9
-        assert node.requests == [0x6064, 0x6064, 0x6064, 0x1018, 0x6064]
-
-    run_jumping(story())
+async def test_silence_is_an_exception_in_its_time():
+    node, running = Node(None, None, None), asyncio.get_running_loop()
+    start = running.time()
+    with pytest.raises(DeviceError, match=r"position 0x6064:0: no answer within 0\.3 s, 3 times") as error:
+        await node.client.read(*POSITION)
+    assert error.value.kind == "DeviceTimeoutException"
+    assert running.time() - start == pytest.approx(TRIES * ANSWER)
+    assert await node.client.read(*VELOCITY) == 8
+    assert node.requests == [0x6064, 0x6064, 0x6064, 0x606C]
 
 
-def test_who_gives_up_leaves_its_turn_and_its_answer_to_nobody():
-    async def story():
-        node, running = Node(0.2), asyncio.get_running_loop()
-        first = running.create_task(node.client.read(*POSITION))
-        await asyncio.sleep(0.1)
-        start = running.time()
-        first.cancel()
-        node.values[POSITION] = 9
-        assert await node.client.read(*VELOCITY) == 8
-        assert running.time() - start < 0.01
-        assert await node.client.read(*POSITION) == 9
-        assert first.cancelled()
-        assert node.requests == [0x6064, 0x606C, 0x1018, 0x6064]
-        assert node.heard[1][0] == ABORT
-
-    run_jumping(story())
+async def test_an_answer_that_comes_late_is_not_that_to_the_next_question():
+    node = Node(1.0, None, None, 0.2)
+    with pytest.raises(DeviceError):
+        await node.client.read(*POSITION)
+    node.values[POSITION] = 9
+    # The late one comes while the node is asked about its identity.
+    assert await node.client.read(*POSITION) == 9
+    assert node.requests == [0x6064, 0x6064, 0x6064, 0x1018, 0x6064]
 
 
-def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
-    async def story():
-        node, written = Node(), []
-        node.client.on_written = lambda *what: written.append(what)
-        await node.client.write(*SPEED, 500)
-        node.highest = 300
-        with pytest.raises(DeviceError, match="max profile velocity 0x607F:0 was set to 400 but is 300"):
-            await node.client.write(*SPEED, 400)
-        assert written == [(*SPEED, struct.pack("<I", value)) for value in (500, 400)]
+async def test_who_gives_up_leaves_its_turn_and_its_answer_to_nobody():
+    node, running = Node(0.2), asyncio.get_running_loop()
+    first = running.create_task(node.client.read(*POSITION))
+    await asyncio.sleep(0.1)
+    start = running.time()
+    first.cancel()
+    node.values[POSITION] = 9
+    assert await node.client.read(*VELOCITY) == 8
+    assert running.time() - start < 0.01
+    assert await node.client.read(*POSITION) == 9
+    assert first.cancelled()
+    assert node.requests == [0x6064, 0x606C, 0x1018, 0x6064]
+    assert node.heard[1][0] == ABORT
 
-    run_jumping(story())
+
+async def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
+    node, written = Node(), []
+    node.client.on_written = lambda *what: written.append(what)
+    await node.client.write(*SPEED, 500)
+    node.highest = 300
+    with pytest.raises(DeviceError, match="max profile velocity 0x607F:0 was set to 400 but is 300"):
+        await node.client.write(*SPEED, 400)
+    assert written == [(*SPEED, struct.pack("<I", value)) for value in (500, 400)]
 
 
-def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop():
-    async def story():
-        node, running = Node(None), asyncio.get_running_loop()
-        read = running.create_task(node.client.read(*POSITION))
-        await asyncio.sleep(0.1)
-        start = running.time()
-        node.client.close()
-        with pytest.raises(DeviceError, match="the driver has ended"):
-            await read
-        assert running.time() == start
-        await asyncio.sleep(10.0)
-        assert node.requests == [0x6064]
-
-    run_jumping(story())
+async def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop():
+    node, running = Node(None), asyncio.get_running_loop()
+    read = running.create_task(node.client.read(*POSITION))
+    await asyncio.sleep(0.1)
+    start = running.time()
+    node.client.close()
+    with pytest.raises(DeviceError, match="the driver has ended"):
+        await read
+    assert running.time() == start
+    await asyncio.sleep(10.0)
+    assert node.requests == [0x6064]
 
 
 def test_it_is_at_home_on_the_loop_of_a_simulated_computer():

@@ -7,6 +7,7 @@ import math
 import struct
 
 import pytest
+from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -94,105 +95,85 @@ def rig(bench, binding, bus):
     return make
 
 
-def test_an_axis_is_found_enabled_and_moves_behind_its_gear(rig):
-    b = rig(options={"gear": 10.0, "reversed": True})
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        assert b.axis.mode == (2, 1)
-        await axis.execute("moveTo", [math.pi, 2.0])
-        assert b.axis.position == pytest.approx(-5.0, abs=0.02)  # half a turn, against the motor, behind 10:1
-        assert b.values["position"] == pytest.approx(math.pi, abs=0.01)
-        assert b.axis.speed == pytest.approx(2.0 / math.tau * 10)
-        await axis.execute("disable", [])
-
-    b.run(mission)
+@on_bench("rig", options={"gear": 10.0, "reversed": True})
+async def test_an_axis_is_found_enabled_and_moves_behind_its_gear(b, axis, /):
+    await axis.execute("enable", [])
+    assert b.axis.mode == (2, 1)
+    await axis.execute("moveTo", [math.pi, 2.0])
+    assert b.axis.position == pytest.approx(-5.0, abs=0.02)  # half a turn, against the motor, behind 10:1
+    assert b.values["position"] == pytest.approx(math.pi, abs=0.01)
+    assert b.axis.speed == pytest.approx(2.0 / math.tau * 10)
+    await axis.execute("disable", [])
     assert b.values["state"] == "idle"
     assert (b.values["voltage"], b.values["temperature"]) == (24.0, 35.0)
 
 
-def test_without_the_waiver_it_is_refused(rig):
-    async def mission(axis):
-        with pytest.raises(DeviceError, match=r"no watchdog in the device.*waivers: \[device_watchdog\]"):
-            await axis.open()
-
-    rig(waivers=["no_homing"]).run(mission, opened=False)
+@on_bench("rig", waivers=["no_homing"], opened=False)
+async def test_without_the_waiver_it_is_refused(b, axis, /):
+    with pytest.raises(DeviceError, match=r"no watchdog in the device.*waivers: \[device_watchdog\]"):
+        await axis.open()
 
 
-def test_limits_are_set_and_kept_before_anything_is_sent(rig):
-    b = rig(limits={"speed": 5.0, "torque": 2.0, "current": 10.0}, options={"lowest": -1.0, "highest": 4.0})
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        sent = len(b.bus.sent)
-        for call, words in (
-            (("moveTo", [5.0, 1.0]), "outside -1 to 4 rad"),
-            (("moveTo", [math.nan, 1.0]), "finite"),
-            (("moveTo", [1.0, 6.0]), "6 rad/s is above the limit of 5 rad/s"),
-            (("moveTo", [1.0, -1.0]), "speed above 0"),
-            (("setPosition", [-1.5]), "outside -1 to 4 rad"),
-            (("setVelocity", [-5.1]), "above the limit of 5 rad/s"),
-            (("setVelocity", [math.inf]), "finite"),
-            (("setTorque", [2.1]), "above the limit of 2 N m"),
-        ):
-            with pytest.raises(DeviceError, match=words):
-                await axis.execute(*call)
-        assert len(b.bus.sent) == sent
-        b.axis.position = 5.0 / math.tau
-        await asyncio.sleep(0.1)
-        with pytest.raises(DeviceError, match="farther out of its bounds"):
-            await axis.execute("setVelocity", [1.0])
-        await axis.execute("setVelocity", [-1.0])
-
-    b.run(mission)
+@on_bench(
+    "rig", limits={"speed": 5.0, "torque": 2.0, "current": 10.0}, options={"lowest": -1.0, "highest": 4.0}
+)
+async def test_limits_are_set_and_kept_before_anything_is_sent(b, axis, /):
+    await axis.execute("enable", [])
+    sent = len(b.bus.sent)
+    for call, words in (
+        (("moveTo", [5.0, 1.0]), "outside -1 to 4 rad"),
+        (("moveTo", [math.nan, 1.0]), "finite"),
+        (("moveTo", [1.0, 6.0]), "6 rad/s is above the limit of 5 rad/s"),
+        (("moveTo", [1.0, -1.0]), "speed above 0"),
+        (("setPosition", [-1.5]), "outside -1 to 4 rad"),
+        (("setVelocity", [-5.1]), "above the limit of 5 rad/s"),
+        (("setVelocity", [math.inf]), "finite"),
+        (("setTorque", [2.1]), "above the limit of 2 N m"),
+    ):
+        with pytest.raises(DeviceError, match=words):
+            await axis.execute(*call)
+    assert len(b.bus.sent) == sent
+    b.axis.position = 5.0 / math.tau
+    await asyncio.sleep(0.1)
+    with pytest.raises(DeviceError, match="farther out of its bounds"):
+        await axis.execute("setVelocity", [1.0])
+    await axis.execute("setVelocity", [-1.0])
     limits = [frame.data for frame in b.bus.sent if frame.id & 0x1F == 0x0F]
     assert struct.unpack("<ff", limits[0]) == pytest.approx((5.0 / math.tau, 10.0))
 
 
-def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(rig):
-    b = rig(options={"lowest": -1.0, "highest": 2.0})
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [2.0])
-        await asyncio.sleep(3.0)
-        assert b.values["position"] < 2.5
-        assert b.axis.rate == 0.0
-        await axis.execute("setVelocity", [-2.0])
-        await asyncio.sleep(0.5)
-        assert b.values["position"] < 2.0
-
-    b.run(mission)
+@on_bench("rig", options={"lowest": -1.0, "highest": 2.0})
+async def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [2.0])
+    await asyncio.sleep(3.0)
+    assert b.values["position"] < 2.5
+    assert b.axis.rate == 0.0
+    await axis.execute("setVelocity", [-2.0])
+    await asyncio.sleep(0.5)
+    assert b.values["position"] < 2.0
     assert b.notes.count("stopped: it was leaving its bounds") == 1
 
 
-def test_nothing_moves_that_is_not_enabled(rig):
-    b = rig()
-
-    async def mission(axis):
-        with pytest.raises(DeviceError, match=r"not enabled \(idle\); call enable\(\) first"):
-            await axis.execute("setVelocity", [1.0])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_nothing_moves_that_is_not_enabled(b, axis, /):
+    with pytest.raises(DeviceError, match=r"not enabled \(idle\); call enable\(\) first"):
+        await axis.execute("setVelocity", [1.0])
     assert 0x0D not in b.axis.commands
 
 
-def test_a_setpoint_is_sent_once_with_its_value_before_its_mode(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        b.axis.commands.clear()
-        await axis.execute("setTorque", [0.5])
-        await asyncio.sleep(1.0)
-        assert b.axis.commands == [0x0E, 0x0B]
-        assert b.axis.torque == pytest.approx(0.5)
-        await axis.execute("setVelocity", [math.tau])
-        await asyncio.sleep(1.0)
-        assert b.axis.commands == [0x0E, 0x0B, 0x0D, 0x0B]
-        assert b.values["velocity"] == pytest.approx(math.tau)
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_setpoint_is_sent_once_with_its_value_before_its_mode(b, axis, /):
+    await axis.execute("enable", [])
+    b.axis.commands.clear()
+    await axis.execute("setTorque", [0.5])
+    await asyncio.sleep(1.0)
+    assert b.axis.commands == [0x0E, 0x0B]
+    assert b.axis.torque == pytest.approx(0.5)
+    await axis.execute("setVelocity", [math.tau])
+    await asyncio.sleep(1.0)
+    assert b.axis.commands == [0x0E, 0x0B, 0x0D, 0x0B]
+    assert b.values["velocity"] == pytest.approx(math.tau)
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold", "torque_off"])
@@ -216,118 +197,90 @@ def test_safe_states_are_seen(rig, state):
     }[state]
 
 
-def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again(rig):
-    b = rig(safe_state="torque_hold")
+@on_bench("rig", safe_state="torque_hold")
+async def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.make_safe()
+    await asyncio.sleep(0.1)
+    before = b.axis.position
+    b.axis.mode, b.axis.rate = (2, 1), 3.0  # of somebody else on the bus
+    await asyncio.sleep(0.5)
+    assert "turning" in axis.moving()
+    await axis.make_safe()
+    assert axis.moving() == ""
+    await asyncio.sleep(0.1)
+    assert b.axis.mode[0] == 3
+    # Where it was stopped, and not where it once stood.
+    assert b.axis.position - before > 1.0
+    assert b.axis.goal == pytest.approx(b.axis.position, abs=0.02)
 
-    async def mission(axis):
+
+@on_bench("rig")
+async def test_a_safe_state_that_is_lost_on_the_way_is_sent_again(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [6.0])
+    await asyncio.sleep(0.2)
+    b.bus.device = lambda frame: None
+    asyncio.get_running_loop().call_later(0.5, setattr, b.bus, "device", b.axis.on_frame)
+    await axis.make_safe()
+    assert b.axis.rate == 0.0
+
+
+@on_bench("rig")
+async def test_errors_are_told_in_words(b, axis, /):
+    await axis.execute("enable", [])
+    b.axis.errors, b.axis.state = 1 << 12 | 1 << 29, 1
+    await asyncio.sleep(0.3)
+    assert b.values["fault"] == "over-current of the motor, unknown error 0x20000000"
+    with pytest.raises(DeviceError, match=r"over-current of the motor.*resetFault\(\) clears it"):
+        await axis.execute("setVelocity", [1.0])
+    await axis.execute("resetFault", [])
+    assert b.values["fault"] == ""
+
+
+@on_bench("rig")
+async def test_what_is_not_seen_did_not_happen(b, axis, /):
+    b.axis.refuses = True
+    with pytest.raises(DeviceError, match=r"did not enter 'closed loop' within 1 s \(it is idle"):
         await axis.execute("enable", [])
-        await axis.make_safe()
-        await asyncio.sleep(0.1)
-        before = b.axis.position
-        b.axis.mode, b.axis.rate = (2, 1), 3.0  # of somebody else on the bus
-        await asyncio.sleep(0.5)
-        assert "turning" in axis.moving()
-        await axis.make_safe()
-        assert axis.moving() == ""
-        await asyncio.sleep(0.1)
-        assert b.axis.mode[0] == 3
-        # Where it was stopped, and not where it once stood.
-        assert b.axis.position - before > 1.0
-        assert b.axis.goal == pytest.approx(b.axis.position, abs=0.02)
-
-    b.run(mission)
 
 
-def test_a_safe_state_that_is_lost_on_the_way_is_sent_again(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [6.0])
-        await asyncio.sleep(0.2)
-        b.bus.device = lambda frame: None
-        asyncio.get_running_loop().call_later(0.5, setattr, b.bus, "device", b.axis.on_frame)
-        await axis.make_safe()
-        assert b.axis.rate == 0.0
-
-    b.run(mission)
-
-
-def test_errors_are_told_in_words(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        b.axis.errors, b.axis.state = 1 << 12 | 1 << 29, 1
-        await asyncio.sleep(0.3)
-        assert b.values["fault"] == "over-current of the motor, unknown error 0x20000000"
-        with pytest.raises(DeviceError, match=r"over-current of the motor.*resetFault\(\) clears it"):
-            await axis.execute("setVelocity", [1.0])
-        await axis.execute("resetFault", [])
-        assert b.values["fault"] == ""
-
-    b.run(mission)
-
-
-def test_what_is_not_seen_did_not_happen(rig):
-    b = rig()
-
-    async def mission(axis):
-        b.axis.refuses = True
-        with pytest.raises(DeviceError, match=r"did not enter 'closed loop' within 1 s \(it is idle"):
-            await axis.execute("enable", [])
-
-    b.run(mission)
-
-
-def test_homing(rig):
-    b = rig(waivers=["device_watchdog"])
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        with pytest.raises(DeviceError, match="has not been homed"):
-            await axis.execute("moveTo", [1.0, 1.0])
-        await axis.execute("home", [])
-        await axis.execute("enable", [])
+@on_bench("rig", waivers=["device_watchdog"])
+async def test_homing(b, axis, /):
+    await axis.execute("enable", [])
+    with pytest.raises(DeviceError, match="has not been homed"):
         await axis.execute("moveTo", [1.0, 1.0])
-        assert b.values["referenced"]
+    await axis.execute("home", [])
+    await axis.execute("enable", [])
+    await axis.execute("moveTo", [1.0, 1.0])
+    assert b.values["referenced"]
 
-    b.run(mission)
 
-
-def test_a_halt_stands_on_the_way_in_closed_loop(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        going = asyncio.ensure_future(axis.execute("moveTo", [20.0, 2.0]))
-        await b.until(lambda: b.values["position"] > 1.0)
-        going.cancel()
-        await axis.execute("halt", [])
-        stood = b.axis.position
-        await asyncio.sleep(1.0)
-        assert b.axis.position == pytest.approx(stood, abs=0.01)
-        assert (b.axis.state, b.values["enabled"]) == (8, True)
-        await axis.execute("moveTo", [0.0, 10.0])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_halt_stands_on_the_way_in_closed_loop(b, axis, /):
+    await axis.execute("enable", [])
+    going = asyncio.ensure_future(axis.execute("moveTo", [20.0, 2.0]))
+    await b.until(lambda: b.values["position"] > 1.0)
+    going.cancel()
+    await axis.execute("halt", [])
+    stood = b.axis.position
+    await asyncio.sleep(1.0)
+    assert b.axis.position == pytest.approx(stood, abs=0.01)
+    assert (b.axis.state, b.values["enabled"]) == (8, True)
+    await axis.execute("moveTo", [0.0, 10.0])
 
 
 @pytest.mark.parametrize("after", [0.0, 0.3], ids=["before_a_heartbeat_says_so", "under_way"])
-def test_a_halt_ends_a_homing(rig, after):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        homing = asyncio.ensure_future(axis.execute("home", []))
-        await b.until(lambda: b.axis.state == 11)
-        await asyncio.sleep(after)
-        homing.cancel()
-        await axis.execute("halt", [])
-        assert b.axis.state == 8
-        assert not b.values["referenced"]
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_halt_ends_a_homing(b, axis, /, after):
+    await axis.execute("enable", [])
+    homing = asyncio.ensure_future(axis.execute("home", []))
+    await b.until(lambda: b.axis.state == 11)
+    await asyncio.sleep(after)
+    homing.cancel()
+    await axis.execute("halt", [])
+    assert b.axis.state == 8
+    assert not b.values["referenced"]
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
@@ -347,67 +300,51 @@ def test_a_safe_state_ends_a_homing(rig, state):
     b.run(mission)
 
 
-def test_a_lost_axis_is_told_and_comes_back_standing(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [1.0])
-        b.axis.silent = True
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match="no message for") as error:
-            await axis.execute("moveTo", [10.0, 1.0])
-        assert error.value.kind == "DeviceTimeoutException"
-        assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
-        assert asyncio.get_running_loop().time() - start < 3.0
-        await asyncio.sleep(5.0)
-        assert b.axis.position > 0.5  # it has no watchdog, as its binding has accepted
-        assert b.values["online"] is False
-        b.axis.silent = False
-        await asyncio.sleep(1.0)
-        assert b.axis.rate == 0.0
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_lost_axis_is_told_and_comes_back_standing(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [1.0])
+    b.axis.silent = True
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match="no message for") as error:
+        await axis.execute("moveTo", [10.0, 1.0])
+    assert error.value.kind == "DeviceTimeoutException"
+    assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
+    assert asyncio.get_running_loop().time() - start < 3.0
+    await asyncio.sleep(5.0)
+    assert b.axis.position > 0.5  # it has no watchdog, as its binding has accepted
+    assert b.values["online"] is False
+    b.axis.silent = False
+    await asyncio.sleep(1.0)
+    assert b.axis.rate == 0.0
     assert [note.code for note in b.notes if note.startswith("link ")] == ["can-silent", "can-responding"]
 
 
-def test_a_bus_that_takes_no_frames_is_an_exception(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        b.bus.full = True
-        with pytest.raises(DeviceError, match="a frame could not be sent: its buffer is full"):
-            await axis.execute("setVelocity", [1.0])
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_bus_that_takes_no_frames_is_an_exception(b, axis, /):
+    await axis.execute("enable", [])
+    b.bus.full = True
+    with pytest.raises(DeviceError, match="a frame could not be sent: its buffer is full"):
+        await axis.execute("setVelocity", [1.0])
 
 
-def test_commands_of_another_master_are_not_taken_for_its_own(rig):
-    b = rig()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        before = dict(b.values)
-        b.bus.say(3 << 5 | 0x0C, bytes(8))
-        b.bus.say(4 << 5 | 0x01, struct.pack("<IB", 1, 1))
-        assert b.values == before
-        assert axis.malformed == 0
-
-    b.run(mission)
+@on_bench("rig")
+async def test_commands_of_another_master_are_not_taken_for_its_own(b, axis, /):
+    await axis.execute("enable", [])
+    before = dict(b.values)
+    b.bus.say(3 << 5 | 0x0C, bytes(8))
+    b.bus.say(4 << 5 | 0x01, struct.pack("<IB", 1, 1))
+    assert b.values == before
+    assert axis.malformed == 0
 
 
-def test_nonsense_is_dropped_and_counted(rig):
-    b = rig()
-
-    async def mission(axis):
-        before = dict(b.values)
-        for data in (b"", b"\1", struct.pack("<ff", math.nan, 0.0), struct.pack("<ff", 0.0, math.inf)):
-            b.bus.say(3 << 5 | 0x09, data)
-        assert axis.malformed == 4
-        assert b.values == before
-
-    b.run(mission)
+@on_bench("rig")
+async def test_nonsense_is_dropped_and_counted(b, axis, /):
+    before = dict(b.values)
+    for data in (b"", b"\1", struct.pack("<ff", math.nan, 0.0), struct.pack("<ff", 0.0, math.inf)):
+        b.bus.say(3 << 5 | 0x09, data)
+    assert axis.malformed == 4
+    assert b.values == before
 
 
 @given(st.lists(st.tuples(st.integers(0, 31), st.binary(max_size=64)), max_size=20))

@@ -95,160 +95,127 @@ async def result(task):
         return await task
 
 
-def test_a_posted_frame_that_is_late_is_dropped_and_one_with_a_sender_is_not(interface):
-    async def story():
-        async with connected(interface) as link:
-            first = await occupied(link, interface)
-            link.post(Frame(2))
-            third = sending(link, 3)
-            await asyncio.sleep(0)
-            interface.now = POST_TIMEOUT + 0.001
-            link.post(Frame(4))
-            interface.open.set()
-            assert (await result(first), await result(third)) == ("", "")
-            assert await result(sending(link, 5)) == ""
-
-    asyncio.run(story())
+async def test_a_posted_frame_that_is_late_is_dropped_and_one_with_a_sender_is_not(interface):
+    async with connected(interface) as link:
+        first = await occupied(link, interface)
+        link.post(Frame(2))
+        third = sending(link, 3)
+        await asyncio.sleep(0)
+        interface.now = POST_TIMEOUT + 0.001
+        link.post(Frame(4))
+        interface.open.set()
+        assert (await result(first), await result(third)) == ("", "")
+        assert await result(sending(link, 5)) == ""
     assert interface.sent == [1, 3, 4, 5]
 
 
-def test_a_frame_with_a_sender_is_dropped_after_its_own_deadline(interface):
-    async def story():
-        async with connected(interface) as link:
-            first = await occupied(link, interface)
-            second = sending(link, 2)
-            await asyncio.sleep(0)
-            interface.now = SEND_TIMEOUT + 0.001
-            third = sending(link, 3)
-            await asyncio.sleep(0)
-            interface.open.set()
-            assert [await result(task) for task in (first, second, third)] == ["", TOO_LATE, ""]
-
-    asyncio.run(story())
+async def test_a_frame_with_a_sender_is_dropped_after_its_own_deadline(interface):
+    async with connected(interface) as link:
+        first = await occupied(link, interface)
+        second = sending(link, 2)
+        await asyncio.sleep(0)
+        interface.now = SEND_TIMEOUT + 0.001
+        third = sending(link, 3)
+        await asyncio.sleep(0)
+        interface.open.set()
+        assert [await result(task) for task in (first, second, third)] == ["", TOO_LATE, ""]
     assert interface.sent == [1, 3]
 
 
-def test_a_stop_is_sent_right_after_an_earlier_setpoint_that_is_still_valid(interface):
-    async def story():
-        async with connected(interface) as link:
-            interface.full = True
-            setpoint = sending(link, 1)
-            assert await asyncio.to_thread(interface.refused.wait, BOUND)
-            interface.now = SEND_TIMEOUT / 2
-            stop = sending(link, 2)
-            await asyncio.sleep(0)
-            interface.full = False
-            assert (await result(setpoint), await result(stop)) == ("", "")
-
-    asyncio.run(story())
+async def test_a_stop_is_sent_right_after_an_earlier_setpoint_that_is_still_valid(interface):
+    async with connected(interface) as link:
+        interface.full = True
+        setpoint = sending(link, 1)
+        assert await asyncio.to_thread(interface.refused.wait, BOUND)
+        interface.now = SEND_TIMEOUT / 2
+        stop = sending(link, 2)
+        await asyncio.sleep(0)
+        interface.full = False
+        assert (await result(setpoint), await result(stop)) == ("", "")
     assert interface.sent == [1, 2]
 
 
-def test_a_stop_does_not_share_the_deadline_of_an_earlier_setpoint(interface):
-    async def story():
-        async with connected(interface) as link:
-            interface.full = True
-            setpoint = sending(link, 1)
-            assert await asyncio.to_thread(interface.refused.wait, BOUND)
-            interface.now = SEND_TIMEOUT / 2
-            stop = sending(link, 2)
-            await asyncio.sleep(0)
-            interface.now = SEND_TIMEOUT + 0.001
-            assert await result(setpoint) == FULL
-            interface.full = False
-            assert await result(stop) == ""
-
-    asyncio.run(story())
+async def test_a_stop_does_not_share_the_deadline_of_an_earlier_setpoint(interface):
+    async with connected(interface) as link:
+        interface.full = True
+        setpoint = sending(link, 1)
+        assert await asyncio.to_thread(interface.refused.wait, BOUND)
+        interface.now = SEND_TIMEOUT / 2
+        stop = sending(link, 2)
+        await asyncio.sleep(0)
+        interface.now = SEND_TIMEOUT + 0.001
+        assert await result(setpoint) == FULL
+        interface.full = False
+        assert await result(stop) == ""
     assert interface.sent == [2]
 
 
-def test_a_sender_that_is_cancelled_sends_nothing_and_later_frames_are_sent(interface):
-    async def story():
-        async with connected(interface) as link:
-            first = await occupied(link, interface)
-            cancelled = sending(link, 2)
-            await asyncio.sleep(0)
-            cancelled.cancel()
-            await asyncio.gather(cancelled, return_exceptions=True)
-            stop = sending(link, 3)
-            await asyncio.sleep(0)
-            interface.open.set()
-            assert (await result(first), await result(stop)) == ("", "")
-
-    asyncio.run(story())
+async def test_a_sender_that_is_cancelled_sends_nothing_and_later_frames_are_sent(interface):
+    async with connected(interface) as link:
+        first = await occupied(link, interface)
+        cancelled = sending(link, 2)
+        await asyncio.sleep(0)
+        cancelled.cancel()
+        await asyncio.gather(cancelled, return_exceptions=True)
+        stop = sending(link, 3)
+        await asyncio.sleep(0)
+        interface.open.set()
+        assert (await result(first), await result(stop)) == ("", "")
     assert interface.sent == [1, 3]
 
 
-def test_a_sender_may_be_cancelled_while_its_frame_is_being_sent(interface):
-    async def story():
-        async with connected(interface) as link:
-            first = await occupied(link, interface)
-            first.cancel()
-            await asyncio.gather(first, return_exceptions=True)
-            interface.open.set()
-            assert await result(sending(link, 2)) == ""
-
-    asyncio.run(story())
+async def test_a_sender_may_be_cancelled_while_its_frame_is_being_sent(interface):
+    async with connected(interface) as link:
+        first = await occupied(link, interface)
+        first.cancel()
+        await asyncio.gather(first, return_exceptions=True)
+        interface.open.set()
+        assert await result(sending(link, 2)) == ""
     assert interface.sent == [1, 2]
 
 
-def test_a_full_buffer_is_retried_until_it_accepts_the_frame(interface):
-    async def story():
-        async with connected(interface) as link:
-            interface.full = True
-            first = sending(link, 1)
-            assert await asyncio.to_thread(interface.refused.wait, BOUND)
-            interface.full = False
-            assert await result(first) == ""
-
-    asyncio.run(story())
+async def test_a_full_buffer_is_retried_until_it_accepts_the_frame(interface):
+    async with connected(interface) as link:
+        interface.full = True
+        first = sending(link, 1)
+        assert await asyncio.to_thread(interface.refused.wait, BOUND)
+        interface.full = False
+        assert await result(first) == ""
     assert interface.sent == [1]
 
 
-def test_a_buffer_that_stays_full_fails_the_call_with_its_reason(interface):
+async def test_a_buffer_that_stays_full_fails_the_call_with_its_reason(interface):
     interface.full, interface.passes = True, SEND_TIMEOUT / 4
 
-    async def story():
-        async with connected(interface) as link:
-            assert await result(sending(link, 1)) == FULL
-
-    asyncio.run(story())
+    async with connected(interface) as link:
+        assert await result(sending(link, 1)) == FULL
     assert interface.now == pytest.approx(SEND_TIMEOUT)
 
 
-def test_the_reason_of_the_interface_is_that_of_the_error(interface):
+async def test_the_reason_of_the_interface_is_that_of_the_error(interface):
     interface.full = True
 
-    async def story():
-        bus = Bus("virtual:queue", lambda frame: None, lambda text: None)
-        await bus.open()
-        with pytest.raises(DeviceError, match=f"a frame could not be sent: {FULL}"):
-            await bus.send(Frame(1))
-        await bus.close()
-
-    asyncio.run(story())
+    bus = Bus("virtual:queue", lambda frame: None, lambda text: None)
+    await bus.open()
+    with pytest.raises(DeviceError, match=f"a frame could not be sent: {FULL}"):
+        await bus.send(Frame(1))
+    await bus.close()
 
 
-def test_too_many_frames_are_refused(interface):
-    async def story():
-        async with connected(interface) as link:
-            await occupied(link, interface)
-            for _ in range(BACKLOG):
-                link.post(Frame(2))
-            assert await result(sending(link, 3)) == "the send queue is full"
-
-    asyncio.run(story())
+async def test_too_many_frames_are_refused(interface):
+    async with connected(interface) as link:
+        await occupied(link, interface)
+        for _ in range(BACKLOG):
+            link.post(Frame(2))
+        assert await result(sending(link, 3)) == "the send queue is full"
 
 
-def test_queued_frames_fail_when_the_connection_is_closed(interface):
-    async def story():
-        async with connected(interface) as link:
-            await occupied(link, interface)
-            queued = sending(link, 2)
-            await asyncio.sleep(0)
-            await link.close()
-            assert await result(queued) == BUS_LOST
-            assert await result(sending(link, 3)) == BUS_LOST
-
-    asyncio.run(story())
+async def test_queued_frames_fail_when_the_connection_is_closed(interface):
+    async with connected(interface) as link:
+        await occupied(link, interface)
+        queued = sending(link, 2)
+        await asyncio.sleep(0)
+        await link.close()
+        assert await result(queued) == BUS_LOST
+        assert await result(sending(link, 3)) == BUS_LOST
     assert 2 not in interface.sent

@@ -9,6 +9,7 @@ import struct
 
 import pytest
 from can_local_drive import LocalDrive
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
@@ -78,19 +79,15 @@ async def rests(axis, bound):
     return words, asyncio.get_running_loop().time() - start
 
 
-def test_an_axis_whose_torque_is_off_coasts_and_is_told_until_it_stands(rig):
-    b = rig(safe_state="torque_off")
-
-    async def mission(axis):
-        assert axis.moving() == ""
-        await turning(axis)
-        await axis.make_safe()
-        words, seconds = await rests(axis, 60.0)
-        assert re.fullmatch(r"turning at \d\d rad/s", words[0]), words[0]
-        assert words[-1].startswith("turning at 0.")
-        assert seconds > 10.0  # nothing brakes it but its friction
-
-    b.run(mission)
+@on_bench("rig", safe_state="torque_off")
+async def test_an_axis_whose_torque_is_off_coasts_and_is_told_until_it_stands(b, axis, /):
+    assert axis.moving() == ""
+    await turning(axis)
+    await axis.make_safe()
+    words, seconds = await rests(axis, 60.0)
+    assert re.fullmatch(r"turning at \d\d rad/s", words[0]), words[0]
+    assert words[-1].startswith("turning at 0.")
+    assert seconds > 10.0  # nothing brakes it but its friction
 
 
 CIA402 = {"options": {"protocol": "cia402", "node": 5, "counts": 4096}, "waivers": ["no_homing"]}
@@ -143,86 +140,68 @@ def test_option_codes_that_only_the_manual_explains_are_told(drive):
     b.run(mission)
 
 
-def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
+@on_bench("drive")
+async def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(b, axis, /):
     """A drive that stands tells nothing new; its position is no older for that."""
-    b = drive()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        axis.protocol.pdo_configuration = dataclasses.replace(
-            axis.protocol.pdo_configuration, by_changes=True
-        )
-        b.world.faults.apply(["lost_tpdo=true"])
-        await asyncio.sleep(0.1)
-        for _ in range(4):
-            b.values.clear()
-            await asyncio.sleep(0.3)
-            assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
-
-    b.run(mission)
-
-
-def test_an_answer_that_process_data_have_overtaken_is_no_news(drive):
-    """The drive reads, changes, tells of the change, and only then is what it has read on the bus."""
-    b = drive()
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        protocol = axis.protocol
-        protocol.pdo_configuration = dataclasses.replace(protocol.pdo_configuration, by_changes=True)
-        b.world.faults.apply(["lost_tpdo=true"])
-        await asyncio.sleep(0.1)
-        objects, say = b.drive.node.objects, b.bus.say
-
-        def overtaken(identifier, data):
-            if identifier == 0x580 + 5:
-                for index, value in ((0x6041, 0x1237), (0x6064, 4096), (0x606C, 512)):
-                    objects.put(index, value)
-                for tpdo in (Tpdo(objects, number) for number in range(4)):
-                    if tpdo.identifier is not None:
-                        say(tpdo.identifier, tpdo.data())
-            say(identifier, data)
-
-        b.bus.say = overtaken
-        published = await protocol.poll()
-        assert protocol.statusword == 0x1237
-        assert published["position"] == protocol.units.position(4096)
-        assert published["velocity"] == protocol.units.velocity(512)
-
-    b.run(mission)
-
-
-def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(drive):
-    """By transition 16; without voltage in between it would fall."""
-    b = drive(safe_state="torque_hold")
-
-    async def mission(axis):
-        await axis.execute("enable", [])
+    await axis.execute("enable", [])
+    axis.protocol.pdo_configuration = dataclasses.replace(axis.protocol.pdo_configuration, by_changes=True)
+    b.world.faults.apply(["lost_tpdo=true"])
+    await asyncio.sleep(0.1)
+    for _ in range(4):
+        b.values.clear()
         await asyncio.sleep(0.3)
-        await axis.make_safe()
-        states, motor = set(), b.drive.motor
-        b.drive.axis.objects.watch(lambda key, value: states.add(b.drive.axis.state.name))
-        before = motor.angle
-        await axis.execute("enable", [])
-        assert states <= {"QUICK_STOP_ACTIVE", "OPERATION_ENABLED"}
-        assert abs(motor.angle - before) < 0.001
-        await axis.execute("setVelocity", [2.0])
-        await b.until(lambda: b.values["velocity"] == pytest.approx(2.0, abs=0.1))
-
-    b.run(mission)
+        assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
 
 
-def test_a_load_that_turns_an_axis_without_torque_is_no_rest(rig):
-    b = rig("odrive:3,load=0.05", safe_state="torque_off")
+@on_bench("drive")
+async def test_an_answer_that_process_data_have_overtaken_is_no_news(b, axis, /):
+    """The drive reads, changes, tells of the change, and only then is what it has read on the bus."""
+    await axis.execute("enable", [])
+    protocol = axis.protocol
+    protocol.pdo_configuration = dataclasses.replace(protocol.pdo_configuration, by_changes=True)
+    b.world.faults.apply(["lost_tpdo=true"])
+    await asyncio.sleep(0.1)
+    objects, say = b.drive.node.objects, b.bus.say
 
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await asyncio.sleep(0.5)
-        await axis.make_safe()
-        await asyncio.sleep(2.0)
-        assert re.fullmatch(r"turning at [\d.]+ rad/s", axis.moving()), axis.moving()
+    def overtaken(identifier, data):
+        if identifier == 0x580 + 5:
+            for index, value in ((0x6041, 0x1237), (0x6064, 4096), (0x606C, 512)):
+                objects.put(index, value)
+            for tpdo in (Tpdo(objects, number) for number in range(4)):
+                if tpdo.identifier is not None:
+                    say(tpdo.identifier, tpdo.data())
+        say(identifier, data)
 
-    b.run(mission)
+    b.bus.say = overtaken
+    published = await protocol.poll()
+    assert protocol.statusword == 0x1237
+    assert published["position"] == protocol.units.position(4096)
+    assert published["velocity"] == protocol.units.velocity(512)
+
+
+@on_bench("drive", safe_state="torque_hold")
+async def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(b, axis, /):
+    """By transition 16; without voltage in between it would fall."""
+    await axis.execute("enable", [])
+    await asyncio.sleep(0.3)
+    await axis.make_safe()
+    states, motor = set(), b.drive.motor
+    b.drive.axis.objects.watch(lambda key, value: states.add(b.drive.axis.state.name))
+    before = motor.angle
+    await axis.execute("enable", [])
+    assert states <= {"QUICK_STOP_ACTIVE", "OPERATION_ENABLED"}
+    assert abs(motor.angle - before) < 0.001
+    await axis.execute("setVelocity", [2.0])
+    await b.until(lambda: b.values["velocity"] == pytest.approx(2.0, abs=0.1))
+
+
+@on_bench("rig", "odrive:3,load=0.05", safe_state="torque_off")
+async def test_a_load_that_turns_an_axis_without_torque_is_no_rest(b, axis, /):
+    await axis.execute("enable", [])
+    await asyncio.sleep(0.5)
+    await axis.make_safe()
+    await asyncio.sleep(2.0)
+    assert re.fullmatch(r"turning at [\d.]+ rad/s", axis.moving()), axis.moving()
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
@@ -238,31 +217,23 @@ def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(rig, state):
     b.run(mission)
 
 
-def test_one_that_is_not_heard_is_not_at_rest(rig):
-    b = rig(safe_state="torque_off")
-
-    async def mission(axis):
-        await turning(axis)
-        await axis.make_safe()
-        b.bus.cut = True
-        await asyncio.sleep(3.0)
-        assert re.fullmatch(r"no message for [23]\.\d s, last seen turning at \d\d rad/s", axis.moving())
-
-    b.run(mission)
+@on_bench("rig", safe_state="torque_off")
+async def test_one_that_is_not_heard_is_not_at_rest(b, axis, /):
+    await turning(axis)
+    await axis.make_safe()
+    b.bus.cut = True
+    await asyncio.sleep(3.0)
+    assert re.fullmatch(r"no message for [23]\.\d s, last seen turning at \d\d rad/s", axis.moving())
 
 
-def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_rest(rig):
-    b = rig(safe_state="torque_off")
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.make_safe()
-        assert axis.moving() == ""
-        b.world.command(0x07, "<I", 8)
-        await asyncio.sleep(0.5)
-        assert axis.moving().startswith("no longer in torque_off (closed loop")
-
-    b.run(mission)
+@on_bench("rig", safe_state="torque_off")
+async def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_rest(b, axis, /):
+    await axis.execute("enable", [])
+    await axis.make_safe()
+    assert axis.moving() == ""
+    b.world.command(0x07, "<I", 8)
+    await asyncio.sleep(0.5)
+    assert axis.moving().startswith("no longer in torque_off (closed loop")
 
 
 class Coasting(LocalDrive):

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -61,30 +62,24 @@ def carried(frame: Frame) -> dict:
     return FILE.message("Command").decode(frame.data)
 
 
-def test_who_it_is(rig):
-    async def mission(pump):
-        return await pump.open()
-
-    assert rig().run(mission, opened=False) == "DBC device, received Status"
+@on_bench("rig", opened=False)
+async def test_who_it_is(b, pump, /):
+    assert await pump.open() == "DBC device, received Status"
 
 
-def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
-    b = rig()
-
-    async def mission(pump):
-        await pump.execute("set", ["Command.speed", 12.5])
-        await pump.execute("set", ["Command.valve", 30.0])
-        await asyncio.sleep(2.0)
-        assert [carried(frame) for frame in b.bus.sent] == [
-            {"speed": 12.5, "valve": 100, "gain": 1.0},
-            {"speed": 12.5, "valve": 30, "gain": 1.0},
-        ]
-        assert await pump.execute("read", ["Status.speed"]) == 12.5
-        assert await pump.execute("read", ["Status.heat"]) == 60.0
-        await pump.execute("send", ["Command", [1.0, 2.0, 3.0]])
-        assert carried(b.bus.sent[-1]) == {"speed": 1.0, "valve": 2, "gain": 3.0}
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(b, pump, /):
+    await pump.execute("set", ["Command.speed", 12.5])
+    await pump.execute("set", ["Command.valve", 30.0])
+    await asyncio.sleep(2.0)
+    assert [carried(frame) for frame in b.bus.sent] == [
+        {"speed": 12.5, "valve": 100, "gain": 1.0},
+        {"speed": 12.5, "valve": 30, "gain": 1.0},
+    ]
+    assert await pump.execute("read", ["Status.speed"]) == 12.5
+    assert await pump.execute("read", ["Status.heat"]) == 60.0
+    await pump.execute("send", ["Command", [1.0, 2.0, 3.0]])
+    assert carried(b.bus.sent[-1]) == {"speed": 1.0, "valve": 2, "gain": 3.0}
 
 
 @pytest.mark.parametrize(
@@ -109,135 +104,102 @@ def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
         (("read", ["Nothing.at"]), "no message 'Nothing'"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_sent(rig, call, words):
-    b = rig()
-
-    async def mission(pump):
-        with pytest.raises(DeviceError, match=words):
-            await pump.execute(*call)
-
-    b.run(mission)
+@on_bench("rig")
+async def test_what_cannot_be_is_refused_before_anything_is_sent(b, pump, /, call, words):
+    with pytest.raises(DeviceError, match=words):
+        await pump.execute(*call)
     assert b.bus.sent == []
 
 
-def test_nothing_is_a_command_unless_it_is_listed(rig):
-    b = rig(commands=[], safe=[], confirm=[])
-
-    async def mission(pump):
-        with pytest.raises(DeviceError, match="the binding's 'commands' allow nothing"):
-            await pump.execute("set", ["Command.speed", 1.0])
-        await pump.make_safe()
-
-    b.run(mission)
+@on_bench("rig", commands=[], safe=[], confirm=[])
+async def test_nothing_is_a_command_unless_it_is_listed(b, pump, /):
+    with pytest.raises(DeviceError, match="the binding's 'commands' allow nothing"):
+        await pump.execute("set", ["Command.speed", 1.0])
+    await pump.make_safe()
     assert b.bus.sent == []
 
 
-def test_the_safe_state_is_sent_seen_and_sent_again(rig):
-    b = rig()
-
-    async def mission(pump):
-        await pump.execute("set", ["Command.speed", 12.5])
-        await asyncio.sleep(0.5)
-        b.pump.deaf = True
-        asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "deaf", False)
+@on_bench("rig")
+async def test_the_safe_state_is_sent_seen_and_sent_again(b, pump, /):
+    await pump.execute("set", ["Command.speed", 12.5])
+    await asyncio.sleep(0.5)
+    b.pump.deaf = True
+    asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "deaf", False)
+    await pump.make_safe()
+    assert b.pump.speed == 0.0
+    b.pump.deaf, b.pump.speed = True, 3.0
+    with pytest.raises(DeviceError, match=r"not confirmed: Status.speed is 3.0"):
         await pump.make_safe()
-        assert b.pump.speed == 0.0
-        b.pump.deaf, b.pump.speed = True, 3.0
-        with pytest.raises(DeviceError, match=r"not confirmed: Status.speed is 3.0"):
-            await pump.make_safe()
-
-    b.run(mission)
 
 
-def test_after_the_safe_state_nothing_of_before_is_sent(rig):
-    b = rig()
-
-    async def mission(pump):
-        await pump.execute("set", ["Command.speed", 12.5])
-        await pump.make_safe()
-        await pump.execute("set", ["Command.valve", 50.0])
-        assert carried(b.bus.sent[-1])["speed"] == 0.0
-
-    b.run(mission)
+@on_bench("rig")
+async def test_after_the_safe_state_nothing_of_before_is_sent(b, pump, /):
+    await pump.execute("set", ["Command.speed", 12.5])
+    await pump.make_safe()
+    await pump.execute("set", ["Command.valve", 50.0])
+    assert carried(b.bus.sent[-1])["speed"] == 0.0
 
 
-def test_a_device_by_file_rests_while_what_confirms_it_fits(rig):
-    b = rig()
-
-    async def mission(device):
-        await device.execute("set", ["Command.speed", 12.5])
-        await device.make_safe()
-        assert device.moving() == ""
-        b.pump.deaf, b.pump.speed = True, 3.0
-        await asyncio.sleep(0.3)
-        assert device.moving() == "Status.speed is 3.0"
-        b.pump.silent = True
-        await asyncio.sleep(3.0)
-        assert re.fullmatch(r"no message for [23]\.\d s", device.moving()), device.moving()
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_device_by_file_rests_while_what_confirms_it_fits(b, device, /):
+    await device.execute("set", ["Command.speed", 12.5])
+    await device.make_safe()
+    assert device.moving() == ""
+    b.pump.deaf, b.pump.speed = True, 3.0
+    await asyncio.sleep(0.3)
+    assert device.moving() == "Status.speed is 3.0"
+    b.pump.silent = True
+    await asyncio.sleep(3.0)
+    assert re.fullmatch(r"no message for [23]\.\d s", device.moving()), device.moving()
 
 
-def test_one_whose_binding_waives_the_confirmation_is_at_rest_unheard(rig):
-    b = rig(waivers=("device_watchdog", "no_confirmation"), confirm=[])
-
-    async def mission(device):
-        await device.make_safe()
-        b.pump.silent = True
-        await asyncio.sleep(5.0)
-        assert device.moving() == ""
-
-    b.run(mission)
+@on_bench("rig", waivers=("device_watchdog", "no_confirmation"), confirm=[])
+async def test_one_whose_binding_waives_the_confirmation_is_at_rest_unheard(b, device, /):
+    await device.make_safe()
+    b.pump.silent = True
+    await asyncio.sleep(5.0)
+    assert device.moving() == ""
 
 
-def test_old_values_are_not_answers(rig):
-    b = rig()
-
-    async def mission(pump):
-        b.pump.silent = True
-        await asyncio.sleep(2.0)
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"Status.speed was not received for over 1 s") as error:
-            await pump.execute("read", ["Status.speed"])
-        assert error.value.kind == "DeviceTimeoutException"
-        assert asyncio.get_running_loop().time() - start == pytest.approx(1.0)
-        assert await pump.execute("ageOf", ["Status"]) > 2.5
-        assert b.values["online"] is False
-        asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "silent", False)
-        assert await pump.execute("read", ["Status.speed"]) == 0.0
-        await asyncio.sleep(0.2)
-        assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
-
-    b.run(mission)
+@on_bench("rig")
+async def test_old_values_are_not_answers(b, pump, /):
+    b.pump.silent = True
+    await asyncio.sleep(2.0)
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"Status.speed was not received for over 1 s") as error:
+        await pump.execute("read", ["Status.speed"])
+    assert error.value.kind == "DeviceTimeoutException"
+    assert asyncio.get_running_loop().time() - start == pytest.approx(1.0)
+    assert await pump.execute("ageOf", ["Status"]) > 2.5
+    assert b.values["online"] is False
+    asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "silent", False)
+    assert await pump.execute("read", ["Status.speed"]) == 0.0
+    await asyncio.sleep(0.2)
+    assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
     assert [note.code for note in b.notes if note.startswith("link ")] == ["can-silent", "can-responding"]
 
 
-def test_multiplexed_messages(rig):
-    b = rig()
-
-    async def mission(pump):
-        b.bus.say(DETAIL, bytes([1, 5, 0, 0, 0, 0, 0, 0]), extended=True)
-        b.bus.say(DETAIL, bytes([2, 7, 0, 0, 0, 0, 0, 0]), extended=True)
-        assert await pump.execute("read", ["Detail.pressure"]) == 50.0
-        assert await pump.execute("read", ["Detail.flow"]) == pytest.approx(0.007)
-        b.bus.say(DETAIL, bytes([9, 7, 0, 0, 0, 0, 0, 0]), extended=True)
-        b.bus.say(DETAIL, bytes(8))  # of 11 bits: another message
-        await asyncio.sleep(0.2)
-        assert b.values["malformed"] == 1
-
-    b.run(mission)
+@on_bench("rig")
+async def test_multiplexed_messages(b, pump, /):
+    b.bus.say(DETAIL, bytes([1, 5, 0, 0, 0, 0, 0, 0]), extended=True)
+    b.bus.say(DETAIL, bytes([2, 7, 0, 0, 0, 0, 0, 0]), extended=True)
+    assert await pump.execute("read", ["Detail.pressure"]) == 50.0
+    assert await pump.execute("read", ["Detail.flow"]) == pytest.approx(0.007)
+    b.bus.say(DETAIL, bytes([9, 7, 0, 0, 0, 0, 0, 0]), extended=True)
+    b.bus.say(DETAIL, bytes(8))  # of 11 bits: another message
+    await asyncio.sleep(0.2)
+    assert b.values["malformed"] == 1
 
 
-def test_setting_a_multiplexed_signal_selects_it(rig):
-    b = rig(
-        commands=["Setup"], safe=["Setup.page=1", "Setup.slope=0"], confirm=[],
-        waivers=["device_watchdog", "no_confirmation"],
-    )  # fmt: skip
-
-    async def mission(pump):
-        await pump.execute("set", ["Setup.limit", 300.0])
-
-    b.run(mission)
+@on_bench(
+    "rig",
+    commands=["Setup"],
+    safe=["Setup.page=1", "Setup.slope=0"],
+    confirm=[],
+    waivers=["device_watchdog", "no_confirmation"],
+)
+async def test_setting_a_multiplexed_signal_selects_it(b, pump, /):
+    await pump.execute("set", ["Setup.limit", 300.0])
     assert b.bus.sent[-1].data == bytes([2, 44, 1, 0, 0, 0, 0, 0])
 
 
@@ -294,27 +256,23 @@ def test_whatever_is_sent_comes_out_again_or_is_refused(speed, valve, gain):
     assert back["gain"] == pytest.approx(gain, rel=1e-6, abs=1e-44)
 
 
-def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(rig):
-    b = rig()
-
-    async def mission(pump):
-        await asyncio.sleep(0.2)
-        b.pump.silent = True
-        for _ in range(20):
-            b.bus.say(512, bytes([10, 0]))
-            await asyncio.sleep(0.1)
-        assert await pump.execute("read", ["Status.speed"]) == 1.0
-        assert await pump.execute("ageOf", ["Status"]) < 0.3
-        asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([10, 0]))
-        with pytest.raises(
-            DeviceError, match="frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
-        ):
-            await pump.execute("read", ["Status.heat"])
-        assert b.values["malformed"] >= 20
-        b.bus.say(512, bytes([10, 0, 100]))
-        assert await pump.execute("read", ["Status.heat"]) == 60.0
-
-    b.run(mission)
+@on_bench("rig")
+async def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(b, pump, /):
+    await asyncio.sleep(0.2)
+    b.pump.silent = True
+    for _ in range(20):
+        b.bus.say(512, bytes([10, 0]))
+        await asyncio.sleep(0.1)
+    assert await pump.execute("read", ["Status.speed"]) == 1.0
+    assert await pump.execute("ageOf", ["Status"]) < 0.3
+    asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([10, 0]))
+    with pytest.raises(
+        DeviceError, match="frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
+    ):
+        await pump.execute("read", ["Status.heat"])
+    assert b.values["malformed"] >= 20
+    b.bus.say(512, bytes([10, 0, 100]))
+    assert await pump.execute("read", ["Status.heat"]) == 60.0
     told = "message Status invalid: frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
     assert [note for note in b.notes if "0x200" in note] == [
         told,

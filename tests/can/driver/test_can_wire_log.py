@@ -26,24 +26,21 @@ def log_in(folder):
     return log
 
 
-def test_a_bus_logs_what_it_sends_and_receives(tmp_path):
+async def test_a_bus_logs_what_it_sends_and_receives(tmp_path):
     received = []
 
-    async def story():
-        log = log_in(tmp_path)
-        bus = Bus("virtual:wire", received.append, pytest.fail, log)
-        await bus.open()
-        with can.Bus("wire", interface="virtual") as other:
-            await bus.send(Frame(0x123, b"\xde\xad\xbe\xef"))
-            bus.post(Frame(0x1FFF_FF01, b"", extended=True))
-            other.send(can.Message(arbitration_id=0x7, data=[1], is_extended_id=False))
-            async with asyncio.timeout(60):
-                while not received:
-                    await asyncio.sleep(0.001)
-        await bus.close()
-        log.close()
-
-    asyncio.run(story())
+    log = log_in(tmp_path)
+    bus = Bus("virtual:wire", received.append, pytest.fail, log)
+    await bus.open()
+    with can.Bus("wire", interface="virtual") as other:
+        await bus.send(Frame(0x123, b"\xde\xad\xbe\xef"))
+        bus.post(Frame(0x1FFF_FF01, b"", extended=True))
+        other.send(can.Message(arbitration_id=0x7, data=[1], is_extended_id=False))
+        async with asyncio.timeout(60):
+            while not received:
+                await asyncio.sleep(0.001)
+    await bus.close()
+    log.close()
     (path,) = tmp_path.iterdir()
     assert path.name == "wire-a-000001.candump.log"
     assert path.stat().st_mode & 0o777 == 0o600

@@ -98,32 +98,25 @@ def test_what_does_not_fit_is_said_with_what_the_drive_has_and_answered(bus, bou
 
 
 @pytest.mark.parametrize("variant", VARIANTS[4:], ids=lambda variant: variant.name)
-def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bound, variant):
+async def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bound, variant):
     """The word, the mode and the targets that share a frame never bring one another's old values back."""
-
-    async def mission():
-        endpoint, drive = bus(variant)
-        binding = bound(endpoint, waivers=["no_homing"], options={"cyclic": True})
-        async with guarded(binding, silence=SILENCE) as (axis,):
-            await axis.call("enable")
-            await axis.call("setVelocity", 1.0)
-            await axis.reads("velocity", lambda speed: abs(speed - 1.0) < 0.1)
-            await axis.call("setPosition", await axis.call("position") + 0.5)
-            # The call ends when the frame is on its way; the drive reads it in a thread of its own.
-            await until(lambda: (drive.mode, drive.controlword) == (8, 0x0F))
-            await axis.call("stop")
-            await until(lambda: drive.state != 0x0237 and abs(drive.velocity) < 100)
-
-    asyncio.run(mission())
+    endpoint, drive = bus(variant)
+    binding = bound(endpoint, waivers=["no_homing"], options={"cyclic": True})
+    async with guarded(binding, silence=SILENCE) as (axis,):
+        await axis.call("enable")
+        await axis.call("setVelocity", 1.0)
+        await axis.reads("velocity", lambda speed: abs(speed - 1.0) < 0.1)
+        await axis.call("setPosition", await axis.call("position") + 0.5)
+        # The call ends when the frame is on its way; the drive reads it in a thread of its own.
+        await until(lambda: (drive.mode, drive.controlword) == (8, 0x0F))
+        await axis.call("stop")
+        await until(lambda: drive.state != 0x0237 and abs(drive.velocity) < 100)
 
 
-def test_the_ids_of_process_data_keep_what_the_drive_wants_of_them(bus, bound):
-    async def mission():
-        endpoint, drive = bus(VARIANTS[1])
-        async with guarded(bound(endpoint)):
-            assert drive.get(0x1800, 1) == 1 << 30 | 0x189
-            assert drive.get(0x1400, 1) == 1 << 30 | 0x209
-            assert [drive.get(0x1801, n) for n in (2, 3, 5)] == [255, 100, 20]
-            assert drive.get(0x1803, 1) & UNUSED == 0  # not ours, and left as it was
-
-    asyncio.run(mission())
+async def test_the_ids_of_process_data_keep_what_the_drive_wants_of_them(bus, bound):
+    endpoint, drive = bus(VARIANTS[1])
+    async with guarded(bound(endpoint)):
+        assert drive.get(0x1800, 1) == 1 << 30 | 0x189
+        assert drive.get(0x1400, 1) == 1 << 30 | 0x209
+        assert [drive.get(0x1801, n) for n in (2, 3, 5)] == [255, 100, 20]
+        assert drive.get(0x1803, 1) & UNUSED == 0  # not ours, and left as it was

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
 
 from lfield.errors import DeviceError, DeviceNotSetUp
@@ -15,44 +16,34 @@ def ax(*ids: int, **more) -> Bench:
     return Bench(*ids, fake="AX-12A", protocol=1, waivers=["device_watchdog"], **more)
 
 
-def test_it_moves():
-    bench = ax(4, limits={"speed": 2.0})
-
-    async def story(servo):
-        assert "AX-12A 4" in await servo.open()
-        await call(servo, "torque", True)
-        await call(servo, "moveTo", 1.0)
-        assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
-        assert math.isnan(bench.values["current"])
-        await call(servo, "moveTo", -1.0)
-        await servo.make_safe()
-
-    bench.run(story)
+@on_bench(ax, 4, limits={"speed": 2.0})
+async def test_it_moves(bench, servo, /):
+    assert "AX-12A 4" in await servo.open()
+    await call(servo, "torque", True)
+    await call(servo, "moveTo", 1.0)
+    assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
+    assert math.isnan(bench.values["current"])
+    await call(servo, "moveTo", -1.0)
+    await servo.make_safe()
 
 
 @pytest.mark.parametrize("instruction", ["moveTo", "setPosition"])
-def test_the_first_motion_after_power_keeps_the_limit_of_speed(instruction):
+@on_bench(ax, 4, limits={"speed": 0.5})
+async def test_the_first_motion_after_power_keeps_the_limit_of_speed(bench, servo, /, instruction):
     """Its register of speed is 0 then, which is the greatest; goal and speed come in one packet."""
-    bench = ax(4, limits={"speed": 0.5})
-
-    async def story(servo):
-        await call(servo, "torque", True)
-        motion = asyncio.ensure_future(call(servo, instruction, 1.0))
-        for _ in range(100):
-            await asyncio.sleep(0.02)
-            assert abs(bench.values["velocity"]) < 0.6
-        await motion
-        assert bench.values["position"] == pytest.approx(1.0, abs=0.1)
-
-    bench.run(story)
+    await call(servo, "torque", True)
+    motion = asyncio.ensure_future(call(servo, instruction, 1.0))
+    for _ in range(100):
+        await asyncio.sleep(0.02)
+        assert abs(bench.values["velocity"]) < 0.6
+    await motion
+    assert bench.values["position"] == pytest.approx(1.0, abs=0.1)
 
 
-def test_it_has_no_watchdog_and_the_binding_must_say_so():
-    async def story(servo):
-        with pytest.raises(DeviceError, match="no watchdog in the device"):
-            await servo.open()
-
-    Bench(4, fake="AX-12A", protocol=1).run(story, opened=False)
+@on_bench(Bench, 4, fake="AX-12A", protocol=1, opened=False)
+async def test_it_has_no_watchdog_and_the_binding_must_say_so(b, servo, /):
+    with pytest.raises(DeviceError, match="no watchdog in the device"):
+        await servo.open()
 
 
 def test_what_it_keeps_is_not_written_at_opening():
@@ -83,58 +74,44 @@ def test_what_it_keeps_is_not_written_at_opening():
         (("moveTo", 2.7), "only moves from -2.62"),
     ],
 )
-def test_what_it_cannot_do_is_said(instruction, match):
-    async def story(servo):
-        await call(servo, "torque", True)
-        with pytest.raises(DeviceError, match=match):
-            await call(servo, *instruction)
-
-    ax(1).run(story)
+@on_bench(ax, 1)
+async def test_what_it_cannot_do_is_said(b, servo, /, instruction, match):
+    await call(servo, "torque", True)
+    with pytest.raises(DeviceError, match=match):
+        await call(servo, *instruction)
 
 
-def test_holding_does_not_make_it_stiff():
-    bench = ax(1)
-
-    async def story(servo):
-        await servo.make_safe()
-        await asyncio.sleep(1.0)
-        assert not bench.values["torqueOn"]
-
-    bench.run(story)
+@on_bench(ax, 1)
+async def test_holding_does_not_make_it_stiff(bench, servo, /):
+    await servo.make_safe()
+    await asyncio.sleep(1.0)
+    assert not bench.values["torqueOn"]
 
 
-def test_a_group_of_them_is_stopped_by_one_packet():
-    bench = ax(1, 2, 3)
-
-    async def story(group):
-        await call(group, "torque", True)
-        await call(group, "setProfile", 2.0, 0.0)
-        await call(group, "moveTo", [0.5, -0.5, 0.2])
-        assert bench.values["positions"] == pytest.approx([0.5, -0.5, 0.2], abs=0.02)
-        moving = asyncio.ensure_future(call(group, "moveTo", [-1.0, 1.0, 1.0]))
-        await asyncio.sleep(0.3)
-        moving.cancel()
-        bench.fault("dead@2=true")
-        with pytest.raises(DeviceError, match="servo 2 does not answer"):
-            await group.make_safe()
-        place = bench.values["positions"][0]
-        await asyncio.sleep(1.0)
-        assert bench.values["positions"][0] == pytest.approx(place, abs=0.15)
-
-    bench.run(story)
+@on_bench(ax, 1, 2, 3)
+async def test_a_group_of_them_is_stopped_by_one_packet(bench, group, /):
+    await call(group, "torque", True)
+    await call(group, "setProfile", 2.0, 0.0)
+    await call(group, "moveTo", [0.5, -0.5, 0.2])
+    assert bench.values["positions"] == pytest.approx([0.5, -0.5, 0.2], abs=0.02)
+    moving = asyncio.ensure_future(call(group, "moveTo", [-1.0, 1.0, 1.0]))
+    await asyncio.sleep(0.3)
+    moving.cancel()
+    bench.fault("dead@2=true")
+    with pytest.raises(DeviceError, match="servo 2 does not answer"):
+        await group.make_safe()
+    place = bench.values["positions"][0]
+    await asyncio.sleep(1.0)
+    assert bench.values["positions"][0] == pytest.approx(place, abs=0.15)
 
 
-def test_overload_is_told():
-    bench = ax(1)
-
-    async def story(servo):
-        await call(servo, "torque", True)
-        bench.fault("overload=true")
-        with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) restores it"):
-            await call(servo, "moveTo", 1.0)
-        bench.fault("overload=false")
-        await asyncio.sleep(2.0)
-        await call(servo, "torque", True)
-        await call(servo, "moveTo", 0.5)
-
-    bench.run(story)
+@on_bench(ax, 1)
+async def test_overload_is_told(bench, servo, /):
+    await call(servo, "torque", True)
+    bench.fault("overload=true")
+    with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) restores it"):
+        await call(servo, "moveTo", 1.0)
+    bench.fault("overload=false")
+    await asyncio.sleep(2.0)
+    await call(servo, "torque", True)
+    await call(servo, "moveTo", 0.5)

@@ -7,6 +7,7 @@ import itertools
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
 
 from lfield.driver import DeviceBinding
@@ -18,79 +19,65 @@ async def stiff(group, velocity=2.0, acceleration=10.0):
     await call(group, "setProfile", velocity, acceleration)
 
 
-def test_all_arrive_together():
-    bench = Bench(1, 2, 3)
+@on_bench(Bench, 1, 2, 3)
+async def test_all_arrive_together(bench, group, /):
     goals = [1.2, -0.6, 0.3]
 
-    async def story(group):
-        await stiff(group)
-        moving = asyncio.ensure_future(call(group, "moveTo", goals))
-        shares = []
-        while not moving.done():
-            await asyncio.sleep(0.1)
-            shares.append([p / g for p, g in zip(bench.values["positions"], goals, strict=True)])
-        await moving
-        assert bench.values["positions"] == pytest.approx(goals, abs=0.02)
-        # On the whole way, all have covered the same share of it.
-        assert max(max(share) - min(share) for share in shares) < 0.12
-
-    bench.run(story)
+    await stiff(group)
+    moving = asyncio.ensure_future(call(group, "moveTo", goals))
+    shares = []
+    while not moving.done():
+        await asyncio.sleep(0.1)
+        shares.append([p / g for p, g in zip(bench.values["positions"], goals, strict=True)])
+    await moving
+    assert bench.values["positions"] == pytest.approx(goals, abs=0.02)
+    # On the whole way, all have covered the same share of it.
+    assert max(max(share) - min(share) for share in shares) < 0.12
 
 
-def test_a_setpoint_for_all_is_one_packet():
-    bench = Bench(1, 2, 3)
-
-    async def story(group):
-        await stiff(group)
-        sent = len(bench.sent)
-        await call(group, "setPositions", [0.1, 0.2, 0.3])
-        assert [p[7] for _, p in bench.sent[sent:] if p[7] in (0x03, 0x83)] == [0x83]
-        await asyncio.sleep(1.0)
-        assert bench.values["positions"] == pytest.approx([0.1, 0.2, 0.3], abs=0.02)
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3)
+async def test_a_setpoint_for_all_is_one_packet(bench, group, /):
+    await stiff(group)
+    sent = len(bench.sent)
+    await call(group, "setPositions", [0.1, 0.2, 0.3])
+    assert [p[7] for _, p in bench.sent[sent:] if p[7] in (0x03, 0x83)] == [0x83]
+    await asyncio.sleep(1.0)
+    assert bench.values["positions"] == pytest.approx([0.1, 0.2, 0.3], abs=0.02)
 
 
-def test_one_that_is_missing_is_named_and_has_no_number():
-    bench = Bench(1, 2, 3)
-
-    async def story(group):
-        await stiff(group)
-        bench.fault("dead@2=true")
-        await asyncio.sleep(2.0)
-        positions = bench.values["positions"]
-        assert math.isnan(positions[1])
-        assert not math.isnan(positions[0])
-        assert bench.values["missing"] == [2]
-        with pytest.raises(DeviceError, match="servo 2 does not answer") as caught:
-            await call(group, "moveTo", [0.1, 0.1, 0.1])
-        assert caught.value.kind == "DeviceTimeoutException"
-        bench.fault("dead@2=false")
-        await asyncio.sleep(1.0)
-        assert bench.values["missing"] == []
-        told = [note for note in bench.notes if "servo 2" in note and "respond" in note]
-        assert told[0] == "servo 2 not responding; retrying"
-        assert told[1].startswith("servo 2 responding again: torque on, stopped by its watchdog")
-        assert len(told) == 2
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3)
+async def test_one_that_is_missing_is_named_and_has_no_number(bench, group, /):
+    await stiff(group)
+    bench.fault("dead@2=true")
+    await asyncio.sleep(2.0)
+    positions = bench.values["positions"]
+    assert math.isnan(positions[1])
+    assert not math.isnan(positions[0])
+    assert bench.values["missing"] == [2]
+    with pytest.raises(DeviceError, match="servo 2 does not answer") as caught:
+        await call(group, "moveTo", [0.1, 0.1, 0.1])
+    assert caught.value.kind == "DeviceTimeoutException"
+    bench.fault("dead@2=false")
+    await asyncio.sleep(1.0)
+    assert bench.values["missing"] == []
+    told = [note for note in bench.notes if "servo 2" in note and "respond" in note]
+    assert told[0] == "servo 2 not responding; retrying"
+    assert told[1].startswith("servo 2 responding again: torque on, stopped by its watchdog")
+    assert len(told) == 2
 
 
 @pytest.mark.parametrize("fault", ["lose=0.1", "corrupt=0.1", "noise=0.2"])
-def test_lost_replies_are_nobodys_absence(fault):
-    bench = Bench(1, 2, 3, 4, 5, 6)
+@on_bench(Bench, 1, 2, 3, 4, 5, 6)
+async def test_lost_replies_are_nobodys_absence(bench, group, /, fault):
     seen = []
 
-    async def story(group):
-        await stiff(group)
-        bench.fault(fault)
-        moving = asyncio.ensure_future(call(group, "moveTo", [1.0, -1.0, 0.5, 0.2, 0.7, -0.3]))
-        while not moving.done():
-            await asyncio.sleep(0.05)
-            seen.append((list(bench.values["positions"]), list(bench.values["missing"])))
-        await moving
-
-    bench.run(story)
+    await stiff(group)
+    bench.fault(fault)
+    moving = asyncio.ensure_future(call(group, "moveTo", [1.0, -1.0, 0.5, 0.2, 0.7, -0.3]))
+    while not moving.done():
+        await asyncio.sleep(0.05)
+        seen.append((list(bench.values["positions"]), list(bench.values["missing"])))
+    await moving
     # A position that is not known is NaN, never 0 out of nothing: all move away from 0 and none comes back.
     for servo in range(6):
         way = [abs(positions[servo]) for positions, _ in seen if not math.isnan(positions[servo])]
@@ -98,21 +85,17 @@ def test_lost_replies_are_nobodys_absence(fault):
 
 
 @pytest.mark.parametrize("fault", ["other@1=true", "nonsense@1=true", "delay@1=0.04"])
-def test_one_that_lies_is_missing(fault):
-    bench = Bench(1, 2, 3)
-
-    async def story(group):
-        await stiff(group)
-        await call(group, "moveTo", [0.5, 0.5, 0.5])
-        bench.fault(fault)
-        for _ in range(40):
-            await asyncio.sleep(0.1)
-            for position in bench.values["positions"]:
-                assert math.isnan(position) or position == pytest.approx(0.5, abs=0.03)
-        assert 1 in bench.values["missing"]
-        assert 2 not in bench.values["missing"]
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3)
+async def test_one_that_lies_is_missing(bench, group, /, fault):
+    await stiff(group)
+    await call(group, "moveTo", [0.5, 0.5, 0.5])
+    bench.fault(fault)
+    for _ in range(40):
+        await asyncio.sleep(0.1)
+        for position in bench.values["positions"]:
+            assert math.isnan(position) or position == pytest.approx(0.5, abs=0.03)
+    assert 1 in bench.values["missing"]
+    assert 2 not in bench.values["missing"]
 
 
 @pytest.mark.parametrize(("state", "item"), [("torque_off", "torque_enable"), ("torque_hold", None)])
@@ -138,36 +121,28 @@ def test_the_safe_state_reaches_all_and_names_the_dead(state, item):
     bench.run(story)
 
 
-def test_a_member_that_hears_but_cannot_answer_is_safe_too():
-    bench = Bench(1, 2, 3, safe_state="torque_off")
-
-    async def story(group):
-        await stiff(group)
-        bench.fault("lose@2=1.0")
-        with pytest.raises(DeviceError, match="servo 2 does not answer"):
-            await group.make_safe()
-        assert [servo.table["torque_enable"] for servo in bench.servos.values()] == [0, 0, 0]
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3, safe_state="torque_off")
+async def test_a_member_that_hears_but_cannot_answer_is_safe_too(bench, group, /):
+    await stiff(group)
+    bench.fault("lose@2=1.0")
+    with pytest.raises(DeviceError, match="servo 2 does not answer"):
+        await group.make_safe()
+    assert [servo.table["torque_enable"] for servo in bench.servos.values()] == [0, 0, 0]
 
 
-def test_the_first_safe_frame_does_not_wait_for_the_dead():
-    bench = Bench(1, 2, 3, 4, 5, 6, safe_state="torque_off")
-
-    async def story(group):
-        await stiff(group)
-        bench.fault("dead@1=true", "dead@2=true", "dead@3=true")
-        await asyncio.sleep(0.51)
-        start = asyncio.get_running_loop().time()
-        task = asyncio.ensure_future(group.make_safe())
-        await asyncio.sleep(0.05)
-        safe = [at for at, packet in bench.sent if at >= start and packet[7] == 0x83]
-        assert safe
-        assert safe[0] - start < 0.04
-        with pytest.raises(DeviceError, match=r"servo 1 .*servo 2 .*servo 3"):
-            await task
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3, 4, 5, 6, safe_state="torque_off")
+async def test_the_first_safe_frame_does_not_wait_for_the_dead(bench, group, /):
+    await stiff(group)
+    bench.fault("dead@1=true", "dead@2=true", "dead@3=true")
+    await asyncio.sleep(0.51)
+    start = asyncio.get_running_loop().time()
+    task = asyncio.ensure_future(group.make_safe())
+    await asyncio.sleep(0.05)
+    safe = [at for at, packet in bench.sent if at >= start and packet[7] == 0x83]
+    assert safe
+    assert safe[0] - start < 0.04
+    with pytest.raises(DeviceError, match=r"servo 1 .*servo 2 .*servo 3"):
+        await task
 
 
 def test_opening_names_all_that_are_missing():
@@ -181,23 +156,19 @@ def test_opening_names_all_that_are_missing():
     bench.run(story, opened=False)
 
 
-def test_as_many_angles_as_members():
-    async def story(group):
-        await stiff(group)
-        with pytest.raises(DeviceError, match="requires 2 angles, one for each id, not 3"):
-            await call(group, "moveTo", [0.0, 0.0, 0.0])
-        with pytest.raises(DeviceError, match="outside"):
-            await call(group, "setPositions", [0.0, math.nan])
-
-    Bench(1, 2).run(story)
+@on_bench(Bench, 1, 2)
+async def test_as_many_angles_as_members(b, group, /):
+    await stiff(group)
+    with pytest.raises(DeviceError, match="requires 2 angles, one for each id, not 3"):
+        await call(group, "moveTo", [0.0, 0.0, 0.0])
+    with pytest.raises(DeviceError, match="outside"):
+        await call(group, "setPositions", [0.0, math.nan])
 
 
-def test_a_group_of_nobody():
-    async def story(group):
-        with pytest.raises(DeviceError, match="names no servo"):
-            await group.open()
-
-    Bench(1, 2, ids=[]).run(story, opened=False)
+@on_bench(Bench, 1, 2, ids=[], opened=False)
+async def test_a_group_of_nobody(b, group, /):
+    with pytest.raises(DeviceError, match="names no servo"):
+        await group.open()
 
 
 def test_a_servo_belongs_to_one_device():
@@ -211,48 +182,40 @@ def test_a_servo_belongs_to_one_device():
         bench.run(lambda group: group.open())
 
 
-def test_an_unplugged_port_is_told_once_and_comes_back():
-    bench = Bench(1, 2)
-
-    async def story(group):
-        await stiff(group)
-        moving = asyncio.ensure_future(call(group, "moveTo", [1.0, 1.0]))
-        await asyncio.sleep(0.2)
-        start = asyncio.get_running_loop().time()
-        bench.port.unplug()
-        with pytest.raises(DeviceError, match="not answer") as caught:
-            await moving
-        assert caught.value.kind == "DeviceTimeoutException"
-        assert asyncio.get_running_loop().time() - start < 3.0
-        await asyncio.sleep(5.0)
-        with pytest.raises(DeviceError, match="not answer"):
-            await call(group, "moveTo", [0.0, 0.0])
-        bench.chain.advance(asyncio.get_running_loop().time())
-        places = [servo.motion.place for servo in bench.servos.values()]
-        bench.port.plug()
-        await asyncio.sleep(2.0)
-        assert bench.values["missing"] == []
-        assert [servo.motion.place for servo in bench.servos.values()] == pytest.approx(places, abs=10)
-        assert sum("is gone" in note for note in bench.notes) == 1
-        assert sum("stopped by its watchdog" in note for note in bench.notes) == 2
-        await call(group, "release")
-        await call(group, "moveTo", [0.2, 0.2])
-
-    bench.run(story)
+@on_bench(Bench, 1, 2)
+async def test_an_unplugged_port_is_told_once_and_comes_back(bench, group, /):
+    await stiff(group)
+    moving = asyncio.ensure_future(call(group, "moveTo", [1.0, 1.0]))
+    await asyncio.sleep(0.2)
+    start = asyncio.get_running_loop().time()
+    bench.port.unplug()
+    with pytest.raises(DeviceError, match="not answer") as caught:
+        await moving
+    assert caught.value.kind == "DeviceTimeoutException"
+    assert asyncio.get_running_loop().time() - start < 3.0
+    await asyncio.sleep(5.0)
+    with pytest.raises(DeviceError, match="not answer"):
+        await call(group, "moveTo", [0.0, 0.0])
+    bench.chain.advance(asyncio.get_running_loop().time())
+    places = [servo.motion.place for servo in bench.servos.values()]
+    bench.port.plug()
+    await asyncio.sleep(2.0)
+    assert bench.values["missing"] == []
+    assert [servo.motion.place for servo in bench.servos.values()] == pytest.approx(places, abs=10)
+    assert sum("is gone" in note for note in bench.notes) == 1
+    assert sum("stopped by its watchdog" in note for note in bench.notes) == 2
+    await call(group, "release")
+    await call(group, "moveTo", [0.2, 0.2])
 
 
-def test_one_that_lost_its_power_is_set_up_again():
-    bench = Bench(1, 2)
-
-    async def story(group):
-        await stiff(group)
-        bench.fault("dead@2=true")
-        await asyncio.sleep(1.0)
-        bench.servos[2].reboot()
-        bench.fault("dead@2=false")
-        await asyncio.sleep(2.0)
-        assert bench.servos[2].table["bus_watchdog"] == 50
-        assert "servo 2 responding again: torque off, restarted" in bench.notes
-        assert not bench.values["torqueOn"]
-
-    bench.run(story)
+@on_bench(Bench, 1, 2)
+async def test_one_that_lost_its_power_is_set_up_again(bench, group, /):
+    await stiff(group)
+    bench.fault("dead@2=true")
+    await asyncio.sleep(1.0)
+    bench.servos[2].reboot()
+    bench.fault("dead@2=false")
+    await asyncio.sleep(2.0)
+    assert bench.servos[2].table["bus_watchdog"] == 50
+    assert "servo 2 responding again: torque off, restarted" in bench.notes
+    assert not bench.values["torqueOn"]

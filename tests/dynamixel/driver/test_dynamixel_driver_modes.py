@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
 
 from lfield.errors import DeviceError
@@ -130,35 +131,27 @@ def test_more_than_one_turn_in_extended_mode(drive_mode):
     bench.run(story)
 
 
-def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried():
-    bench = in_mode(TIME_BASED, limits={"speed": 0.2}, lowest=-100.0, highest=100.0)
-
-    async def story(servo):
-        await call(servo, "mode", "extended")
-        await call(servo, "torque", True)
-        with pytest.raises(DeviceError, match=r"takes 35\.0 s for this motion at 0\.2 rad/s"):
-            await call(servo, "moveTo", 7.0)
-        await call(servo, "moveTo", 1.0)
-
-    bench.run(story)
+@on_bench(in_mode, TIME_BASED, limits={"speed": 0.2}, lowest=-100.0, highest=100.0)
+async def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried(bench, servo, /):
+    await call(servo, "mode", "extended")
+    await call(servo, "torque", True)
+    with pytest.raises(DeviceError, match=r"takes 35\.0 s for this motion at 0\.2 rad/s"):
+        await call(servo, "moveTo", 7.0)
+    await call(servo, "moveTo", 1.0)
 
 
-def test_a_limp_servo_that_any_goal_makes_stiff_is_left_limp():
-    bench = in_mode(TORQUE_BY_GOAL)
-
-    async def story(servo):
-        await call(servo, "torque", True)
-        bench.driver.quiet()
-        await asyncio.sleep(1.5)
-        bench.driver.resume()
-        await bench.until(lambda: any("stopped by its own watchdog" in note for note in bench.notes))
-        await call(servo, "torque", False)
-        await call(servo, "release")
-        await servo.make_safe()
-        await asyncio.sleep(1.0)
-        assert bench.servos[1].table["torque_enable"] == 0
-
-    bench.run(story)
+@on_bench(in_mode, TORQUE_BY_GOAL)
+async def test_a_limp_servo_that_any_goal_makes_stiff_is_left_limp(bench, servo, /):
+    await call(servo, "torque", True)
+    bench.driver.quiet()
+    await asyncio.sleep(1.5)
+    bench.driver.resume()
+    await bench.until(lambda: any("stopped by its own watchdog" in note for note in bench.notes))
+    await call(servo, "torque", False)
+    await call(servo, "release")
+    await servo.make_safe()
+    await asyncio.sleep(1.0)
+    assert bench.servos[1].table["torque_enable"] == 0
 
 
 @pytest.mark.parametrize("drive_mode", [mode for mode in DUAL_DRIVE_MODES if mode & SLAVE])
@@ -212,15 +205,11 @@ def test_no_goal_is_above_the_limit_by_rounding(drive_mode):
         bench.run(story)
 
 
-def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them():
-    bench = in_mode(0, lowest=-0.3, highest=0.3)
-
-    async def story(servo):
-        await call(servo, "setRange", -math.pi, math.pi)
-        await call(servo, "torque", True)
-        await call(servo, "moveTo", 0.1 + 0.2)
-        await call(servo, "moveTo", -(0.1 + 0.2))
-        with pytest.raises(DeviceError, match="outside"):
-            await call(servo, "moveTo", 0.3001)
-
-    bench.run(story)
+@on_bench(in_mode, 0, lowest=-0.3, highest=0.3)
+async def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them(bench, servo, /):
+    await call(servo, "setRange", -math.pi, math.pi)
+    await call(servo, "torque", True)
+    await call(servo, "moveTo", 0.1 + 0.2)
+    await call(servo, "moveTo", -(0.1 + 0.2))
+    with pytest.raises(DeviceError, match="outside"):
+        await call(servo, "moveTo", 0.3001)

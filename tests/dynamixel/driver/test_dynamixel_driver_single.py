@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
 
 from lfield.errors import DeviceError
@@ -44,19 +45,15 @@ def test_opening_tells_who_it_is_and_sets_its_watchdog():
     bench.run(story, opened=False)
 
 
-def test_move_to_is_done_when_it_is_there():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        start = asyncio.get_running_loop().time()
-        await call(servo, "moveTo", 1.0)
-        assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
-        assert bench.values["temperature"] == pytest.approx(30.0)
-        # 1 rad at 2 rad/s and 10 rad/s2: 0.5 s and a ramp of 0.2 s.
-        assert asyncio.get_running_loop().time() - start == pytest.approx(0.7, abs=0.1)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_move_to_is_done_when_it_is_there(bench, servo, /):
+    await stiff(servo)
+    start = asyncio.get_running_loop().time()
+    await call(servo, "moveTo", 1.0)
+    assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
+    assert bench.values["temperature"] == pytest.approx(30.0)
+    # 1 rad at 2 rad/s and 10 rad/s2: 0.5 s and a ramp of 0.2 s.
+    assert asyncio.get_running_loop().time() - start == pytest.approx(0.7, abs=0.1)
 
 
 @pytest.mark.parametrize("time_based", [False, True])
@@ -77,43 +74,33 @@ def test_the_limit_of_speed_is_in_every_profile(time_based):
     bench.run(story)
 
 
-def test_a_setpoint_is_sent_once():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        sent = len(bench.sent)
-        await call(servo, "setPosition", 0.3)
-        await asyncio.sleep(1.0)
-        goals = [p for _, p in bench.sent[sent:] if p[7] == 3]
-        assert len(goals) == 1
-        assert bench.values["position"] == pytest.approx(0.3, abs=0.02)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_a_setpoint_is_sent_once(bench, servo, /):
+    await stiff(servo)
+    sent = len(bench.sent)
+    await call(servo, "setPosition", 0.3)
+    await asyncio.sleep(1.0)
+    goals = [p for _, p in bench.sent[sent:] if p[7] == 3]
+    assert len(goals) == 1
+    assert bench.values["position"] == pytest.approx(0.3, abs=0.02)
 
 
-def test_velocity_and_current_need_their_mode():
-    bench = Bench(limits={"speed": 3.0, "current": 0.5})
-
-    async def story(servo):
-        await stiff(servo)
-        with pytest.raises(
-            DeviceError, match="setVelocity requires the mode velocity; servo 1 is in position"
-        ):
-            await call(servo, "setVelocity", 1.0)
-        await call(servo, "mode", "velocity")
-        assert bench.servos[1].table["operating_mode"] == 1
-        assert bench.servos[1].table["torque_enable"] == 1
-        await call(servo, "setVelocity", -2.0)
-        await asyncio.sleep(0.5)
-        assert bench.values["velocity"] == pytest.approx(-2.0, abs=0.1)
-        await servo.make_safe()
-        assert abs(bench.values["velocity"]) < 0.15
-        await call(servo, "mode", "current")
-        await call(servo, "setCurrent", 0.2)
-        assert bench.servos[1].table["goal_current"] == 200
-
-    bench.run(story)
+@on_bench(Bench, limits={"speed": 3.0, "current": 0.5})
+async def test_velocity_and_current_need_their_mode(bench, servo, /):
+    await stiff(servo)
+    with pytest.raises(DeviceError, match="setVelocity requires the mode velocity; servo 1 is in position"):
+        await call(servo, "setVelocity", 1.0)
+    await call(servo, "mode", "velocity")
+    assert bench.servos[1].table["operating_mode"] == 1
+    assert bench.servos[1].table["torque_enable"] == 1
+    await call(servo, "setVelocity", -2.0)
+    await asyncio.sleep(0.5)
+    assert bench.values["velocity"] == pytest.approx(-2.0, abs=0.1)
+    await servo.make_safe()
+    assert abs(bench.values["velocity"]) < 0.15
+    await call(servo, "mode", "current")
+    await call(servo, "setCurrent", 0.2)
+    assert bench.servos[1].table["goal_current"] == 200
 
 
 @pytest.mark.parametrize(
@@ -154,17 +141,13 @@ def test_a_limp_servo_is_not_moved():
     refused(Bench(), "moveTo", 0.1, match=r"torque of servo 1 is off; call torque\(true\)", prepare=nothing)
 
 
-def test_a_servo_that_was_let_go_reads_so_where_the_refusal_is_caught():
-    bench = Bench()
-
-    async def mission(servo):
-        await servo.execute("torque", [True])
-        await servo.make_safe("torque_off")
-        with pytest.raises(DeviceError, match="torque of servo 1 is off"):
-            await servo.execute("setPosition", [0.1])
-        assert bench.values["torqueOn"] is False
-
-    bench.run(mission)
+@on_bench(Bench)
+async def test_a_servo_that_was_let_go_reads_so_where_the_refusal_is_caught(bench, servo, /):
+    await servo.execute("torque", [True])
+    await servo.make_safe("torque_off")
+    with pytest.raises(DeviceError, match="torque of servo 1 is off"):
+        await servo.execute("setPosition", [0.1])
+    assert bench.values["torqueOn"] is False
 
 
 def test_a_model_without_current_says_so():
@@ -176,235 +159,180 @@ def test_a_model_without_current_says_so():
     assert math.isnan(bench.values["current"])
 
 
-def test_something_in_the_way_ends_the_travel_and_the_pushing():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        bench.fault("stuck=true")
-        with pytest.raises(DeviceError, match=r"servo 1 stopped 1\.\d+ rad short"):
-            await call(servo, "moveTo", 1.2)
-        assert bench.servos[1].table["goal_position"] == pytest.approx(2048, abs=70)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_something_in_the_way_ends_the_travel_and_the_pushing(bench, servo, /):
+    await stiff(servo)
+    bench.fault("stuck=true")
+    with pytest.raises(DeviceError, match=r"servo 1 stopped 1\.\d+ rad short"):
+        await call(servo, "moveTo", 1.2)
+    assert bench.servos[1].table["goal_position"] == pytest.approx(2048, abs=70)
 
 
-def test_overload_shuts_down_is_told_and_reboot_cures_it():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        bench.fault("overload=true")
-        with pytest.raises(DeviceError, match=r"overload|short"):
-            await call(servo, "moveTo", 1.2)
-        await asyncio.sleep(3.0)
-        assert bench.values["fault"] == "overload"
-        assert not bench.values["torqueOn"]
-        assert [note for note in bench.notes if "overload" in note] == ["servo 1 fault: overload; torque off"]
-        with pytest.raises(DeviceError, match=r"has shut down: overload; reboot\(\)"):
-            await call(servo, "torque", True)
-        bench.fault("overload=false")
-        await call(servo, "reboot")
-        assert bench.values["fault"] == ""
-        assert bench.servos[1].table["bus_watchdog"] == 50
-        await stiff(servo)
-        await call(servo, "moveTo", 0.2)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_overload_shuts_down_is_told_and_reboot_cures_it(bench, servo, /):
+    await stiff(servo)
+    bench.fault("overload=true")
+    with pytest.raises(DeviceError, match=r"overload|short"):
+        await call(servo, "moveTo", 1.2)
+    await asyncio.sleep(3.0)
+    assert bench.values["fault"] == "overload"
+    assert not bench.values["torqueOn"]
+    assert [note for note in bench.notes if "overload" in note] == ["servo 1 fault: overload; torque off"]
+    with pytest.raises(DeviceError, match=r"has shut down: overload; reboot\(\)"):
+        await call(servo, "torque", True)
+    bench.fault("overload=false")
+    await call(servo, "reboot")
+    assert bench.values["fault"] == ""
+    assert bench.servos[1].table["bus_watchdog"] == 50
+    await stiff(servo)
+    await call(servo, "moveTo", 0.2)
 
 
-def test_move_until_stops_at_the_force_and_keeps_it():
-    bench = Bench(limits={"speed": 2.0})
-
-    async def story(servo):
-        await call(servo, "mode", "currentPosition")
-        await stiff(servo, 1.0)
-        moving = asyncio.ensure_future(call(servo, "moveUntil", 1.0, 0.3))
-        await asyncio.sleep(0.4)
-        bench.servos[1].motion.motor.blocked = True
-        await moving
-        assert bench.values["position"] < 0.9
-        assert abs(bench.values["current"]) >= 0.25
-        await servo.make_safe()  # what it holds would fall if it took its present place as the goal
-        await asyncio.sleep(1.0)
-        assert abs(bench.values["current"]) >= 0.25
-        bench.servos[1].motion.motor.blocked = False
-        await call(servo, "moveUntil", 0.2, 0.3)
-        assert bench.values["position"] == pytest.approx(0.2, abs=0.03)
-
-    bench.run(story)
+@on_bench(Bench, limits={"speed": 2.0})
+async def test_move_until_stops_at_the_force_and_keeps_it(bench, servo, /):
+    await call(servo, "mode", "currentPosition")
+    await stiff(servo, 1.0)
+    moving = asyncio.ensure_future(call(servo, "moveUntil", 1.0, 0.3))
+    await asyncio.sleep(0.4)
+    bench.servos[1].motion.motor.blocked = True
+    await moving
+    assert bench.values["position"] < 0.9
+    assert abs(bench.values["current"]) >= 0.25
+    await servo.make_safe()  # what it holds would fall if it took its present place as the goal
+    await asyncio.sleep(1.0)
+    assert abs(bench.values["current"]) >= 0.25
+    bench.servos[1].motion.motor.blocked = False
+    await call(servo, "moveUntil", 0.2, 0.3)
+    assert bench.values["position"] == pytest.approx(0.2, abs=0.03)
 
 
-def test_calibration_is_kept_and_seen():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        await call(servo, "moveTo", 0.3)
-        await call(servo, "calibrate", 0.0)
-        await asyncio.sleep(0.2)
-        assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
-        assert bench.values["torqueOn"]
-        await asyncio.sleep(0.5)
-        assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_calibration_is_kept_and_seen(bench, servo, /):
+    await stiff(servo)
+    await call(servo, "moveTo", 0.3)
+    await call(servo, "calibrate", 0.0)
+    await asyncio.sleep(0.2)
+    assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
+    assert bench.values["torqueOn"]
+    await asyncio.sleep(0.5)
+    assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_range_is_written_with_the_torque_off_and_restored():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        await call(servo, "setRange", -0.5, 0.5)
-        table = bench.servos[1].table
-        assert (table["min_position_limit"], table["max_position_limit"]) == (1722, 2374)
-        assert table["torque_enable"] == 1
-        with pytest.raises(DeviceError, match=r"only moves from -0\.500 to 0\.500"):
-            await call(servo, "moveTo", 0.6)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_the_range_is_written_with_the_torque_off_and_restored(bench, servo, /):
+    await stiff(servo)
+    await call(servo, "setRange", -0.5, 0.5)
+    table = bench.servos[1].table
+    assert (table["min_position_limit"], table["max_position_limit"]) == (1722, 2374)
+    assert table["torque_enable"] == 1
+    with pytest.raises(DeviceError, match=r"only moves from -0\.500 to 0\.500"):
+        await call(servo, "moveTo", 0.6)
 
 
-def test_torque_hold_stays_where_it_is():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
-        await asyncio.sleep(0.4)
-        moving.cancel()
-        await servo.make_safe()
-        stopped = bench.servos[1].table["goal_position"]
-        await asyncio.sleep(1.0)
-        assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
-        assert bench.values["position"] == pytest.approx((stopped - 2048) * 2 * math.pi / 4096, abs=0.02)
-        assert bench.values["position"] < 1.2
-        assert bench.values["torqueOn"]
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_torque_hold_stays_where_it_is(bench, servo, /):
+    await stiff(servo)
+    moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+    await asyncio.sleep(0.4)
+    moving.cancel()
+    await servo.make_safe()
+    stopped = bench.servos[1].table["goal_position"]
+    await asyncio.sleep(1.0)
+    assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
+    assert bench.values["position"] == pytest.approx((stopped - 2048) * 2 * math.pi / 4096, abs=0.02)
+    assert bench.values["position"] < 1.2
+    assert bench.values["torqueOn"]
 
 
-def test_stop_stays_on_the_way_and_follows_the_next_goal():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
-        await asyncio.sleep(0.4)
-        moving.cancel()
-        await call(servo, "stop")
-        assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
-        stood = bench.values["position"]
-        assert 0.2 < stood < 1.2
-        await asyncio.sleep(1.0)
-        assert bench.values["position"] == pytest.approx(stood, abs=0.02)
-        await call(servo, "moveTo", 0.0)
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_stop_stays_on_the_way_and_follows_the_next_goal(bench, servo, /):
+    await stiff(servo)
+    moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+    await asyncio.sleep(0.4)
+    moving.cancel()
+    await call(servo, "stop")
+    assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
+    stood = bench.values["position"]
+    assert 0.2 < stood < 1.2
+    await asyncio.sleep(1.0)
+    assert bench.values["position"] == pytest.approx(stood, abs=0.02)
+    await call(servo, "moveTo", 0.0)
 
 
-def test_stop_leaves_what_is_limp_limp():
-    bench = Bench()
-
-    async def story(servo):
-        await call(servo, "stop")
-        assert bench.servos[1].table["torque_enable"] == 0
-
-    bench.run(story)
+@on_bench(Bench)
+async def test_stop_leaves_what_is_limp_limp(bench, servo, /):
+    await call(servo, "stop")
+    assert bench.servos[1].table["torque_enable"] == 0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005])
-def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(delay):
-    bench = Bench(safe_state="torque_off")
+@on_bench(Bench, safe_state="torque_off")
+async def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(bench, servo, /, delay):
+    await stiff(servo)
+    changing = asyncio.ensure_future(call(servo, "mode", "velocity"))
+    await asyncio.sleep(delay)
+    changing.cancel()
+    await servo.make_safe()
+    await asyncio.sleep(1.0)
+    assert bench.servos[1].table["torque_enable"] == 0
 
-    async def story(servo):
-        await stiff(servo)
-        changing = asyncio.ensure_future(call(servo, "mode", "velocity"))
-        await asyncio.sleep(delay)
-        changing.cancel()
+
+@on_bench(Bench, safe_state="torque_off")
+async def test_torque_off_is_seen_to_be_off(bench, servo, /):
+    await stiff(servo)
+    await servo.make_safe()
+    assert bench.servos[1].table["torque_enable"] == 0
+
+
+@on_bench(Bench, safe_state="torque_off")
+async def test_a_safe_state_that_was_not_seen_is_an_error(bench, servo, /):
+    await stiff(servo)
+    bench.fault("dead=true")
+    with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
         await servo.make_safe()
-        await asyncio.sleep(1.0)
-        assert bench.servos[1].table["torque_enable"] == 0
-
-    bench.run(story)
-
-
-def test_torque_off_is_seen_to_be_off():
-    bench = Bench(safe_state="torque_off")
-
-    async def story(servo):
-        await stiff(servo)
-        await servo.make_safe()
-        assert bench.servos[1].table["torque_enable"] == 0
-
-    bench.run(story)
+    assert caught.value.kind == "DeviceTimeoutException"
+    bench.fault("dead=false")
+    await servo.make_safe()
 
 
-def test_a_safe_state_that_was_not_seen_is_an_error():
-    bench = Bench(safe_state="torque_off")
-
-    async def story(servo):
-        await stiff(servo)
-        bench.fault("dead=true")
-        with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
-            await servo.make_safe()
-        assert caught.value.kind == "DeviceTimeoutException"
-        bench.fault("dead=false")
-        await servo.make_safe()
-
-    bench.run(story)
-
-
-def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it():
-    bench = Bench()
-
-    async def story(servo):
-        await stiff(servo)
-        await call(servo, "setProfile", 0.5, 0.0)
-        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
-        await asyncio.sleep(0.3)
-        moving.cancel()
-        bench.driver.quiet()
-        last = len(bench.sent)
-        await asyncio.sleep(3.0)
-        assert len(bench.sent) <= last + 2
-        bench.chain.advance(asyncio.get_running_loop().time())
-        assert bench.servos[1].table["bus_watchdog"] == 255
-        await servo.make_safe()  # stopped by its watchdog is stopped
-        bench.driver.resume()
-        await asyncio.sleep(1.0)
-        assert "servo 1 stopped by its own watchdog; release() frees it" in bench.notes
-        with pytest.raises(DeviceError, match=r"stopped by its own watchdog; call release\(\)"):
-            await call(servo, "moveTo", 0.0)
-        place = bench.values["position"]
-        await call(servo, "release")
-        await asyncio.sleep(1.0)
-        assert bench.values["position"] == pytest.approx(place, abs=0.02)
-        assert bench.servos[1].table["bus_watchdog"] == 50
+@on_bench(Bench)
+async def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it(bench, servo, /):
+    await stiff(servo)
+    await call(servo, "setProfile", 0.5, 0.0)
+    moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+    await asyncio.sleep(0.3)
+    moving.cancel()
+    bench.driver.quiet()
+    last = len(bench.sent)
+    await asyncio.sleep(3.0)
+    assert len(bench.sent) <= last + 2
+    bench.chain.advance(asyncio.get_running_loop().time())
+    assert bench.servos[1].table["bus_watchdog"] == 255
+    await servo.make_safe()  # stopped by its watchdog is stopped
+    bench.driver.resume()
+    await asyncio.sleep(1.0)
+    assert "servo 1 stopped by its own watchdog; release() frees it" in bench.notes
+    with pytest.raises(DeviceError, match=r"stopped by its own watchdog; call release\(\)"):
         await call(servo, "moveTo", 0.0)
+    place = bench.values["position"]
+    await call(servo, "release")
+    await asyncio.sleep(1.0)
+    assert bench.values["position"] == pytest.approx(place, abs=0.02)
+    assert bench.servos[1].table["bus_watchdog"] == 50
+    await call(servo, "moveTo", 0.0)
 
-    bench.run(story)
 
-
-def test_a_short_ttl_is_polled_faster_than_its_watchdog():
-    bench = Bench(ttl=0.04)
-
-    async def story(servo):
-        await stiff(servo)
-        await asyncio.sleep(2.0)
-        assert bench.servos[1].table["bus_watchdog"] == 4
-        await call(servo, "moveTo", 0.3)
-
-    bench.run(story)
+@on_bench(Bench, ttl=0.04)
+async def test_a_short_ttl_is_polled_faster_than_its_watchdog(bench, servo, /):
+    await stiff(servo)
+    await asyncio.sleep(2.0)
+    assert bench.servos[1].table["bus_watchdog"] == 4
+    await call(servo, "moveTo", 0.3)
 
 
 def test_a_watchdog_that_cannot_be_short_enough_needs_a_waiver():
-    async def story(servo):
-        with pytest.raises(DeviceError, match=r"watchdog too slow: 0\.02 s"):
-            await servo.open()
-
-    Bench(ttl=0.005).run(story, opened=False)
+    with pytest.raises(DeviceError, match=r"watchdog too slow: 0\.02 s"):
+        Bench(ttl=0.005).run(lambda servo: servo.open(), opened=False)
     Bench(ttl=0.005, waivers=["device_watchdog"]).run(lambda servo: servo.open(), opened=False)
 
 

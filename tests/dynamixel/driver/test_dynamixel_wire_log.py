@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
 
 from lfield.driver.recording.wire_formats import HEX_HEADER, parse_hex_line
 from lfield.recording.ring_writer import RingWriter
 
 
-def test_requests_and_answers_are_logged(tmp_path):
-    bench = Bench()
-
-    async def story(joint):
-        bench.sent.clear()
-        bench.driver.wire_log.start(
-            lambda suffix, header: RingWriter(tmp_path, "wire-a", suffix, 1 << 20, pytest.fail, header)
-        )
-        await call(joint, "torque", True)
-        await call(joint, "moveTo", 0.1)
-        bench.driver.wire_log.close()
-        return [data for _, data in bench.sent]
-
-    sent = bench.run(story)
+@on_bench(Bench)
+async def test_requests_and_answers_are_logged(bench, joint, /, tmp_path):
+    bench.sent.clear()
+    bench.driver.wire_log.start(
+        lambda suffix, header: RingWriter(tmp_path, "wire-a", suffix, 1 << 20, pytest.fail, header)
+    )
+    await call(joint, "torque", True)
+    await call(joint, "moveTo", 0.1)
+    bench.driver.wire_log.close()
+    sent = [data for _, data in bench.sent]
     (path,) = tmp_path.iterdir()
     assert path.name == "wire-a-000001.hex.log"
     assert path.stat().st_mode & 0o777 == 0o600

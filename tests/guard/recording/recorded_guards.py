@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from io import BytesIO
 
 from memory_ring import MemoryRing
 
@@ -75,7 +76,7 @@ class RecordedGuard:
 
     @property
     def records(self):
-        return [decode_record(record) for file in self.ring.files for record in SegmentReader(file)]
+        return [decode_record(record) for file in self.ring.files for record in SegmentReader(BytesIO(file))]
 
     def handle(self, given):
         return self.core.handle(given)

@@ -42,24 +42,21 @@ async def up(team, program: str, access: str = RULES, **options):
     return hosts
 
 
-def test_what_may_not_be_called_is_not_offered_and_explained(fleet):
-    async def story(team):
-        alpha, _ = await up(team, IDLE)
-        world = alpha.host.core.services
-        for _ in range(2):
-            # One host answers for both in turn: each hears what is so for itself.
-            assert [found.agent for found in world.offers(FOREMAN, "Lift", None)] == ["near", "far"]
-            assert [found.agent for found in world.offers(GUEST, "Lift", None)] == ["near"]
-        assert world.teams(GUEST, "Lift", None, 2) == []
-        assert world.explain(GUEST, "Lift", None) == (
-            "there is 1 offer, by 1 agent\n"
-            "far: guest may not call far.sink(): mission.access.yaml:3 allows hoist() of far only"
-        )
-        assert "may not" not in world.explain(FOREMAN, "Lift", None)
-        # Whoever looks from outside calls nothing, and sees everybody.
-        assert [told.refusal for told in alpha.host.status().directory] == ["", ""]
-
-    fleet(story)
+async def test_what_may_not_be_called_is_not_offered_and_explained(team, /):
+    alpha, _ = await up(team, IDLE)
+    world = alpha.host.core.services
+    for _ in range(2):
+        # One host answers for both in turn: each hears what is so for itself.
+        assert [found.agent for found in world.offers(FOREMAN, "Lift", None)] == ["near", "far"]
+        assert [found.agent for found in world.offers(GUEST, "Lift", None)] == ["near"]
+    assert world.teams(GUEST, "Lift", None, 2) == []
+    assert world.explain(GUEST, "Lift", None) == (
+        "there is 1 offer, by 1 agent\n"
+        "far: guest may not call far.sink(): mission.access.yaml:3 allows hoist() of far only"
+    )
+    assert "may not" not in world.explain(FOREMAN, "Lift", None)
+    # Whoever looks from outside calls nothing, and sees everybody.
+    assert [told.refusal for told in alpha.host.status().directory] == ["", ""]
 
 
 CALLS = """
@@ -79,42 +76,33 @@ coordinator Foreman {
 
 
 @pytest.mark.parametrize("keeps", [False, True])
-def test_a_call_that_is_not_allowed_begins_on_no_host(fleet, keeps):
-    async def story(team):
-        hosts = await up(team, CRANES + CALLS, RULES.replace("guest:", "foreman:"), keeps=keeps)
-        log = lambda: "".join(running.log for running in hosts)  # noqa: E731
-        await team.until(lambda: "through" in log())
-        refused = "foreman may not call far.sink(): mission.access.yaml:3 allows hoist() of far only"
-        assert f"far: {refused}" in log()
-        assert "together: far" in log()
-        assert log().count("near sinks") == log().count("far hoists") == 1
-        assert "far sinks" not in log()
-
-    fleet(story)
+async def test_a_call_that_is_not_allowed_begins_on_no_host(team, /, keeps):
+    hosts = await up(team, CRANES + CALLS, RULES.replace("guest:", "foreman:"), keeps=keeps)
+    log = lambda: "".join(running.log for running in hosts)  # noqa: E731
+    await team.until(lambda: "through" in log())
+    refused = "foreman may not call far.sink(): mission.access.yaml:3 allows hoist() of far only"
+    assert f"far: {refused}" in log()
+    assert "together: far" in log()
+    assert log().count("near sinks") == log().count("far hoists") == 1
+    assert "far sinks" not in log()
 
 
-def test_an_uncaught_refusal_ends_its_coordinator_with_the_rule_in_its_report(fleet):
+async def test_an_uncaught_refusal_ends_its_coordinator_with_the_rule_in_its_report(team, /):
     program = CRANES + 'coordinator Foreman { init(string[] arg) { findCrane("far").sink(1.0); } }'
 
-    async def story(team):
-        hosts = await up(team, program)
-        await team.until(lambda: "guest died" in hosts[1].log)
-        assert "AccessException: guest may not call far.sink(): mission.access.yaml:3" in hosts[1].log
-        assert hosts[1].log.count("far sinks") == 1
-
-    fleet(story)
+    hosts = await up(team, program)
+    await team.until(lambda: "guest died" in hosts[1].log)
+    assert "AccessException: guest may not call far.sink(): mission.access.yaml:3" in hosts[1].log
+    assert hosts[1].log.count("far sinks") == 1
 
 
 @pytest.mark.parametrize("theirs", ["", RULES.replace("[hoist]", "all")])
-def test_hosts_that_disagree_about_the_rules_do_not_talk(fleet, theirs):
-    async def story(team):
-        other = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=theirs)
-        mission = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=RULES)
-        (bravo,) = await team.up(other, "bravo")
-        (alpha,) = await team.up(mission, "alpha")
-        words = "start both from the same .access.yaml file, or from one bundle"
-        await team.until(lambda: words in alpha.log and words in bravo.log)
-        said = other.access.digest.hex()[:12] or "(none)"
-        assert f"bravo has access rules {said};" in alpha.log.replace(" and alpha", ";")
-
-    fleet(story)
+async def test_hosts_that_disagree_about_the_rules_do_not_talk(team, /, theirs):
+    other = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=theirs)
+    mission = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=RULES)
+    (bravo,) = await team.up(other, "bravo")
+    (alpha,) = await team.up(mission, "alpha")
+    words = "start both from the same .access.yaml file, or from one bundle"
+    await team.until(lambda: words in alpha.log and words in bravo.log)
+    said = other.access.digest.hex()[:12] or "(none)"
+    assert f"bravo has access rules {said};" in alpha.log.replace(" and alpha", ";")

@@ -43,51 +43,42 @@ def signed(mission, by="anna"):
 
 
 @pytest.mark.parametrize(("deployment", "left"), [(DONE, [b""]), (ENDLESS, [DIGEST])])
-def test_a_signed_bundle_is_kept_until_its_mission_has_ended_in_order(fleet, deployment, left):
-    async def story(team):
-        mission = signed(team.mission(PROGRAM, deployment))
-        alpha, bravo = await team.up(mission, keeps=True)
-        if deployment == DONE:
-            await team.ended("tom")
-        await team.until(lambda: kept(team, "alpha") == kept(team, "bravo") == [DIGEST])
-        await alpha.host.stop()
-        assert kept(team, "alpha") == left
-        # A host without coordinators of its own has begun it as well, and has to go on with it as long.
-        assert kept(team, "bravo") == [DIGEST]
-        await bravo.host.stop()
-        assert kept(team, "bravo") == left
-
-    fleet(story)
-
-
-def test_a_host_that_holds_a_coordinator_of_another_home_goes_on_with_its_bundle(fleet):
-    async def story(team):
-        mission = signed(team.mission(GUEST, "//Caller:tom@alpha?go\n//Echo:echo@bravo\n"))
-        alpha, bravo = await team.up(mission, keeps=True)
-        await team.until(lambda: bravo.holds("tom"))
-        await bravo.host.stop()
-        await alpha.host.stop()
-        assert [kept(team, host) for host in ("alpha", "bravo")] == [[DIGEST], [DIGEST]]
-
-    fleet(story)
-
-
-def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(fleet):
-    async def story(team):
-        once = signed(team.mission(GUEST, "//Caller:tom@alpha\n//Echo:echo@bravo\n"))
-        alpha, bravo = await team.up(once, keeps=True)
+async def test_a_signed_bundle_is_kept_until_its_mission_has_ended_in_order(team, /, deployment, left):
+    mission = signed(team.mission(PROGRAM, deployment))
+    alpha, bravo = await team.up(mission, keeps=True)
+    if deployment == DONE:
         await team.ended("tom")
-        await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.known_states()))
-        await bravo.host.stop()
-        await alpha.host.stop()
-        assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
-        # The devices of another computer are not up yet, so nothing is heard of what goes on there.
-        (bravo,) = await team.up(once, "bravo", keeps=True)
-        await team.until(lambda: kept(team, "bravo") == [DIGEST])
-        await bravo.host.stop()
-        assert kept(team, "bravo") == [DIGEST]
+    await team.until(lambda: kept(team, "alpha") == kept(team, "bravo") == [DIGEST])
+    await alpha.host.stop()
+    assert kept(team, "alpha") == left
+    # A host without coordinators of its own has begun it as well, and has to go on with it as long.
+    assert kept(team, "bravo") == [DIGEST]
+    await bravo.host.stop()
+    assert kept(team, "bravo") == left
 
-    fleet(story)
+
+async def test_a_host_that_holds_a_coordinator_of_another_home_goes_on_with_its_bundle(team, /):
+    mission = signed(team.mission(GUEST, "//Caller:tom@alpha?go\n//Echo:echo@bravo\n"))
+    alpha, bravo = await team.up(mission, keeps=True)
+    await team.until(lambda: bravo.holds("tom"))
+    await bravo.host.stop()
+    await alpha.host.stop()
+    assert [kept(team, host) for host in ("alpha", "bravo")] == [[DIGEST], [DIGEST]]
+
+
+async def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(team, /):
+    once = signed(team.mission(GUEST, "//Caller:tom@alpha\n//Echo:echo@bravo\n"))
+    alpha, bravo = await team.up(once, keeps=True)
+    await team.ended("tom")
+    await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.known_states()))
+    await bravo.host.stop()
+    await alpha.host.stop()
+    assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
+    # The devices of another computer are not up yet, so nothing is heard of what goes on there.
+    (bravo,) = await team.up(once, "bravo", keeps=True)
+    await team.until(lambda: kept(team, "bravo") == [DIGEST])
+    await bravo.host.stop()
+    assert kept(team, "bravo") == [DIGEST]
 
 
 def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
@@ -105,45 +96,39 @@ def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
         )
 
 
-def test_of_a_bundle_that_nobody_had_to_sign_nothing_is_kept(fleet):
-    async def story(team):
-        mission = signed(team.mission(PROGRAM, DONE), by="")
-        await team.up(mission, keeps=True)
-        await team.ended("tom")
-        assert kept(team, "alpha") == []
-
-    fleet(story)
+async def test_of_a_bundle_that_nobody_had_to_sign_nothing_is_kept(team, /):
+    mission = signed(team.mission(PROGRAM, DONE), by="")
+    await team.up(mission, keeps=True)
+    await team.ended("tom")
+    assert kept(team, "alpha") == []
 
 
-def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_take(fleet, tmp_path):
+async def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_take(team, /, tmp_path):
     ring = Keyring(tmp_path / "keys")
     anna, host = ring.made("person", "anna", Right.COMMAND), ring.made("host", "alpha")
 
-    async def story(team):
-        release = BundleId(DIGEST, sign_bundle(DIGEST, anna, time.time()))
-        mission = replace(team.mission(PROGRAM, ENDLESS), release=release)
-        own = identity_in(host.certificate, host.authority)
-        who = identity_in(anna.certificate, anna.authority)
-        revoked = RevocationList(4, frozenset({who.serial}), time.time())
-        good, bad = (
-            CertificateAdmission(host, own, TrustedClock(SystemClock()), found)
-            for found in (RevocationList(), revoked)
-        )
-        proof = HostCredentials(host)
-        first = require_signature(mission, proof, good, ())
-        assert (first.bundle.by, first.warning) == ("anna", "")
-        with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
-            require_signature(mission, proof, bad, [BundleRecord(b"")])
-        with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
-            require_signature(mission, proof, bad, [BundleRecord(b"c" * 32)])
-        again = require_signature(mission, proof, bad, [BundleRecord(DIGEST)])
-        assert again.bundle == first.bundle
-        assert "are revoked (list 4)" in again.warning
-        # Whoever made the keys for this run alone has said what runs.
-        vouched = BundleId(DIGEST, by="whoever started it", at=1.0)
-        assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
-        other = replace(mission, release=BundleId(b"c" * 32))
-        with pytest.raises(SignatureError, match="it is not signed"):
-            require_signature(other, replace(proof, accepted_bundle=vouched), good, ())
-
-    fleet(story)
+    release = BundleId(DIGEST, sign_bundle(DIGEST, anna, time.time()))
+    mission = replace(team.mission(PROGRAM, ENDLESS), release=release)
+    own = identity_in(host.certificate, host.authority)
+    who = identity_in(anna.certificate, anna.authority)
+    revoked = RevocationList(4, frozenset({who.serial}), time.time())
+    good, bad = (
+        CertificateAdmission(host, own, TrustedClock(SystemClock()), found)
+        for found in (RevocationList(), revoked)
+    )
+    proof = HostCredentials(host)
+    first = require_signature(mission, proof, good, ())
+    assert (first.bundle.by, first.warning) == ("anna", "")
+    with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
+        require_signature(mission, proof, bad, [BundleRecord(b"")])
+    with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
+        require_signature(mission, proof, bad, [BundleRecord(b"c" * 32)])
+    again = require_signature(mission, proof, bad, [BundleRecord(DIGEST)])
+    assert again.bundle == first.bundle
+    assert "are revoked (list 4)" in again.warning
+    # Whoever made the keys for this run alone has said what runs.
+    vouched = BundleId(DIGEST, by="whoever started it", at=1.0)
+    assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
+    other = replace(mission, release=BundleId(b"c" * 32))
+    with pytest.raises(SignatureError, match="it is not signed"):
+        require_signature(other, replace(proof, accepted_bundle=vouched), good, ())

@@ -60,56 +60,44 @@ async def asked(team, who, request):
     return await send_request(team.network.transport(who), "alpha:8181", request)
 
 
-def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(fleet, named):
-    async def story(team):
-        alpha = await up(team, named, PEOPLE)
-        assert (await asked(team, "anna", SNAPSHOT)).snapshot.host == "alpha"
-        told = "anna may not operate in this mission: mission.access.yaml:2 limits anna to: observe, stop"
-        with pytest.raises(HandshakeError, match=told):
-            await asked(team, "anna", pause(lift=True))
-        with pytest.raises(
-            HandshakeError, match=r"bob may not observe in this mission: .*:3 limits bob to: nothing"
-        ):
-            await asked(team, "bob", SNAPSHOT)
-        assert isinstance(await asked(team, "bob", emergency_stop("fog")), EmergencyStopResult)
-        assert "fog" in alpha.log
-
-    fleet(story)
+async def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(team, /, named):
+    alpha = await up(team, named, PEOPLE)
+    assert (await asked(team, "anna", SNAPSHOT)).snapshot.host == "alpha"
+    told = "anna may not operate in this mission: mission.access.yaml:2 limits anna to: observe, stop"
+    with pytest.raises(HandshakeError, match=told):
+        await asked(team, "anna", pause(lift=True))
+    with pytest.raises(
+        HandshakeError, match=r"bob may not observe in this mission: .*:3 limits bob to: nothing"
+    ):
+        await asked(team, "bob", SNAPSHOT)
+    assert isinstance(await asked(team, "bob", emergency_stop("fog")), EmergencyStopResult)
+    assert "fog" in alpha.log
 
 
 FORGED = "fire\nalpha | bravo is safe"
 
 
-def test_nobody_puts_a_line_into_the_log_that_looks_like_another(fleet, named):
-    async def story(team):
-        program = PROGRAM.replace("while (true)", 'print("out\\nalpha is up"); while (true)')
-        mission = team.mission(program, ALONE)
-        (alpha,) = await team.up(mission, "alpha", admission=named())
-        await asked(team, "anna", emergency_stop(FORGED))
-        await team.until(lambda: "out\n" in alpha.log)
-        assert "EMERGENCY STOP by anna: fire\\nalpha | bravo is safe\n" in alpha.log
-        assert "tom: out\n    alpha is up\n" in alpha.log
-        assert alpha.host.core.coordinators.stopped == "fire\\nalpha | bravo is safe"
-
-    fleet(story)
+async def test_nobody_puts_a_line_into_the_log_that_looks_like_another(team, /, named):
+    program = PROGRAM.replace("while (true)", 'print("out\\nalpha is up"); while (true)')
+    mission = team.mission(program, ALONE)
+    (alpha,) = await team.up(mission, "alpha", admission=named())
+    await asked(team, "anna", emergency_stop(FORGED))
+    await team.until(lambda: "out\n" in alpha.log)
+    assert "EMERGENCY STOP by anna: fire\\nalpha | bravo is safe\n" in alpha.log
+    assert "tom: out\n    alpha is up\n" in alpha.log
+    assert alpha.host.core.coordinators.stopped == "fire\\nalpha | bravo is safe"
 
 
-def test_without_a_line_a_person_has_what_the_certificate_says(fleet, named):
-    async def story(team):
-        await up(team, named, PEOPLE)
-        await asked(team, "carl", pause())
-        await asked(team, "carl", pause(lift=True))
-
-    fleet(story)
+async def test_without_a_line_a_person_has_what_the_certificate_says(team, /, named):
+    await up(team, named, PEOPLE)
+    await asked(team, "carl", pause())
+    await asked(team, "carl", pause(lift=True))
 
 
-def test_others_are_whoever_has_no_line(fleet, named):
-    async def story(team):
-        await up(team, named, PEOPLE + "  others: [stop]\n")
-        with pytest.raises(HandshakeError, match=r"carl may not operate .*:4 limits others to: stop"):
-            await asked(team, "carl", emergency_stop("", lift=True))
-
-    fleet(story)
+async def test_others_are_whoever_has_no_line(team, /, named):
+    await up(team, named, PEOPLE + "  others: [stop]\n")
+    with pytest.raises(HandshakeError, match=r"carl may not operate .*:4 limits others to: stop"):
+        await asked(team, "carl", emergency_stop("", lift=True))
 
 
 class Greeted:
@@ -125,19 +113,15 @@ class Greeted:
         pass
 
 
-def test_a_greeting_tells_nobody_but_hosts_of_the_mission(fleet, named):
+async def test_a_greeting_tells_nobody_but_hosts_of_the_mission(team, /, named):
     """Who may look asks, with a right that this mission may take away."""
-
-    async def story(team):
-        alpha = await up(team, named, PEOPLE)
-        for name in ("bob", "anna"):
-            heard = Greeted()
-            await team.network.transport(name).connect("alpha:8181", heard)
-            await team.until(lambda heard=heard: heard.hello)
-            own = alpha.host.hello()
-            said = msgspec.structs.replace(heard.hello, time=0.0)
-            # A person needs the epochs for an order to stop.
-            assert said == Hello("host", "alpha", own.incarnation, epochs=own.epochs)
-            assert own.coordinators
-
-    fleet(story)
+    alpha = await up(team, named, PEOPLE)
+    for name in ("bob", "anna"):
+        heard = Greeted()
+        await team.network.transport(name).connect("alpha:8181", heard)
+        await team.until(lambda heard=heard: heard.hello)
+        own = alpha.host.hello()
+        said = msgspec.structs.replace(heard.hello, time=0.0)
+        # A person needs the epochs for an order to stop.
+        assert said == Hello("host", "alpha", own.incarnation, epochs=own.epochs)
+        assert own.coordinators

@@ -37,67 +37,56 @@ def records(running):
     return [(known.state, known.outcome) for known in running.host.mobility.known_states()]
 
 
-def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        (home,) = await team.up(mission, "home", keeps=True)
-        away = team.make(mission, "away", keeps=True)
-        # The transfer is taken from the link, and no answer ever leaves.
-        away.host.on_transfer = lambda host, header, block: None
-        await away.host.start()
-        await team.until(lambda: records(home) == [("IN DOUBT", "")])
+async def test_a_coordinator_in_doubt_ends_by_a_persons_word(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (home,) = await team.up(mission, "home", keeps=True)
+    away = team.make(mission, "away", keeps=True)
+    # The transfer is taken from the link, and no answer ever leaves.
+    away.host.on_transfer = lambda host, header, block: None
+    await away.host.start()
+    await team.until(lambda: records(home) == [("IN DOUBT", "")])
+    require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
+    said = await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
+    assert said.starts == [1]
+    assert records(home) == [("EXITED", "lost")]
+    await team.until(lambda: not home.holds("guest"))
+    await team.until(lambda: records(away) == [("EXITED", "lost")])
+    assert "guest declared lost: 'lfield forget'" in home.log
+    assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == []
+    with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to end"):
         require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-        said = await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
-        assert said.starts == [1]
-        assert records(home) == [("EXITED", "lost")]
-        await team.until(lambda: not home.holds("guest"))
-        await team.until(lambda: records(away) == [("EXITED", "lost")])
-        assert "guest declared lost: 'lfield forget'" in home.log
-        assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == []
-        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to end"):
-            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-
-    fleet(story)
 
 
-def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.known_states()))
-        with pytest.raises(CoordinatorAlive, match=r"alive on away \(start 1\), in a portal: nothing"):
-            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-        with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
-            require_in_doubt("geust", await looked(team, "home", "away"), NAMES)
-        # Said of one that is alive all the same: its shadow is given up, and it goes on.
-        await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
-        await send_request(team.network.transport("desk"), "away:8181", forget("guest"))
-        await asyncio.sleep(5.0)
-        assert away.holds("guest")
-        assert records(away) == [("RUN", "")]
-
-    fleet(story)
+async def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(team, /):
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+    await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.known_states()))
+    with pytest.raises(CoordinatorAlive, match=r"alive on away \(start 1\), in a portal: nothing"):
+        require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
+    with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
+        require_in_doubt("geust", await looked(team, "home", "away"), NAMES)
+    # Said of one that is alive all the same: its shadow is given up, and it goes on.
+    await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
+    await send_request(team.network.transport("desk"), "away:8181", forget("guest"))
+    await asyncio.sleep(5.0)
+    assert away.holds("guest")
+    assert records(away) == [("RUN", "")]
 
 
-def test_what_is_parked_for_another_program_is_given_up(fleet):
-    async def story(team):
-        _, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: away.output)
-        await away.host.stop()
-        other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
-        (again,) = await team.up(other, "away", keeps=True)
-        assert len(again.host.status().journal.parked) == 1
-        answers = {"away": again.host.status(), "home": AddressError("home:8181", "nobody listens there")}
-        require_in_doubt("guest", states_of(answers), NAMES)
-        assert (await send_request(team.network.transport("desk"), "away:8181", forget("guest"))).starts == [
-            1
-        ]
-        assert again.host.status().journal.parked == []
-        await again.host.stop()
-        (again,) = await team.up(other, "away", keeps=True)
-        assert again.host.status().journal.parked == []
-        assert records(again) == [("EXITED", "lost")]
-
-    fleet(story)
+async def test_what_is_parked_for_another_program_is_given_up(team, /):
+    _, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+    await team.until(lambda: away.output)
+    await away.host.stop()
+    other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
+    (again,) = await team.up(other, "away", keeps=True)
+    assert len(again.host.status().journal.parked) == 1
+    answers = {"away": again.host.status(), "home": AddressError("home:8181", "nobody listens there")}
+    require_in_doubt("guest", states_of(answers), NAMES)
+    assert (await send_request(team.network.transport("desk"), "away:8181", forget("guest"))).starts == [1]
+    assert again.host.status().journal.parked == []
+    await again.host.stop()
+    (again,) = await team.up(other, "away", keeps=True)
+    assert again.host.status().journal.parked == []
+    assert records(again) == [("EXITED", "lost")]
 
 
 @pytest.mark.parametrize(
@@ -105,51 +94,41 @@ def test_what_is_parked_for_another_program_is_given_up(fleet):
     [("//Post:other@home\n", 2), ("//Post:guest@home\n", 2), ("//Guest:other@home?post\n", 3)],
     ids=["no coordinator", "a resource of its name", "other coordinators"],
 )
-def test_what_is_parked_ends_for_good_where_nobody_has_its_name(fleet, others, anew):
+async def test_what_is_parked_ends_for_good_where_nobody_has_its_name(team, /, others, anew):
     """It does not go on when its own mission is started again: that is another run."""
-
-    async def story(team):
-        first = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(first, keeps=True)
-        await team.until(lambda: away.output)
-        await stopped(away, home)
-        other = team.mission(PROGRAM, f"//Post:post@away\n{others}")
-        home, away = await team.up(other, "home", "away", keeps=True)
+    first = team.mission(PROGRAM, DEPLOYMENT)
+    home, away = await team.up(first, keeps=True)
+    await team.until(lambda: away.output)
+    await stopped(away, home)
+    other = team.mission(PROGRAM, f"//Post:post@away\n{others}")
+    home, away = await team.up(other, "home", "away", keeps=True)
+    require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
+    assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [1], "away": [1]}
+    assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [], "away": []}
+    assert [running.host.status().journal.parked for running in (home, away)] == [[], []]
+    with pytest.raises(UsageError, match=r"guest has ended on \w+ \(lost\): there is nothing to end"):
         require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-        assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [1], "away": [1]}
-        assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [], "away": []}
-        assert [running.host.status().journal.parked for running in (home, away)] == [[], []]
-        with pytest.raises(UsageError, match=r"guest has ended on \w+ \(lost\): there is nothing to end"):
-            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-        assert home.holds("guest") == ("Post:guest" in others)
-        await stopped(away, home)
-        _, away = await team.up(first, keeps=True)
-        await team.until(lambda: away.output)
-        starts = {
-            known.generation: known.outcome or known.state for known in away.host.mobility.known_states()
-        }
-        assert starts == {1: "lost", anew: "RUN"}
-        assert "resumed from the journal" not in away.log
-
-    fleet(story)
+    assert home.holds("guest") == ("Post:guest" in others)
+    await stopped(away, home)
+    _, away = await team.up(first, keeps=True)
+    await team.until(lambda: away.output)
+    starts = {known.generation: known.outcome or known.state for known in away.host.mobility.known_states()}
+    assert starts == {1: "lost", anew: "RUN"}
+    assert "resumed from the journal" not in away.log
 
 
-def test_who_waits_for_the_end_of_a_mission_does_not_wait_for_what_was_parked(fleet):
+async def test_who_waits_for_the_end_of_a_mission_does_not_wait_for_what_was_parked(team, /):
     """home only hears that guest was given up at away."""
-
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: away.output)
-        await stopped(away, home)
-        short = PROGRAM.replace("1000.0", "1.0")
-        mission = team.mission(short, DEPLOYMENT.replace("Guest:guest", "Guest:other"))
-        home, away = await team.up(mission, keeps=True)
-        assert (await word(team, "away")).starts == [1]
-        await team.until(lambda: ("EXITED", "lost") in records(home))
-        (fate,) = await wait_until_done(home.host, 15.0)
-        assert (fate.agent, fate.outcome) == ("other", "done")
-
-    fleet(story)
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+    await team.until(lambda: away.output)
+    await stopped(away, home)
+    short = PROGRAM.replace("1000.0", "1.0")
+    mission = team.mission(short, DEPLOYMENT.replace("Guest:guest", "Guest:other"))
+    home, away = await team.up(mission, keeps=True)
+    assert (await word(team, "away")).starts == [1]
+    await team.until(lambda: ("EXITED", "lost") in records(home))
+    (fate,) = await wait_until_done(home.host, 15.0)
+    assert (fate.agent, fate.outcome) == ("other", "done")
 
 
 async def word(team, host):

@@ -25,49 +25,40 @@ coordinator Guest {
 DEPLOYMENT = "//Post:near@home\n//Post:far@away\n//Guest:guest@home\n"
 
 
-def test_senders_wait_for_room_on_the_disk(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: len(away.output) > 2)
-        team.disks["away"].full = True
-        await team.until(lambda: "rejecting migrations: its disk is full" in away.log)
-        visits = len(away.output)
-        (waiting,) = home.host.mobility.known_states()
-        await team.until(lambda: home.host.mobility.known_states()[0].state == "FROZEN")
-        await asyncio.sleep(5.0)
-        assert len(away.output) == visits
-        team.disks["away"].full = False
-        await team.until(lambda: len(away.output) > visits)
-        assert "accepting migrations again" in away.log
-        assert waiting.generation == 1
-
-    fleet(story)
+async def test_senders_wait_for_room_on_the_disk(team, /):
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+    await team.until(lambda: len(away.output) > 2)
+    team.disks["away"].full = True
+    await team.until(lambda: "rejecting migrations: its disk is full" in away.log)
+    visits = len(away.output)
+    (waiting,) = home.host.mobility.known_states()
+    await team.until(lambda: home.host.mobility.known_states()[0].state == "FROZEN")
+    await asyncio.sleep(5.0)
+    assert len(away.output) == visits
+    team.disks["away"].full = False
+    await team.until(lambda: len(away.output) > visits)
+    assert "accepting migrations again" in away.log
+    assert waiting.generation == 1
 
 
-def test_what_waits_too_long_is_told_why(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
-        await team.until(lambda: away.output)
-        team.disks["away"].full = True
-        await team.until(lambda: "guest: away could not store guest within 3 s: its disk is full" in home.log)
-
-    fleet(story)
+async def test_what_waits_too_long_is_told_why(team, /):
+    home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
+    await team.until(lambda: away.output)
+    team.disks["away"].full = True
+    await team.until(lambda: "guest: away could not store guest within 3 s: its disk is full" in home.log)
 
 
-def test_where_nothing_can_be_kept_no_call_that_acts_begins(fleet):
-    async def story(team):
-        program = PROGRAM.replace("UnreachableResourceException", "LimitException")
-        home, _ = await team.up(
-            team.mission(program, DEPLOYMENT.replace("away", "home") + "//Post:third@away\n"), keeps=True
-        )
-        await team.until(lambda: len(home.output) > 4)
-        team.disks["home"].broken = True
-        await team.until(lambda: "guest: home cannot write its journal: " in home.log)
-        calls = len(home.output)
-        await asyncio.sleep(3.0)
-        assert len(home.output) == calls
-        team.disks["home"].broken = False
-        await team.until(lambda: len(home.output) > calls)
-        assert "journal writable again" in home.log
-
-    fleet(story)
+async def test_where_nothing_can_be_kept_no_call_that_acts_begins(team, /):
+    program = PROGRAM.replace("UnreachableResourceException", "LimitException")
+    home, _ = await team.up(
+        team.mission(program, DEPLOYMENT.replace("away", "home") + "//Post:third@away\n"), keeps=True
+    )
+    await team.until(lambda: len(home.output) > 4)
+    team.disks["home"].broken = True
+    await team.until(lambda: "guest: home cannot write its journal: " in home.log)
+    calls = len(home.output)
+    await asyncio.sleep(3.0)
+    assert len(home.output) == calls
+    team.disks["home"].broken = False
+    await team.until(lambda: len(home.output) > calls)
+    assert "journal writable again" in home.log

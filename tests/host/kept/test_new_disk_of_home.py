@@ -32,22 +32,16 @@ async def with_a_new_disk(team, first):
     return again, away
 
 
-def test_what_runs_under_leases_goes_on_from_its_shadow(fleet):
-    async def story(team):
-        home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
-        told = "guest not started again: it has left away, where a copy of it is kept"
-        await team.until(lambda: told in home.log)
-        await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
-        assert not home.holds("guest")
-        assert away.output == ["counted"]
-
-    fleet(story)
+async def test_what_runs_under_leases_goes_on_from_its_shadow(team, /):
+    home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
+    told = "guest not started again: it has left away, where a copy of it is kept"
+    await team.until(lambda: told in home.log)
+    await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
+    assert not home.holds("guest")
+    assert away.output == ["counted"]
 
 
-def test_what_nobody_goes_on_with_is_begun_anew(fleet):
-    async def story(team):
-        home, away = await with_a_new_disk(team, "")
-        await team.until(lambda: "arrived" in home.output)
-        assert away.output == ["counted", "counted"]
-
-    fleet(story)
+async def test_what_nobody_goes_on_with_is_begun_anew(team, /):
+    home, away = await with_a_new_disk(team, "")
+    await team.until(lambda: "arrived" in home.output)
+    assert away.output == ["counted", "counted"]

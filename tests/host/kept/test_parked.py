@@ -36,60 +36,50 @@ async def park_at_away(team):
     await home.host.stop()
 
 
-def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(fleet):
-    async def story(team):
-        await park_at_away(team)
-        del team.disks["home"]
-        home, away = await team.up(team.mission(CHANGED, FROM_HOME), keeps=True)
-        await team.until(
-            lambda: (
-                "guest not started again: it is parked on away for the program and deployment that it belongs"
-                in home.log
-            )
+async def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(team, /):
+    await park_at_away(team)
+    del team.disks["home"]
+    home, away = await team.up(team.mission(CHANGED, FROM_HOME), keeps=True)
+    await team.until(
+        lambda: (
+            "guest not started again: it is parked on away for the program and deployment that it belongs"
+            in home.log
         )
-        assert not home.holds("guest")
-        assert parked(away) == [("guest", 1, "RUN")]
-        await home.host.stop()
-        await away.host.stop()
-        _, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
-        await team.until(lambda: "guest resumed from the journal" in away.log)
-
-    fleet(story)
-
-
-def test_a_home_that_was_changed_does_not_begin_it_either(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(PROGRAM, FROM_AWAY), "home", "away", keeps=True)
-        await team.until(lambda: away.output)
-        await away.host.stop()
-        await home.host.stop()
-        home, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
-        await team.until(lambda: "guest not started again: it is parked on away" in home.log)
-        assert not home.holds("guest")
-        assert parked(away) == [("guest", 1, "RUN")]
-
-    fleet(story)
+    )
+    assert not home.holds("guest")
+    assert parked(away) == [("guest", 1, "RUN")]
+    await home.host.stop()
+    await away.host.stop()
+    _, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
+    await team.until(lambda: "guest resumed from the journal" in away.log)
 
 
-def test_its_number_is_not_given_out_again(fleet):
+async def test_a_home_that_was_changed_does_not_begin_it_either(team, /):
+    home, away = await team.up(team.mission(PROGRAM, FROM_AWAY), "home", "away", keeps=True)
+    await team.until(lambda: away.output)
+    await away.host.stop()
+    await home.host.stop()
+    home, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
+    await team.until(lambda: "guest not started again: it is parked on away" in home.log)
+    assert not home.holds("guest")
+    assert parked(away) == [("guest", 1, "RUN")]
+
+
+async def test_its_number_is_not_given_out_again(team, /):
     """A person says that there was no earlier start: what comes is not taken, and nothing is lost."""
-
-    async def story(team):
-        await park_at_away(team)
-        other = team.mission(CHANGED, FROM_HOME, without=("away",))
-        del team.disks["home"]
-        home, away = (team.make(other, name, keeps=True) for name in ("home", "away"))
-        home.host.options.first_start = True
-        await home.host.start()
-        await team.until(lambda: home.holds("guest"))
-        await away.host.start()
-        await team.until(lambda: "has another start of guest under that number" in home.log)
-        assert parked(away) == [("guest", 1, "RUN")]
-        await away.host.stop()
-        (again,) = await team.up(other, "away", keeps=True)
-        assert parked(again) == [("guest", 1, "RUN")]
-
-    fleet(story)
+    await park_at_away(team)
+    other = team.mission(CHANGED, FROM_HOME, without=("away",))
+    del team.disks["home"]
+    home, away = (team.make(other, name, keeps=True) for name in ("home", "away"))
+    home.host.options.first_start = True
+    await home.host.start()
+    await team.until(lambda: home.holds("guest"))
+    await away.host.start()
+    await team.until(lambda: "has another start of guest under that number" in home.log)
+    assert parked(away) == [("guest", 1, "RUN")]
+    await away.host.stop()
+    (again,) = await team.up(other, "away", keeps=True)
+    assert parked(again) == [("guest", 1, "RUN")]
 
 
 def test_a_program_of_which_no_block_is_left_is_not_kept():

@@ -56,73 +56,61 @@ async def begun(team):
     return home, away
 
 
-def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_of(fleet):
-    async def story(team):
-        home, away = await begun(team)
-        for host in ("home", "away"):
-            assert (await said(team, host)).devices == {}
-        assert as_data(states_of({"away": away.host.status()}))["away"]["paused"]
-        before = away.log
-        await asyncio.sleep(300.0)
-        assert away.log == before
-        assert "late" not in home.log
-        await said(team, "away")  # Again is nothing new.
-        for host in ("home", "away"):
-            await said(team, host, lift=True)
-        await team.until(lambda: TOLD in away.log)
-        # The resource has kept its field.
-        await team.until(lambda: "begins 2" in away.log and "begins 3" in away.log)
-        await team.until(lambda: "late: late came" in away.log)
-        assert not away.host.status().paused
-        await said(team, "away", lift=True)
-        assert away.log.count("mission resumed") == 1
-
-    fleet(story)
+async def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_of(team, /):
+    home, away = await begun(team)
+    for host in ("home", "away"):
+        assert (await said(team, host)).devices == {}
+    assert as_data(states_of({"away": away.host.status()}))["away"]["paused"]
+    before = away.log
+    await asyncio.sleep(300.0)
+    assert away.log == before
+    assert "late" not in home.log
+    await said(team, "away")  # Again is nothing new.
+    for host in ("home", "away"):
+        await said(team, host, lift=True)
+    await team.until(lambda: TOLD in away.log)
+    # The resource has kept its field.
+    await team.until(lambda: "begins 2" in away.log and "begins 3" in away.log)
+    await team.until(lambda: "late: late came" in away.log)
+    assert not away.host.status().paused
+    await said(team, "away", lift=True)
+    assert away.log.count("mission resumed") == 1
 
 
-def test_who_is_on_its_way_to_a_paused_host_waits_and_does_not_give_up(fleet):
-    async def story(team):
-        home, away = await begun(team)
-        await said(team, "away")
-        await team.until(
-            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
-        )
-        await asyncio.sleep(60.0)
-        assert "late gave up" not in home.log
-        await said(team, "away", lift=True)
-        await team.until(lambda: "late: late came" in away.log)
-
-    fleet(story)
+async def test_who_is_on_its_way_to_a_paused_host_waits_and_does_not_give_up(team, /):
+    home, away = await begun(team)
+    await said(team, "away")
+    await team.until(
+        lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
+    )
+    await asyncio.sleep(60.0)
+    assert "late gave up" not in home.log
+    await said(team, "away", lift=True)
+    await team.until(lambda: "late: late came" in away.log)
 
 
-def test_who_is_on_its_way_to_a_paused_host_that_is_gone_gives_up(fleet):
-    async def story(team):
-        home, away = await begun(team)
-        await said(team, "away")
-        await team.until(
-            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
-        )
-        await away.host.stop()
-        await team.until(lambda: "late gave up" in home.log)
-
-    fleet(story)
+async def test_who_is_on_its_way_to_a_paused_host_that_is_gone_gives_up(team, /):
+    home, away = await begun(team)
+    await said(team, "away")
+    await team.until(
+        lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
+    )
+    await away.host.stop()
+    await team.until(lambda: "late gave up" in home.log)
 
 
-def test_a_host_that_is_started_again_is_still_paused(fleet):
-    async def story(team):
-        _, away = await begun(team)
-        await said(team, "away")
-        await away.host.stop()
-        (again,) = await team.up(away.host.mission, "away", keeps=True)
-        assert again.host.status().paused
-        assert "mission still paused: no agent runs here until 'lfield resume'" in again.log
-        await asyncio.sleep(20.0)
-        assert "told" not in again.log
-        await said(team, "away", lift=True)
-        await team.until(lambda: "guest: told: away restarted; this call" in again.log)
-        await again.host.stop()
-        (last,) = await team.up(away.host.mission, "away", keeps=True)
-        assert not last.host.status().paused
-        assert "still paused" not in str(last.log)
-
-    fleet(story)
+async def test_a_host_that_is_started_again_is_still_paused(team, /):
+    _, away = await begun(team)
+    await said(team, "away")
+    await away.host.stop()
+    (again,) = await team.up(away.host.mission, "away", keeps=True)
+    assert again.host.status().paused
+    assert "mission still paused: no agent runs here until 'lfield resume'" in again.log
+    await asyncio.sleep(20.0)
+    assert "told" not in again.log
+    await said(team, "away", lift=True)
+    await team.until(lambda: "guest: told: away restarted; this call" in again.log)
+    await again.host.stop()
+    (last,) = await team.up(away.host.mission, "away", keeps=True)
+    assert not last.host.status().paused
+    assert "still paused" not in str(last.log)

@@ -57,132 +57,112 @@ async def with_guest_away(team):
     return home, away
 
 
-def test_the_home_goes_on_and_the_host_that_comes_back_does_not(fleet):
-    async def story(team):
-        home, away = await with_guest_away(team)
-        await away.host.stop()
-        answers = await looked(team, "home")
-        assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
-            "guest: start away again; if it is permanently lost, continue without it: lfield recover guest, "
-            "or end it: lfield forget guest"
-        ]
-        belief = best_candidate("guest", answers, NAMES)
-        assert belief.host_ref == HostRef("", "home")
-        assert belief.lines[0] == (
-            "guest, start 1: the newest copy is on home, as it left for away after 0 hops (transfer 1)"
-        )
-        assert "away does not answer" in belief.lines[1]
-        answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
-        assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
-        assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
-        told = (
-            "told: guest was recovered on home from its departure for away; this call may have begun, "
-            "and later actions are unknown"
-        )
-        await team.until(lambda: told in home.log)
-        pages = team.disks["home"].pages()
-        running = [page.generation for page in pages if getattr(page, "state", "") == "RUN"]
-        assert running == [answer.generation]
-        (again,) = await team.up(away.host.mission, "away", keeps=True)
-        await team.until(lambda: outcomes(again).get(1) == "superseded")
-        assert not again.holds("guest")
-        assert "resumed from the journal" not in again.log
-        assert home.holds("guest")
-
-    fleet(story)
+async def test_the_home_goes_on_and_the_host_that_comes_back_does_not(team, /):
+    home, away = await with_guest_away(team)
+    await away.host.stop()
+    answers = await looked(team, "home")
+    assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
+        "guest: start away again; if it is permanently lost, continue without it: lfield recover guest, "
+        "or end it: lfield forget guest"
+    ]
+    belief = best_candidate("guest", answers, NAMES)
+    assert belief.host_ref == HostRef("", "home")
+    assert belief.lines[0] == (
+        "guest, start 1: the newest copy is on home, as it left for away after 0 hops (transfer 1)"
+    )
+    assert "away does not answer" in belief.lines[1]
+    answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
+    assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
+    assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
+    told = (
+        "told: guest was recovered on home from its departure for away; this call may have begun, "
+        "and later actions are unknown"
+    )
+    await team.until(lambda: told in home.log)
+    pages = team.disks["home"].pages()
+    running = [page.generation for page in pages if getattr(page, "state", "") == "RUN"]
+    assert running == [answer.generation]
+    (again,) = await team.up(away.host.mission, "away", keeps=True)
+    await team.until(lambda: outcomes(again).get(1) == "superseded")
+    assert not again.holds("guest")
+    assert "resumed from the journal" not in again.log
+    assert home.holds("guest")
 
 
-def test_one_that_is_alive_is_not_recovered_and_whoever_asks_is_told_where(fleet):
-    async def story(team):
-        _, away = await with_guest_away(team)
-        with pytest.raises(
-            CoordinatorAlive, match=r"guest is alive on away \(start 1\), in a portal: nothing was"
-        ):
-            best_candidate("guest", await looked(team, *HOSTS), NAMES)
-        everybody = await looked(team, *HOSTS)
-        assert list(doubt_advice({place.host: answer for place, answer in everybody.items()})) == []
-        with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
-            best_candidate("geust", await looked(team, *HOSTS), NAMES)
-        word = RecoverRequest("guest", 1, 1, 1)
-        answer = await send_request(team.network.transport("desk"), "away:8181", recover(word))
-        assert (answer.generation, answer.reason) == (
-            0,
-            "away has no copy of guest to resume, or it is alive there",
-        )
-        assert away.holds("guest")
-
-    fleet(story)
+async def test_one_that_is_alive_is_not_recovered_and_whoever_asks_is_told_where(team, /):
+    _, away = await with_guest_away(team)
+    with pytest.raises(
+        CoordinatorAlive, match=r"guest is alive on away \(start 1\), in a portal: nothing was"
+    ):
+        best_candidate("guest", await looked(team, *HOSTS), NAMES)
+    everybody = await looked(team, *HOSTS)
+    assert list(doubt_advice({place.host: answer for place, answer in everybody.items()})) == []
+    with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
+        best_candidate("geust", await looked(team, *HOSTS), NAMES)
+    word = RecoverRequest("guest", 1, 1, 1)
+    answer = await send_request(team.network.transport("desk"), "away:8181", recover(word))
+    assert (answer.generation, answer.reason) == (
+        0,
+        "away has no copy of guest to resume, or it is alive there",
+    )
+    assert away.holds("guest")
 
 
-def test_what_has_changed_since_the_person_was_told_is_not_gone_on_with(fleet):
-    async def story(team):
-        home, away = await with_guest_away(team)
-        await away.host.stop()
-        answer = await send_request(
-            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 7, 1))
-        )
-        assert answer.reason == "the copy of guest on home has changed meanwhile; repeat the command"
-        assert outcomes(home) == {1: "MOVED"}
-        first = await send_request(
-            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
-        )
-        again = await send_request(
-            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
-        )
-        assert first.generation > 1
-        assert "it is alive there" in again.reason
-
-    fleet(story)
+async def test_what_has_changed_since_the_person_was_told_is_not_gone_on_with(team, /):
+    home, away = await with_guest_away(team)
+    await away.host.stop()
+    answer = await send_request(
+        team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 7, 1))
+    )
+    assert answer.reason == "the copy of guest on home has changed meanwhile; repeat the command"
+    assert outcomes(home) == {1: "MOVED"}
+    first = await send_request(
+        team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
+    )
+    again = await send_request(
+        team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
+    )
+    assert first.generation > 1
+    assert "it is alive there" in again.reason
 
 
-def test_one_that_is_kept_for_another_mission_is_named(fleet):
-    async def story(team):
-        _, away = await with_guest_away(team)
-        await away.host.stop()
-        other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
-        await team.up(other, "away", keeps=True)
-        answers = await looked(team, "away")
-        with pytest.raises(CoordinatorAlive, match="away keeps guest for another mission"):
-            best_candidate("guest", answers, NAMES)
-        hints = list(doubt_advice({place.host: answer for place, answer in answers.items()}))
-        assert hints == ["guest: start its own mission again, or end it: lfield forget guest"]
-
-    fleet(story)
+async def test_one_that_is_kept_for_another_mission_is_named(team, /):
+    _, away = await with_guest_away(team)
+    await away.host.stop()
+    other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
+    await team.up(other, "away", keeps=True)
+    answers = await looked(team, "away")
+    with pytest.raises(CoordinatorAlive, match="away keeps guest for another mission"):
+        best_candidate("guest", answers, NAMES)
+    hints = list(doubt_advice({place.host: answer for place, answer in answers.items()}))
+    assert hints == ["guest: start its own mission again, or end it: lfield forget guest"]
 
 
-def test_a_shadow_that_is_of_another_mission_is_gone_on_with_in_that_mission(fleet):
-    async def story(team):
-        for running in await with_guest_away(team):
-            await running.host.stop()
-        await team.up(team.mission(PROGRAM, "//Post:other@home\n"), "home", keeps=True)
-        answers = await looked(team, "home")
-        with pytest.raises(UsageError, match=r"guest is of another mission .* home keeps a copy: start that"):
-            best_candidate("guest", answers, NAMES)
-        assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [
-            1
-        ]
-        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): it cannot be recovered"):
-            best_candidate("guest", await looked(team, "home"), NAMES)
-
-    fleet(story)
+async def test_a_shadow_that_is_of_another_mission_is_gone_on_with_in_that_mission(team, /):
+    for running in await with_guest_away(team):
+        await running.host.stop()
+    await team.up(team.mission(PROGRAM, "//Post:other@home\n"), "home", keeps=True)
+    answers = await looked(team, "home")
+    with pytest.raises(UsageError, match=r"guest is of another mission .* home keeps a copy: start that"):
+        best_candidate("guest", answers, NAMES)
+    assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [1]
+    with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): it cannot be recovered"):
+        best_candidate("guest", await looked(team, "home"), NAMES)
 
 
 @pytest.mark.parametrize(
     "request_", [recover(RecoverRequest("guest", 1, 1, 1)), forget("guest")], ids=["recover", "forget"]
 )
-def test_the_answer_waits_for_the_disk(fleet, request_):
-    async def story(team):
-        home, away = await with_guest_away(team)
-        await away.host.stop()
-        team.disks["home"].broken = True
-        asked = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
-        await asyncio.sleep(3.0)
-        assert not asked.done()
-        assert "told: guest was recovered" not in home.log
-        team.disks["home"].broken = False
-        await asked
-
-    fleet(story)
+async def test_the_answer_waits_for_the_disk(team, /, request_):
+    home, away = await with_guest_away(team)
+    await away.host.stop()
+    team.disks["home"].broken = True
+    asked = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
+    await asyncio.sleep(3.0)
+    assert not asked.done()
+    assert "told: guest was recovered" not in home.log
+    team.disks["home"].broken = False
+    await asked
 
 
 TRIP = PROGRAM.replace("findPost(arg[1]).stay(1000.0)", "FIRST; findPost(arg[2]).stay(1000.0)").replace(
@@ -191,62 +171,53 @@ TRIP = PROGRAM.replace("findPost(arg[1]).stay(1000.0)", "FIRST; findPost(arg[2])
 LONGER = "//Guest:guest@home?post&last\n//Post:post@away\n//Post:last@far\n"
 
 
-def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_copy(fleet):
-    async def story(team):
-        home, away, far = await team.up(team.mission(TRIP, LONGER), keeps=True)
-        await team.until(lambda: far.output)
-        await team.until(lambda: outcomes(away) == {1: "MOVED"})
-        await far.host.stop()
-        names = {HostRef("", host): host for host in ("home", "away", "far")}
-        desk = team.network.transport("desk")
+async def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_copy(team, /):
+    home, away, far = await team.up(team.mission(TRIP, LONGER), keeps=True)
+    await team.until(lambda: far.output)
+    await team.until(lambda: outcomes(away) == {1: "MOVED"})
+    await far.host.stop()
+    names = {HostRef("", host): host for host in ("home", "away", "far")}
+    desk = team.network.transport("desk")
 
-        async def told():
-            answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
-            return host_states({HostRef("", host): answer for host, answer in answers.items()})
+    async def told():
+        answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
+        return host_states({HostRef("", host): answer for host, answer in answers.items()})
 
-        belief = best_candidate("guest", await told(), names)
-        assert belief.host_ref == HostRef("", "away")
-        copy = away.host.mobility.newest_copy("guest")
-        copy.block = bytes(len(copy.block))
-        answer = await send_request(desk, "away:8181", recover(belief.request))
-        assert (answer.generation, answer.reason) == (
-            0,
-            "the copy of guest on away cannot be read; repeat the command: another host may have an older "
-            "copy",
-        )
-        out = io.StringIO()
-        Console(file=out, width=200).print(
-            team_tables({place.host: answer for place, answer in (await told()).items()})
-        )
-        assert "in doubt: its stored copy here cannot be read" in out.getvalue()
-        belief = best_candidate("guest", await told(), names)
-        assert belief.host_ref == HostRef("", "home")
-        assert belief.lines[1] == (
-            "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
-            "done again"
-        )
-        answer = await send_request(desk, "home:8181", recover(belief.request))
-        assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
-        await team.until(lambda: outcomes(away)[1] == "superseded")
-        assert not away.host.mobility.newest_copy("guest")
-
-    fleet(story)
+    belief = best_candidate("guest", await told(), names)
+    assert belief.host_ref == HostRef("", "away")
+    copy = away.host.mobility.newest_copy("guest")
+    copy.block = bytes(len(copy.block))
+    answer = await send_request(desk, "away:8181", recover(belief.request))
+    assert (answer.generation, answer.reason) == (
+        0,
+        "the copy of guest on away cannot be read; repeat the command: another host may have an older copy",
+    )
+    out = io.StringIO()
+    Console(file=out, width=200).print(
+        team_tables({place.host: answer for place, answer in (await told()).items()})
+    )
+    assert "in doubt: its stored copy here cannot be read" in out.getvalue()
+    belief = best_candidate("guest", await told(), names)
+    assert belief.host_ref == HostRef("", "home")
+    assert belief.lines[1] == (
+        "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
+        "done again"
+    )
+    answer = await send_request(desk, "home:8181", recover(belief.request))
+    assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
+    await team.until(lambda: outcomes(away)[1] == "superseded")
+    assert not away.host.mobility.newest_copy("guest")
 
 
-def test_when_nothing_can_be_read_a_person_is_told_where_it_is(fleet):
-    async def story(team):
-        home, away = await with_guest_away(team)
-        await away.host.stop()
-        copy = home.host.mobility.newest_copy("guest")
-        copy.block = bytes(len(copy.block))
-        await send_request(
-            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
-        )
-        answers = await looked(team, "home")
-        with pytest.raises(UsageError, match="the copy of guest on home cannot be read: it cannot"):
-            best_candidate("guest", answers, NAMES)
-        assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
-            "guest: start away again; if it is permanently lost, end it: lfield forget guest"
-        ]
-
-    fleet(story)
+async def test_when_nothing_can_be_read_a_person_is_told_where_it_is(team, /):
+    home, away = await with_guest_away(team)
+    await away.host.stop()
+    copy = home.host.mobility.newest_copy("guest")
+    copy.block = bytes(len(copy.block))
+    await send_request(team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1)))
+    answers = await looked(team, "home")
+    with pytest.raises(UsageError, match="the copy of guest on home cannot be read: it cannot"):
+        best_candidate("guest", answers, NAMES)
+    assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
+        "guest: start away again; if it is permanently lost, end it: lfield forget guest"
+    ]

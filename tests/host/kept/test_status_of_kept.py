@@ -37,105 +37,80 @@ def shown(*hosts) -> str:
     return out.getvalue()
 
 
-def test_a_journal_and_its_trouble_are_told(fleet):
-    async def story(team):
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: len(home.output) == 3)
-        journal = home.host.status().journal
-        assert journal.commits >= 3
-        assert (journal.trouble, journal.parked) == ("", [])
-        assert "in the last minute" in shown(home)
-
-    fleet(story)
+async def test_a_journal_and_its_trouble_are_told(team, /):
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+    await team.until(lambda: len(home.output) == 3)
+    journal = home.host.status().journal
+    assert journal.commits >= 3
+    assert (journal.trouble, journal.parked) == ("", [])
+    assert "in the last minute" in shown(home)
 
 
-def test_a_coordinator_whose_disk_fails_waits_for_it(fleet):
-    async def story(team):
-        home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
-        team.disks["home"].broken = True
-        await team.until(lambda: home.host.status().journal.trouble)
-        (guest,) = home.host.status().agents
-        assert (guest.id, guest.state) == ("guest", "waits for its disk")
-        assert "failing: " in shown(home)
-        assert "its disk fails" in shown(home)
-        team.disks["home"].broken = False
-        await team.until(lambda: away.output == ["call"])
-        assert home.host.status().journal.trouble == ""
-
-    fleet(story)
+async def test_a_coordinator_whose_disk_fails_waits_for_it(team, /):
+    home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
+    team.disks["home"].broken = True
+    await team.until(lambda: home.host.status().journal.trouble)
+    (guest,) = home.host.status().agents
+    assert (guest.id, guest.state) == ("guest", "waits for its disk")
+    assert "failing: " in shown(home)
+    assert "its disk fails" in shown(home)
+    team.disks["home"].broken = False
+    await team.until(lambda: away.output == ["call"])
+    assert home.host.status().journal.trouble == ""
 
 
-def test_a_coordinator_that_is_being_kept_does_not_leave(fleet):
-    async def story(team):
-        home = team.make(team.mission(PROGRAM, DEPLOYMENT), "home", keeps=True)
-        team.disks["home"].sync = 0.5
-        await home.host.start()
-        states = set()
+async def test_a_coordinator_that_is_being_kept_does_not_leave(team, /):
+    home = team.make(team.mission(PROGRAM, DEPLOYMENT), "home", keeps=True)
+    team.disks["home"].sync = 0.5
+    await home.host.start()
+    states = set()
 
-        def seen() -> bool:
-            states.update(agent.state for agent in home.host.status().agents if agent.id == "guest")
-            return len(home.output) == 3
+    def seen() -> bool:
+        states.update(agent.state for agent in home.host.status().agents if agent.id == "guest")
+        return len(home.output) == 3
 
-        await team.until(seen)
-        assert "persisting" in states
-        assert "leaving" not in states
-
-    fleet(story)
+    await team.until(seen)
+    assert "persisting" in states
+    assert "leaving" not in states
 
 
-def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
+async def test_a_coordinator_of_another_program_is_parked_and_explained(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (home,) = await team.up(mission, keeps=True)
+    await team.until(lambda: len(home.output) == 2)
+    await home.host.stop()
+    (again,) = await team.up(
+        team.mission(PROGRAM + "\n// another\nclass Other { }\n", DEPLOYMENT), keeps=True
+    )
+    digest = home.host.hello().mission_hash
+    (parked,) = again.host.status().journal.parked
+    assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
+    assert f"parked: belongs to another mission ({digest.hex()[:16]})" in shown(again)
+    assert as_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
+    pages = again.host.journal_writer.records
+    (explained,) = (page for page in pages if isinstance(page, ProgramRecord))
+    assert (explained.digest, explained.members) == (digest, ("guest", "post"))
+
+
+async def test_a_revocation_list_that_is_not_kept_is_told(team, /):
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+    assert "failing" not in shown(home)
+    home.host.options.admission.persist_error = "revocation list 3 is not kept: the disk is full"
+    assert "home is failing: revocation list 3 is not kept: the disk is full" in shown(home)
+    assert as_data(states_of({"home": home.host.status()}))["home"]["unkept"].startswith("revocation list 3")
+
+
+async def test_a_host_that_keeps_nothing_says_so(team, /):
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+    assert home.host.status().journal is None
+    assert "not saved" in shown(home)
+
+
+async def test_how_earlier_starts_ended_is_past(team, /):
+    mission = team.mission("coordinator Guest { init(string[] arg) { } }", "//Guest:guest@home\n")
+    for run in range(1, 4):
         (home,) = await team.up(mission, keeps=True)
-        await team.until(lambda: len(home.output) == 2)
+        await team.until(lambda host=home.host, run=run: len(host.status().coordinators) == run)
         await home.host.stop()
-        (again,) = await team.up(
-            team.mission(PROGRAM + "\n// another\nclass Other { }\n", DEPLOYMENT), keeps=True
-        )
-        digest = home.host.hello().mission_hash
-        (parked,) = again.host.status().journal.parked
-        assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
-        assert f"parked: belongs to another mission ({digest.hex()[:16]})" in shown(again)
-        assert (
-            as_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
-        )
-        pages = again.host.journal_writer.records
-        (explained,) = (page for page in pages if isinstance(page, ProgramRecord))
-        assert (explained.digest, explained.members) == (digest, ("guest", "post"))
-
-    fleet(story)
-
-
-def test_a_revocation_list_that_is_not_kept_is_told(fleet):
-    async def story(team):
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
-        assert "failing" not in shown(home)
-        home.host.options.admission.persist_error = "revocation list 3 is not kept: the disk is full"
-        assert "home is failing: revocation list 3 is not kept: the disk is full" in shown(home)
-        assert as_data(states_of({"home": home.host.status()}))["home"]["unkept"].startswith(
-            "revocation list 3"
-        )
-
-    fleet(story)
-
-
-def test_a_host_that_keeps_nothing_says_so(fleet):
-    async def story(team):
-        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
-        assert home.host.status().journal is None
-        assert "not saved" in shown(home)
-
-    fleet(story)
-
-
-def test_how_earlier_starts_ended_is_past(fleet):
-    async def story(team):
-        mission = team.mission("coordinator Guest { init(string[] arg) { } }", "//Guest:guest@home\n")
-        for run in range(1, 4):
-            (home,) = await team.up(mission, keeps=True)
-            await team.until(lambda host=home.host, run=run: len(host.status().coordinators) == run)
-            await home.host.stop()
-        assert [known.outcome for known in home.host.status().coordinators] == ["done"] * 3
-        assert shown(home).count("done") == 1
-
-    fleet(story)
+    assert [known.outcome for known in home.host.status().coordinators] == ["done"] * 3
+    assert shown(home).count("done") == 1

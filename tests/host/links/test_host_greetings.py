@@ -41,72 +41,54 @@ async def _stays_refused(team, alpha, bravo, words):
     assert bravo.output == []
 
 
-def test_hosts_of_two_programs(fleet):
-    async def story(team):
-        (bravo,) = await team.up(team.mission(PROGRAM.replace("here", "there"), DEPLOYMENT), "bravo")
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
-        await _stays_refused(team, alpha, bravo, "start both from the same program file")
-        assert "link to bravo refused" in alpha.log
-
-    fleet(story)
+async def test_hosts_of_two_programs(team, /):
+    (bravo,) = await team.up(team.mission(PROGRAM.replace("here", "there"), DEPLOYMENT), "bravo")
+    (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
+    await _stays_refused(team, alpha, bravo, "start both from the same program file")
+    assert "link to bravo refused" in alpha.log
 
 
-def test_hosts_of_two_deployments(fleet):
-    async def story(team):
-        (bravo,) = await team.up(team.mission(PROGRAM, DEPLOYMENT + "//Echo:more@alpha\n"), "bravo")
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
-        await _stays_refused(team, alpha, bravo, "start both from the same .dL file")
-
-    fleet(story)
+async def test_hosts_of_two_deployments(team, /):
+    (bravo,) = await team.up(team.mission(PROGRAM, DEPLOYMENT + "//Echo:more@alpha\n"), "bravo")
+    (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
+    await _stays_refused(team, alpha, bravo, "start both from the same .dL file")
 
 
-def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT, without=("bravo",))
-        one, other = (replace(mission, release=BundleId(digest * 32, by="anna")) for digest in (b"1", b"2"))
-        (bravo,) = await team.up(other, "bravo")
-        (alpha,) = await team.up(one, "alpha")
-        await _stays_refused(team, alpha, bravo, "copy one of the two to both")
-
-    fleet(story)
+async def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT, without=("bravo",))
+    one, other = (replace(mission, release=BundleId(digest * 32, by="anna")) for digest in (b"1", b"2"))
+    (bravo,) = await team.up(other, "bravo")
+    (alpha,) = await team.up(one, "alpha")
+    await _stays_refused(team, alpha, bravo, "copy one of the two to both")
 
 
-def test_a_host_of_files_and_one_of_a_bundle_talk(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        files = replace(mission, release=BundleId(b"1" * 32, by="anna", is_from_files=True))
-        (bravo,) = await team.up(files, "bravo")
-        await team.up(replace(mission, release=BundleId(b"2" * 32, by="anna")), "alpha")
-        assert await team.ended("tom") == "done"
-        assert bravo.output == ["here"]
-
-    fleet(story)
+async def test_a_host_of_files_and_one_of_a_bundle_talk(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    files = replace(mission, release=BundleId(b"1" * 32, by="anna", is_from_files=True))
+    (bravo,) = await team.up(files, "bravo")
+    await team.up(replace(mission, release=BundleId(b"2" * 32, by="anna")), "alpha")
+    assert await team.ended("tom") == "done"
+    assert bravo.output == ["here"]
 
 
-def test_a_wrong_address_leads_to_another_host(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n", without=("bravo", "carol"))
-        (carol,) = await team.up(mission, "carol", address="bravo:8181")
-        (alpha,) = await team.up(mission, "alpha", unreachable_after=3.0)
-        await team.until(lambda: _told(alpha, "carol answered at the address of bravo"))
-        assert _told(carol, "correct the address or the --map")
-        assert await team.ended("tom") == "died"
-
-    fleet(story)
+async def test_a_wrong_address_leads_to_another_host(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n", without=("bravo", "carol"))
+    (carol,) = await team.up(mission, "carol", address="bravo:8181")
+    (alpha,) = await team.up(mission, "alpha", unreachable_after=3.0)
+    await team.until(lambda: _told(alpha, "carol answered at the address of bravo"))
+    assert _told(carol, "correct the address or the --map")
+    assert await team.ended("tom") == "died"
 
 
-def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM.replace("findEcho", "sleep(30.0); findEcho"), DEPLOYMENT)
-        alpha, bravo = await team.up(mission)
-        (second,) = await team.up(mission, "alpha", address="elsewhere:8181")
-        words = "bravo already has a link to another alpha"
-        await team.until(lambda: _told(second, words) and _told(bravo, words))
-        assert await team.ended("tom") == "done"
-        assert bravo.output.count("here") == 1
-        assert not _told(alpha, words)
-
-    fleet(story)
+async def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(team, /):
+    mission = team.mission(PROGRAM.replace("findEcho", "sleep(30.0); findEcho"), DEPLOYMENT)
+    alpha, bravo = await team.up(mission)
+    (second,) = await team.up(mission, "alpha", address="elsewhere:8181")
+    words = "bravo already has a link to another alpha"
+    await team.until(lambda: _told(second, words) and _told(bravo, words))
+    assert await team.ended("tom") == "done"
+    assert bravo.output.count("here") == 1
+    assert not _told(alpha, words)
 
 
 class StrangersPeers:
@@ -147,19 +129,16 @@ class EagerTransport:
         return link
 
 
-def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        (bravo,) = await team.up(mission, "bravo")
-        alpha = team.make(mission, "alpha")
-        alpha.host.peers._transport = EagerTransport(team.network, "alpha")
-        await alpha.host.start()
-        assert await team.ended("tom") == "done"
-        assert bravo.output == ["here"]
-        assert "link from " not in alpha.log + bravo.log
-        assert team.network.sent["Hello"] == 2
-
-    fleet(story)
+async def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (bravo,) = await team.up(mission, "bravo")
+    alpha = team.make(mission, "alpha")
+    alpha.host.peers._transport = EagerTransport(team.network, "alpha")
+    await alpha.host.start()
+    assert await team.ended("tom") == "done"
+    assert bravo.output == ["here"]
+    assert "link from " not in alpha.log + bravo.log
+    assert team.network.sent["Hello"] == 2
 
 
 class SlowTransport(EagerTransport):
@@ -181,24 +160,20 @@ coordinator Caller {
 """
 
 
-def test_a_greeting_tells_what_is_known_when_the_call_is_taken(fleet):
+async def test_a_greeting_tells_what_is_known_when_the_call_is_taken(team, /):
     """Not when it began: what came meanwhile, nobody else may know any more."""
-
-    async def story(team):
-        away = "//Echo:last@away\n//Echo:first@carol\n//Caller:tom@home?first&last&last&last\n"
-        mission = team.mission(ROUND, away)
-        away, carol, home = await team.up(mission)
-        away.host.peers._transport = SlowTransport(team.network, "away")
-        await team.until(lambda: carol.output)
-        await home.host.stop()
-        await team.until(lambda: away.output)
-        await carol.host.stop()
-        _, home = await team.up(mission, "carol", "home", first_start=False)
-        await team.until(lambda: _told(home, "link to away established"))
-        assert _told(home, "tom not started again: it is alive on another host")
-        assert not home.holds("tom")
-
-    fleet(story)
+    away = "//Echo:last@away\n//Echo:first@carol\n//Caller:tom@home?first&last&last&last\n"
+    mission = team.mission(ROUND, away)
+    away, carol, home = await team.up(mission)
+    away.host.peers._transport = SlowTransport(team.network, "away")
+    await team.until(lambda: carol.output)
+    await home.host.stop()
+    await team.until(lambda: away.output)
+    await carol.host.stop()
+    _, home = await team.up(mission, "carol", "home", first_start=False)
+    await team.until(lambda: _told(home, "link to away established"))
+    assert _told(home, "tom not started again: it is alive on another host")
+    assert not home.holds("tom")
 
 
 class Caller:
@@ -226,77 +201,61 @@ async def calls(team, address, hello):
     return caller.heard[-1]
 
 
-def test_a_user_of_this_computer_gives_commands_and_is_no_host(fleet, monkeypatch):
+async def test_a_user_of_this_computer_gives_commands_and_is_no_host(team, /, monkeypatch):
     """What the kernel says of whoever calls at a Unix socket; here the network says it."""
-
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        (alpha,) = await team.up(mission, "alpha", control_socket="alpha:1")
-        monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", ALL_RIGHTS))
-        assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), EventBatch)
-        known = alpha.host.hello()
-        bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
-        refused = await calls(team, "alpha:1", bravo)
-        assert isinstance(refused, HandshakeRefused)
-        assert "and user bob of this computer may only send commands" in refused.reason
-        assert _told(alpha, "may only send commands")
-        assert "bravo" not in alpha.host.peers.incarnations
-        monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", NO_RIGHTS))
-        refused = await calls(team, "alpha:1", Hello("observer", "observer", 0))
-        assert "user bob of this computer has no permission here" in refused.reason
-
-    fleet(story)
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    (alpha,) = await team.up(mission, "alpha", control_socket="alpha:1")
+    monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", ALL_RIGHTS))
+    assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), EventBatch)
+    known = alpha.host.hello()
+    bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
+    refused = await calls(team, "alpha:1", bravo)
+    assert isinstance(refused, HandshakeRefused)
+    assert "and user bob of this computer may only send commands" in refused.reason
+    assert _told(alpha, "may only send commands")
+    assert "bravo" not in alpha.host.peers.incarnations
+    monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", NO_RIGHTS))
+    refused = await calls(team, "alpha:1", Hello("observer", "observer", 0))
+    assert "user bob of this computer has no permission here" in refused.reason
 
 
-def test_a_host_without_its_door_says_so_and_runs(fleet):
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        await team.up(mission, "bravo")
-        (alpha,) = await team.up(mission, "alpha", control_socket="bravo:8181")
-        assert _told(alpha, " without control socket: ")
-        assert await team.ended("tom") == "done"
-
-    fleet(story)
+async def test_a_host_without_its_door_says_so_and_runs(team, /):
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    await team.up(mission, "bravo")
+    (alpha,) = await team.up(mission, "alpha", control_socket="bravo:8181")
+    assert _told(alpha, " without control socket: ")
+    assert await team.ended("tom") == "done"
 
 
-def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(fleet, monkeypatch):
+async def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(team, /, monkeypatch):
     """Also of two at one address: behind one router, or on one computer."""
+    mission = team.mission(PROGRAM, DEPLOYMENT)
+    await team.up(mission, "alpha", control_socket="alpha:1")
+    desk, hello = team.network.transport("desk"), Hello("observer", "observer", 0)
 
-    async def story(team):
-        mission = team.mission(PROGRAM, DEPLOYMENT)
-        await team.up(mission, "alpha", control_socket="alpha:1")
-        desk, hello = team.network.transport("desk"), Hello("observer", "observer", 0)
+    async def looks(name):
+        caller = Caller(hello)
+        monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", name, ALL_RIGHTS))
+        (await desk.connect("alpha:1", caller)).send(hello)
+        await team.until(lambda: any(isinstance(said, EventBatch) for said in caller.heard))
+        return caller
 
-        async def looks(name):
-            caller = Caller(hello)
-            monkeypatch.setattr(
-                memory_network, "host_at_address", lambda _: Identity("local", name, ALL_RIGHTS)
-            )
-            (await desk.connect("alpha:1", caller)).send(hello)
-            await team.until(lambda: any(isinstance(said, EventBatch) for said in caller.heard))
-            return caller
-
-        ben = await looks("ben")
-        annas = [await looks("anna") for _ in range(5 * MAX_OBSERVERS)]
-        await team.until(lambda: sum(not anna.ends for anna in annas) == MAX_OBSERVERS - 1)
-        assert ben.ends == []
-
-    fleet(story)
+    ben = await looks("ben")
+    annas = [await looks("anna") for _ in range(5 * MAX_OBSERVERS)]
+    await team.until(lambda: sum(not anna.ends for anna in annas) == MAX_OBSERVERS - 1)
+    assert ben.ends == []
 
 
-def test_a_host_that_stops_leaves_no_link_behind_of_whoever_has_said_nothing(fleet):
-    async def story(team):
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", control_socket="alpha:1")
-        silent = Quiet()
-        await team.network.transport("desk").connect("alpha:1", silent)
-        await asyncio.sleep(1.0)
-        assert not silent.ended
-        await alpha.host.stop()
-        # Not when it would have been too long without a greeting.
-        await asyncio.sleep(1.0)
-        assert silent.ended
-
-    fleet(story)
+async def test_a_host_that_stops_leaves_no_link_behind_of_whoever_has_said_nothing(team, /):
+    (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", control_socket="alpha:1")
+    silent = Quiet()
+    await team.network.transport("desk").connect("alpha:1", silent)
+    await asyncio.sleep(1.0)
+    assert not silent.ended
+    await alpha.host.stop()
+    # Not when it would have been too long without a greeting.
+    await asyncio.sleep(1.0)
+    assert silent.ended
 
 
 class Quiet:

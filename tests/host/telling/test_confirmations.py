@@ -100,12 +100,9 @@ def test_a_later_arrival_of_the_same_start_keeps_no_answer_back():
 
 
 @pytest.mark.parametrize("keeps", [False, True], ids=["without journals", "with journals"])
-def test_hops_to_and_fro_need_no_answers(fleet, keeps):
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", "bravo", keeps=keeps)
-        await team.until(lambda: "made 99 hops" in alpha.log + bravo.log)
-        # Of 99 transfers; a busy computer may keep a few for longer than the short time.
-        assert team.network.sent["Transfer"] == 99
-        assert team.network.sent["TransferAccepted"] <= 20
-
-    fleet(story)
+async def test_hops_to_and_fro_need_no_answers(team, /, keeps):
+    alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", "bravo", keeps=keeps)
+    await team.until(lambda: "made 99 hops" in alpha.log + bravo.log)
+    # Of 99 transfers; a busy computer may keep a few for longer than the short time.
+    assert team.network.sent["Transfer"] == 99
+    assert team.network.sent["TransferAccepted"] <= 20

@@ -71,38 +71,33 @@ class Telemetry:
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
-def test_from_outside_it_is_what_the_program_hears(fleet, condition):
-    async def story(team):
-        mission = team.mission(PROGRAM, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
-        hosts = {name: team.make(mission, name) for name in "abc"}
-        devices = [Telemetry(running, number) for number, running in enumerate(hosts.values())]
-        await asyncio.gather(*(running.host.start() for running in hosts.values()))
-        await asyncio.sleep(3.3)
-        devices[0].values = {"battery": 1 / 3, "position": [1.0, 2.0, 3.0], "mode": "x" * 1000}
-        devices[1].values = {"battery": 2 / 3, "position": [5.0, -2.0, 0.0]}
-        await asyncio.sleep(3.1)
-        devices[1].values["battery"] = 0.9
-        await asyncio.sleep(1.7)
-        files = read_context(team.folder / "mission.dL", mission.team)
-        registry, ways = files.registry, files.ways
-        numbers = {member.id: member.number for member in mission.team.members}
-        for name, running in hosts.items():
-            status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
-            told = {name: {one.agent: one for one in status.directory}}
-            asked = Matcher(
-                registry, roster_from_hosts(registry, mission.team.deployed, told, (), name), ways
-            )
-            wish = compile_query(condition or "true", registry.attributes)
-            outside = asked.find("Lift", wish)
-            inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
-            heard = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
-            assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
-            assert [offer.score for offer in heard] == [offer.score for offer in inside]
-            why = render_refusals(asked.explain("Lift", wish.condition))
-            assert why in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
-        assert inside or condition == "battery > 0.5 && tools == sling"
-
-    fleet(story)
+async def test_from_outside_it_is_what_the_program_hears(team, /, condition):
+    mission = team.mission(PROGRAM, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
+    hosts = {name: team.make(mission, name) for name in "abc"}
+    devices = [Telemetry(running, number) for number, running in enumerate(hosts.values())]
+    await asyncio.gather(*(running.host.start() for running in hosts.values()))
+    await asyncio.sleep(3.3)
+    devices[0].values = {"battery": 1 / 3, "position": [1.0, 2.0, 3.0], "mode": "x" * 1000}
+    devices[1].values = {"battery": 2 / 3, "position": [5.0, -2.0, 0.0]}
+    await asyncio.sleep(3.1)
+    devices[1].values["battery"] = 0.9
+    await asyncio.sleep(1.7)
+    files = read_context(team.folder / "mission.dL", mission.team)
+    registry, ways = files.registry, files.ways
+    numbers = {member.id: member.number for member in mission.team.members}
+    for name, running in hosts.items():
+        status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
+        told = {name: {one.agent: one for one in status.directory}}
+        asked = Matcher(registry, roster_from_hosts(registry, mission.team.deployed, told, (), name), ways)
+        wish = compile_query(condition or "true", registry.attributes)
+        outside = asked.find("Lift", wish)
+        inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
+        heard = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
+        assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
+        assert [offer.score for offer in heard] == [offer.score for offer in inside]
+        why = render_refusals(asked.explain("Lift", wish.condition))
+        assert why in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
+    assert inside or condition == "battery > 0.5 && tools == sling"
 
 
 PLACED = """
@@ -127,40 +122,36 @@ agents: {three: {frame: {north: 90, east: 0}}}
 @pytest.mark.parametrize(
     ("at", "nearest"), [("desk", ["three", "two", "one"]), ("a", ["one", "two", "three"])]
 )
-def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_places(fleet, at, nearest):
+async def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_places(team, /, at, nearest):
     """Nobody of the desk has a place of its own, so it is where its pose says; the best one is reserved."""
+    placed = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Foreman:foreman@desk\n"
+    capabilities = "registry: 1\nproviders: {Hoist: {serves: {Lift: {}}}}\n"
+    mission = team.mission(PLACED, placed, PLACES, capabilities=capabilities, simulate=True)
+    files = read_context(team.folder / "mission.dL", mission.team)
+    registry, pose, deployed = files.registry, files.frames.place(at), mission.team.deployed
 
-    async def story(team):
-        placed = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Foreman:foreman@desk\n"
-        capabilities = "registry: 1\nproviders: {Hoist: {serves: {Lift: {}}}}\n"
-        mission = team.mission(PLACED, placed, PLACES, capabilities=capabilities, simulate=True)
-        files = read_context(team.folder / "mission.dL", mission.team)
-        registry, pose, deployed = files.registry, files.frames.place(at), mission.team.deployed
+    def asked(roster):
+        matcher = Matcher(registry, roster, files.ways)
+        return matcher.find("Lift", ANY_OFFER).offers, render_refusals(
+            matcher.explain("Lift", ANY_OFFER.condition)
+        )
 
-        def asked(roster):
-            matcher = Matcher(registry, roster, files.ways)
-            return matcher.find("Lift", ANY_OFFER).offers, render_refusals(
-                matcher.explain("Lift", ANY_OFFER.condition)
-            )
-
-        offers, _ = asked(roster_from_files(registry, deployed, at, files.stated, pose))
-        assert [offer.agent for offer in offers] == nearest
-        hosts = {name: team.make(mission, name) for name in ("a", "b", "desk")}
-        await asyncio.gather(*(running.host.start() for running in hosts.values()))
-        await asyncio.sleep(6.0)
-        world = hosts[at].host.core.services
-        status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
-        told = {at: {one.agent: one for one in status.directory}}
-        offers, why = asked(roster_from_hosts(registry, deployed, told, (), at, pose))
-        inside = world.offers(SimpleNamespace(id="somebody"), "Lift", None)
-        assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
-        assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
-        assert why.startswith("three: reserved by foreman for ")
-        assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
-        teams = world.teams(SimpleNamespace(id="somebody"), "Lift", None, 3)
-        assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)
-
-    fleet(story)
+    offers, _ = asked(roster_from_files(registry, deployed, at, files.stated, pose))
+    assert [offer.agent for offer in offers] == nearest
+    hosts = {name: team.make(mission, name) for name in ("a", "b", "desk")}
+    await asyncio.gather(*(running.host.start() for running in hosts.values()))
+    await asyncio.sleep(6.0)
+    world = hosts[at].host.core.services
+    status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
+    told = {at: {one.agent: one for one in status.directory}}
+    offers, why = asked(roster_from_hosts(registry, deployed, told, (), at, pose))
+    inside = world.offers(SimpleNamespace(id="somebody"), "Lift", None)
+    assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
+    assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
+    assert why.startswith("three: reserved by foreman for ")
+    assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
+    teams = world.teams(SimpleNamespace(id="somebody"), "Lift", None, 3)
+    assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)
 
 
 def facts_of(offer):

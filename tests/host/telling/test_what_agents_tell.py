@@ -99,42 +99,36 @@ def facts_of(running, agent, condition=None):
     return {name: (number if text is None else text, source) for name, text, number, source in values}
 
 
-def test_every_value_of_an_offer_says_where_it_is_from(fleet):
-    async def story(team):
-        alpha, bravo, said = await hoists(team)
-        said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
-        await asyncio.sleep(2.0)
-        for asked in (alpha, bravo):
-            near, far = facts_of(asked, "near"), facts_of(asked, "far")
-            assert near["payload"] == (1.2, "stated")
-            assert near["tools"] == ("sling, winch", "stated")
-            assert near["chassis"] == ("fixed", "stated")
-            assert near["reach"] == (0.5, "nominal")
-            assert near["mass"] == (9.0, "nominal")
-            assert near["speed"] == (4.0, "reported by the device")
-            assert near["battery"] == (0.75, "measured")
-            # What its device has not told is what is usual; the mission's word counts before the binding's.
-            assert far["speed"] == (0.5, "nominal")
-            assert far["mass"] == (3.0, "stated")
-
-    fleet(story)
+async def test_every_value_of_an_offer_says_where_it_is_from(team, /):
+    alpha, bravo, said = await hoists(team)
+    said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
+    await asyncio.sleep(2.0)
+    for asked in (alpha, bravo):
+        near, far = facts_of(asked, "near"), facts_of(asked, "far")
+        assert near["payload"] == (1.2, "stated")
+        assert near["tools"] == ("sling, winch", "stated")
+        assert near["chassis"] == ("fixed", "stated")
+        assert near["reach"] == (0.5, "nominal")
+        assert near["mass"] == (9.0, "nominal")
+        assert near["speed"] == (4.0, "reported by the device")
+        assert near["battery"] == (0.75, "measured")
+        # What its device has not told is what is usual; the mission's word counts before the binding's.
+        assert far["speed"] == (0.5, "nominal")
+        assert far["mass"] == (3.0, "stated")
 
 
-def test_a_portal_that_only_queries_feeds_an_attribute(fleet):
-    async def story(team):
-        alpha, bravo, _ = await hoists(team)
-        for asked in (alpha, bravo):
-            near = facts_of(asked, "near", "level > 1.4")
-            assert near["level"] == (1.5, "measured")
-            assert near["east"] == (2.0, "measured")
-            assert "slowness" not in near
-            why = asked.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
-            assert "near: near has not reported slow()" in why
-
-    fleet(story)
+async def test_a_portal_that_only_queries_feeds_an_attribute(team, /):
+    alpha, bravo, _ = await hoists(team)
+    for asked in (alpha, bravo):
+        near = facts_of(asked, "near", "level > 1.4")
+        assert near["level"] == (1.5, "measured")
+        assert near["east"] == (2.0, "measured")
+        assert "slowness" not in near
+        why = asked.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
+        assert "near: near has not reported slow()" in why
 
 
-def test_one_that_fails_makes_it_unknown_until_it_answers_again(fleet):
+async def test_one_that_fails_makes_it_unknown_until_it_answers_again(team, /):
     program = """
 coordinator Foreman {
     init(string[] arg) {
@@ -148,29 +142,23 @@ coordinator Foreman {
 }
 """
 
-    async def story(team):
-        alpha, _, _ = await hoists(team, program)
-        await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
-        why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
-        assert "near: level() throws DeviceException: the rope is torn" in why
-        await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
-
-    fleet(story)
+    alpha, _, _ = await hoists(team, program)
+    await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
+    why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
+    assert "near: level() throws DeviceException: the rope is torn" in why
+    await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 
 
-def test_a_question_is_no_call_of_somebody(fleet):
-    async def story(team):
-        alpha, _, _ = await hoists(team)
-        await asyncio.sleep(20.0)
-        near = alpha.host.machine.agents["near"]
-        assert near.served == 0
-        # One that never answers is asked once.
-        assert len(alpha.host.machine._scheduler.resource_queries) == 1
-
-    fleet(story)
+async def test_a_question_is_no_call_of_somebody(team, /):
+    alpha, _, _ = await hoists(team)
+    await asyncio.sleep(20.0)
+    near = alpha.host.machine.agents["near"]
+    assert near.served == 0
+    # One that never answers is asked once.
+    assert len(alpha.host.machine._scheduler.resource_queries) == 1
 
 
-def test_the_age_of_a_value_goes_on_after_the_find(fleet):
+async def test_the_age_of_a_value_goes_on_after_the_find(team, /):
     program = """
 coordinator Foreman {
     init(string[] arg) {
@@ -187,14 +175,11 @@ coordinator Foreman {
 }
 """
 
-    async def story(team):
-        alpha, bravo, _ = await hoists(team, program)
-        await team.until(lambda: "no younger" in alpha.log)
-        assert "older by 7.0 and 0.0" in bravo.log
-        assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)
-        assert "no younger: true" in alpha.log
-
-    fleet(story)
+    alpha, bravo, _ = await hoists(team, program)
+    await team.until(lambda: "no younger" in alpha.log)
+    assert "older by 7.0 and 0.0" in bravo.log
+    assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)
+    assert "no younger: true" in alpha.log
 
 
 @pytest.mark.parametrize(
@@ -209,16 +194,13 @@ coordinator Foreman {
         ("{from: level(), every: 0.1}", "Y113", "'every' must be from 1 to 3600, not 0.1"),
     ],
 )
-def test_a_portal_that_cannot_feed_an_attribute_is_refused(fleet, source, code, told):
-    async def story(team):
-        capabilities = CAPABILITIES.replace("{from: level(), unit: mm, every: 2.0}", source)
-        with pytest.raises(ProgramError) as error:
-            team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
-        said = "\n".join(d.render() for d in error.value.diagnostics)
-        assert code in said, said
-        assert told in said, said
-
-    fleet(story)
+async def test_a_portal_that_cannot_feed_an_attribute_is_refused(team, /, source, code, told):
+    capabilities = CAPABILITIES.replace("{from: level(), unit: mm, every: 2.0}", source)
+    with pytest.raises(ProgramError) as error:
+        team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
+    said = "\n".join(d.render() for d in error.value.diagnostics)
+    assert code in said, said
+    assert told in said, said
 
 
 @pytest.mark.parametrize(
@@ -230,36 +212,27 @@ def test_a_portal_that_cannot_feed_an_attribute_is_refused(fleet, source, code, 
         ("tools: [spoon]", "'spoon' is not a value of 'tools'"),
     ],
 )
-def test_what_a_binding_states_wrongly_is_told_at_its_place(fleet, stated, told):
-    async def story(team):
-        bindings = f"agents: {{near: {{attributes: {{{stated}}}}}}}"
-        with pytest.raises(BindingError) as error:
-            team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=CAPABILITIES, simulate=True)
-        assert told in str(error.value), str(error.value)
-        assert "mission.devices.yaml:1:" in str(error.value)
-
-    fleet(story)
+async def test_what_a_binding_states_wrongly_is_told_at_its_place(team, /, stated, told):
+    bindings = f"agents: {{near: {{attributes: {{{stated}}}}}}}"
+    with pytest.raises(BindingError) as error:
+        team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=CAPABILITIES, simulate=True)
+    assert told in str(error.value), str(error.value)
+    assert "mission.devices.yaml:1:" in str(error.value)
 
 
-def test_what_two_files_state_is_said(fleet):
-    async def story(team):
-        mission = team.mission(HOISTS + IDLE, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
-        assert [w for w in mission.warnings if "stated" in w] == [
-            "mass of far is stated in the devices file and in the mission's registry, which counts"
-        ]
-
-    fleet(story)
+async def test_what_two_files_state_is_said(team, /):
+    mission = team.mission(HOISTS + IDLE, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
+    assert [w for w in mission.warnings if "stated" in w] == [
+        "mass of far is stated in the devices file and in the mission's registry, which counts"
+    ]
 
 
-def test_a_frame_and_a_binding_that_state_one_place_are_told(fleet):
-    async def story(team):
-        pose = "frame: {north: 4, east: 2}"
-        bindings = f"agents: {{near: {{{pose}}}, far: {{{pose}, attributes: {{north: 5.0}}}}}}"
-        capabilities = CAPABILITIES.replace('      east: "place()[1]"\n', "")
-        mission = team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=capabilities, simulate=True)
-        assert [w for w in mission.warnings if "stated" in w] == [
-            "north of far is stated in the devices file and by its frame there, which counts"
-        ]
-        assert mission.stated.agents["far"]["north"] == 4.0
-
-    fleet(story)
+async def test_a_frame_and_a_binding_that_state_one_place_are_told(team, /):
+    pose = "frame: {north: 4, east: 2}"
+    bindings = f"agents: {{near: {{{pose}}}, far: {{{pose}, attributes: {{north: 5.0}}}}}}"
+    capabilities = CAPABILITIES.replace('      east: "place()[1]"\n', "")
+    mission = team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=capabilities, simulate=True)
+    assert [w for w in mission.warnings if "stated" in w] == [
+        "north of far is stated in the devices file and by its frame there, which counts"
+    ]
+    assert mission.stated.agents["far"]["north"] == 4.0

@@ -7,6 +7,7 @@ import math
 import struct
 
 import pytest
+from coroutine_tests import on_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -112,19 +113,15 @@ def ack(number, result, **fields):
     return dialect.MAVLink_command_ack_message(int(number), result, **fields)
 
 
-def test_answers_that_are_late_do_not_answer_the_next_question(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [4.0])
-        # An acceptance of something that nobody asks at the moment; a takeoff in the air is refused.
-        b.links[0].on_data(PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
-        await asyncio.sleep(0.1)
-        with pytest.raises(DeviceError, match="takeoff refused: FAILED"):
-            await fc.execute("takeoff", [5.0])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_answers_that_are_late_do_not_answer_the_next_question(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [4.0])
+    # An acceptance of something that nobody asks at the moment; a takeoff in the air is refused.
+    b.links[0].on_data(PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
+    await asyncio.sleep(0.1)
+    with pytest.raises(DeviceError, match="takeoff refused: FAILED"):
+        await fc.execute("takeoff", [5.0])
 
 
 def test_answers_of_another_system_are_not_ours(bench):
@@ -169,15 +166,11 @@ def test_lost_answers_cost_a_repetition(bench):
     assert len(lost) >= 3
 
 
-def test_a_command_in_progress_is_waited_for(bench):
-    b = bench(faults=("slow_acks=2",))
-
-    async def mission(fc):
-        start = asyncio.get_running_loop().time()
-        await fc.execute("arm", [])
-        assert asyncio.get_running_loop().time() - start >= 2.0
-
-    b.run(mission)
+@on_bench("bench", faults=("slow_acks=2",))
+async def test_a_command_in_progress_is_waited_for(b, fc, /):
+    start = asyncio.get_running_loop().time()
+    await fc.execute("arm", [])
+    assert asyncio.get_running_loop().time() - start >= 2.0
 
 
 @pytest.mark.parametrize("fault", ["corrupt=0.1", "duplicate=0.5", "reorder=0.3", "delay=0.2"])
@@ -214,49 +207,42 @@ def test_a_vehicle_that_changes_its_kind_on_the_way_is_told(bench):
     assert any("is not a copter (MAV_TYPE 10)" in note for note in b.notes)
 
 
-def test_it_vanishes_and_returns_not_moving(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        await fc.execute("setVelocity", [2.0, 0.0, 0.0])
-        b.cut = True
-        before = len(b.sent)
-        await asyncio.sleep(8.0)
-        b.cut = False
-        await asyncio.sleep(3.0)
-        kinds = {data[7] for data in b.sent[before:]}
-        assert dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED not in kinds
-        assert math.hypot(*b.values["velocity"][:2]) < 0.1
-
-    b.run(mission)
+@on_bench("bench")
+async def test_it_vanishes_and_returns_not_moving(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+    b.cut = True
+    before = len(b.sent)
+    await asyncio.sleep(8.0)
+    b.cut = False
+    await asyncio.sleep(3.0)
+    kinds = {data[7] for data in b.sent[before:]}
+    assert dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED not in kinds
+    assert math.hypot(*b.values["velocity"][:2]) < 0.1
 
 
-def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(bench):
-    b = bench()
+@on_bench("bench")
+async def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(b, fc, /):
     lost = []
 
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [4.0])
-        link = b.links[0]
-        send = link.send
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [4.0])
+    link = b.links[0]
+    send = link.send
 
-        def lose_the_first(data):
-            if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and not lost:
-                lost.append(data)
-                # The packet is lost, and the answer to an earlier change of mode comes just now.
-                late = PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
-                asyncio.get_running_loop().call_soon(link.on_data, late)
-                return
-            send(data)
+    def lose_the_first(data):
+        if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and not lost:
+            lost.append(data)
+            # The packet is lost, and the answer to an earlier change of mode comes just now.
+            late = PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
+            asyncio.get_running_loop().call_soon(link.on_data, late)
+            return
+        send(data)
 
-        link.send = lose_the_first
-        start = asyncio.get_running_loop().time()
-        await fc.make_safe()
-        assert asyncio.get_running_loop().time() - start < 1.5
-        assert b.autopilot.mode == "LAND"
-
-    b.run(mission)
+    link.send = lose_the_first
+    start = asyncio.get_running_loop().time()
+    await fc.make_safe()
+    assert asyncio.get_running_loop().time() - start < 1.5
+    assert b.autopilot.mode == "LAND"
     assert lost

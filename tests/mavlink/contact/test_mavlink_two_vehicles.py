@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -227,17 +228,13 @@ def test_a_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, 
     assert [note.code for note in b.notes].count("mavlink-two-vehicles-mixed") == 1
 
 
-def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(bench):
-    b = bench(board=BOARD)
-
-    async def mission(fc):
-        await asyncio.sleep(1.0)
-        b.autopilot.board = BOARD + 1
-        with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
-            await fc.execute("arm", [])
-        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
-
-    b.run(mission)
+@on_bench("bench", board=BOARD)
+async def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(b, fc, /):
+    await asyncio.sleep(1.0)
+    b.autopilot.board = BOARD + 1
+    with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
+        await fc.execute("arm", [])
+    assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
 @pytest.mark.parametrize("same", [False, True])
@@ -299,42 +296,34 @@ def swapped(b, board):
 
 @pytest.mark.parametrize("board", [BOARD + 1, 0])
 @BOTH
-def test_another_vehicle_after_a_reconnection_gets_no_command(bench, flavour, board):
-    b = bench(flavour=flavour, board=BOARD)
-
-    async def mission(fc):
-        swapped(b, board)
-        await asyncio.sleep(5.0)
-        b.sent.clear()
-        b.cut = False
-        await b.until(lambda: fc.silence < 1.0)
-        for name, values in (("arm", []), ("setMode", [fc.profile.hold]), ("hold", []), ("land", [])):
-            with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
-                await fc.execute(name, values)
+@on_bench("bench", board=BOARD, given="flavour")
+async def test_another_vehicle_after_a_reconnection_gets_no_command(b, fc, /, flavour, board):
+    swapped(b, board)
+    await asyncio.sleep(5.0)
+    b.sent.clear()
+    b.cut = False
+    await b.until(lambda: fc.silence < 1.0)
+    for name, values in (("arm", []), ("setMode", [fc.profile.hold]), ("hold", []), ("land", [])):
         with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
-            await fc.make_safe()
-        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
-        assert not commands(b.sent, dialect.MAV_CMD_DO_SET_MODE)
-        await asyncio.sleep(3.0)
-        b.autopilot.board = BOARD
-        await b.until(lambda: any("same vehicle as before" in note for note in b.notes))
-        await fc.execute("arm", [])
-
-    b.run(mission)
+            await fc.execute(name, values)
+    with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
+        await fc.make_safe()
+    assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert not commands(b.sent, dialect.MAV_CMD_DO_SET_MODE)
+    await asyncio.sleep(3.0)
+    b.autopilot.board = BOARD
+    await b.until(lambda: any("same vehicle as before" in note for note in b.notes))
+    await fc.execute("arm", [])
     assert sum("another vehicle answers" in note for note in b.notes) == 1
 
 
-def test_a_board_without_an_id_is_compared_by_what_there_is(bench):
-    b = bench(board=0)
-
-    async def mission(fc):
-        swapped(b, 0)
-        await asyncio.sleep(5.0)
-        b.cut = False
-        await asyncio.sleep(3.0)
-        await fc.execute("arm", [])
-
-    b.run(mission)
+@on_bench("bench", board=0)
+async def test_a_board_without_an_id_is_compared_by_what_there_is(b, fc, /):
+    swapped(b, 0)
+    await asyncio.sleep(5.0)
+    b.cut = False
+    await asyncio.sleep(3.0)
+    await fc.execute("arm", [])
     assert any("it has no unique id (uid 0); its autopilot, type and firmware" in n for n in b.notes)
 
 

@@ -42,102 +42,90 @@ async def until(condition):
             await asyncio.sleep(0.005)
 
 
-def test_udpin_answers_all_who_speak():
-    async def talk():
-        got = bytearray()
-        loop = asyncio.get_running_loop()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind((HERE, 0))
-            port = free.getsockname()[1]
-        link = make_link(f"udpin:{HERE}:{port}", got.extend)
-        await link.open()
-        link.send(b"nobody there yet")
-        replies = asyncio.Queue()
+async def test_udpin_answers_all_who_speak():
+    got = bytearray()
+    loop = asyncio.get_running_loop()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind((HERE, 0))
+        port = free.getsockname()[1]
+    link = make_link(f"udpin:{HERE}:{port}", got.extend)
+    await link.open()
+    link.send(b"nobody there yet")
+    replies = asyncio.Queue()
 
-        class Vehicle(asyncio.DatagramProtocol):
-            def datagram_received(self, data, addr):
-                replies.put_nowait(data)
+    class Vehicle(asyncio.DatagramProtocol):
+        def datagram_received(self, data, addr):
+            replies.put_nowait(data)
 
-        transport, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
-        transport.sendto(b"hello")
-        await until(lambda: got == b"hello")
-        link.send(b"you")
-        assert await replies.get() == b"you"
-        other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
-        other.sendto(b" there")
-        await until(lambda: got == b"hello there")
-        link.send(b"both")
-        assert [await replies.get(), await replies.get()] == [b"both", b"both"]
-        other.close()
-        with pytest.raises(DeviceError, match=rf"cannot open udp:{HERE}:{port}: .*in use"):
-            await make_link(f"udpin:{HERE}:{port}", got.extend).open()
-        transport.close()
-        link.close()
-
-    asyncio.run(talk())
+    transport, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
+    transport.sendto(b"hello")
+    await until(lambda: got == b"hello")
+    link.send(b"you")
+    assert await replies.get() == b"you"
+    other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
+    other.sendto(b" there")
+    await until(lambda: got == b"hello there")
+    link.send(b"both")
+    assert [await replies.get(), await replies.get()] == [b"both", b"both"]
+    other.close()
+    with pytest.raises(DeviceError, match=rf"cannot open udp:{HERE}:{port}: .*in use"):
+        await make_link(f"udpin:{HERE}:{port}", got.extend).open()
+    transport.close()
+    link.close()
 
 
-def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
-    async def talk():
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind((HERE, 0))
-            port = free.getsockname()[1]
-        link = make_link(f"udp:{HERE}:{port}", lambda data: None)
-        await link.open()
-        assert link.why_silent().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
-        link.send(b"anybody")
-        await until(lambda: link.why_silent().startswith(f"no process listens at udp:{HERE}:{port}; "))
-        assert "tcp:127.0.0.1:5760" in link.why_silent()
-        assert "udpin:127.0.0.1:14550" in link.why_silent()
-        link.close()
-
-    asyncio.run(talk())
+async def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind((HERE, 0))
+        port = free.getsockname()[1]
+    link = make_link(f"udp:{HERE}:{port}", lambda data: None)
+    await link.open()
+    assert link.why_silent().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
+    link.send(b"anybody")
+    await until(lambda: link.why_silent().startswith(f"no process listens at udp:{HERE}:{port}; "))
+    assert "tcp:127.0.0.1:5760" in link.why_silent()
+    assert "udpin:127.0.0.1:14550" in link.why_silent()
+    link.close()
 
 
-def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
+async def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
 
-    async def talk():
-        got, writers = bytearray(), []
+    got, writers = bytearray(), []
 
-        async def serve(reader, writer):
-            writers.append(writer)
-            writer.write(b"hello")
+    async def serve(reader, writer):
+        writers.append(writer)
+        writer.write(b"hello")
 
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        link = make_link(f"tcp:127.0.0.1:{port}", got.extend)
-        await link.open()
-        await until(lambda: got == b"hello")
-        assert "is connected but sends nothing" in link.why_silent()
-        writers[0].transport.abort()
-        await until(lambda: got == b"hellohello")
-        link.send(b"x")
-        link.close()
-        for writer in writers:
-            writer.close()
-        server.close()
-
-    asyncio.run(talk())
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    link = make_link(f"tcp:127.0.0.1:{port}", got.extend)
+    await link.open()
+    await until(lambda: got == b"hello")
+    assert "is connected but sends nothing" in link.why_silent()
+    writers[0].transport.abort()
+    await until(lambda: got == b"hellohello")
+    link.send(b"x")
+    link.close()
+    for writer in writers:
+        writer.close()
+    server.close()
 
 
-def test_serial_reads_writes_and_is_locked():
-    async def talk():
-        master, slave = pty.openpty()
-        path = os.ttyname(slave)
-        got = bytearray()
-        link = make_link(f"serial:{path}:57600", got.extend)
-        await link.open()
-        os.write(master, b"\x00\xfd\r\n\x11\x13")
-        await until(lambda: got == b"\x00\xfd\r\n\x11\x13")
-        link.send(b"\n\xff\x03")
-        assert os.read(master, 10) == b"\n\xff\x03"
-        with pytest.raises(DeviceError, match=f"{path} is in use by another program"):
-            await make_link(f"serial:{path}:57600", got.extend).open()
-        os.close(master)
-        await until(lambda: not link.port.is_open)
-        link.send(b"lost")
-        link.close()
-        os.close(slave)
-
-    asyncio.run(talk())
+async def test_serial_reads_writes_and_is_locked():
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    got = bytearray()
+    link = make_link(f"serial:{path}:57600", got.extend)
+    await link.open()
+    os.write(master, b"\x00\xfd\r\n\x11\x13")
+    await until(lambda: got == b"\x00\xfd\r\n\x11\x13")
+    link.send(b"\n\xff\x03")
+    assert os.read(master, 10) == b"\n\xff\x03"
+    with pytest.raises(DeviceError, match=f"{path} is in use by another program"):
+        await make_link(f"serial:{path}:57600", got.extend).open()
+    os.close(master)
+    await until(lambda: not link.port.is_open)
+    link.send(b"lost")
+    link.close()
+    os.close(slave)

@@ -6,6 +6,7 @@ import asyncio
 import re
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -47,20 +48,16 @@ def test_copies_of_a_packet_are_told_from_new_ones():
     assert len(route._packets) <= REMEMBERED
 
 
-def test_two_links_to_one_vehicle_carry_it_through_the_loss_of_either(bench):
-    b = bench(links=2)
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [40.0, 0.0, -5.0]))
-        await asyncio.sleep(2.0)
-        b.links[0].cut = True
-        await asyncio.sleep(4.0)
-        b.links[0].cut, b.links[1].cut = False, True
-        await flight
-
-    b.run(mission)
+@on_bench("bench", links=2)
+async def test_two_links_to_one_vehicle_carry_it_through_the_loss_of_either(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    flight = asyncio.create_task(fc.execute("goTo", [40.0, 0.0, -5.0]))
+    await asyncio.sleep(2.0)
+    b.links[0].cut = True
+    await asyncio.sleep(4.0)
+    b.links[0].cut, b.links[1].cut = False, True
+    await flight
     assert [note for note in b.notes if "lost" in note] == []
 
 
@@ -80,16 +77,12 @@ def test_a_command_goes_out_on_one_link_and_a_heartbeat_on_both(bench):
         assert sum(data[7] == dialect.MAVLINK_MSG_ID_HEARTBEAT for data in link.sent) >= 4
 
 
-def test_a_text_that_comes_on_two_links_is_told_once(bench):
-    b = bench(links=2)
-
-    async def mission(fc):
-        b.autopilot.refuse_arming = "compass not calibrated"
-        with pytest.raises(DeviceError) as error:
-            await fc.execute("arm", [])
-        return error.value.reason
-
-    assert b.run(mission) == "arm refused: FAILED (4), Arm: compass not calibrated"
+@on_bench("bench", links=2)
+async def test_a_text_that_comes_on_two_links_is_told_once(b, fc, /):
+    b.autopilot.refuse_arming = "compass not calibrated"
+    with pytest.raises(DeviceError) as error:
+        await fc.execute("arm", [])
+    assert error.value.reason == "arm refused: FAILED (4), Arm: compass not calibrated"
     assert b.notes.count("autopilot: Arm: compass not calibrated") == 1
 
 
@@ -119,34 +112,26 @@ def test_no_link_at_all_is_an_error(bench):
         b.run(lambda fc: asyncio.sleep(0.0))
 
 
-def test_two_vehicles_on_one_link_fly_at_once(bench):
-    b = bench(systems=(1, 2))
+@on_bench("bench", systems=(1, 2))
+async def test_two_vehicles_on_one_link_fly_at_once(b, one, two, /):
+    async def fly(fc, height, north):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [height])
+        await fc.execute("goTo", [north, 0.0, -height])
 
-    async def mission(one, two):
-        async def fly(fc, height, north):
-            await fc.execute("arm", [])
-            await fc.execute("takeoff", [height])
-            await fc.execute("goTo", [north, 0.0, -height])
-
-        await asyncio.gather(fly(one, 4.0, 10.0), fly(two, 7.0, -10.0))
-
-    b.run(mission)
+    await asyncio.gather(fly(one, 4.0, 10.0), fly(two, 7.0, -10.0))
     assert b.reported["a1.fc"]["position"] == pytest.approx([10.0, 0.0, -4.0], abs=0.6)
     assert b.reported["a2.fc"]["position"] == pytest.approx([-10.0, 0.0, -7.0], abs=0.6)
 
 
-def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(bench):
-    b = bench(systems=(1, 2))
-
-    async def mission(one, two):
-        b.faults.apply(["silence@2=true"])
-        await asyncio.sleep(3.5)
-        with pytest.raises(DeviceError, match="the link is lost"):
-            await two.execute("arm", [])
-        await one.execute("arm", [])
-        await one.execute("takeoff", [4.0])
-
-    b.run(mission)
+@on_bench("bench", systems=(1, 2))
+async def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(b, one, two, /):
+    b.faults.apply(["silence@2=true"])
+    await asyncio.sleep(3.5)
+    with pytest.raises(DeviceError, match="the link is lost"):
+        await two.execute("arm", [])
+    await one.execute("arm", [])
+    await one.execute("takeoff", [4.0])
     assert b.notes.count("link lost: no message received") == 1
 
 

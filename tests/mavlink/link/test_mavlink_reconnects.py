@@ -66,26 +66,23 @@ async def tcp_server(host, port=0, greeting=b"hello"):
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
-    async def talk():
-        story = Story()
-        async with tcp_server(host) as (clients, port):
-            link = story.link(f"tcp:{host}:{port}")
-            await link.open()
-            # The first one says nothing any more and sends no FIN: as a path that is cut.
-            await until(lambda: len(clients) >= 2 and story.got.count(b"hello") >= 2)
+async def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
+    story = Story()
+    async with tcp_server(host) as (clients, port):
+        link = story.link(f"tcp:{host}:{port}")
+        await link.open()
+        # The first one says nothing any more and sends no FIN: as a path that is cut.
+        await until(lambda: len(clients) >= 2 and story.got.count(b"hello") >= 2)
 
-            def talks():
-                clients[-1].write(b"+")
-                return b"+" in story.got
+        def talks():
+            clients[-1].write(b"+")
+            return b"+" in story.got
 
-            await until(talks)
-            link.close()
-        assert f"link lost: tcp:{host}:{port}: no data for 0.25 s" in story.notes
-        assert any(f": connected to {host.strip('[]')}, after" in note for note in story.notes)
-        assert story.reopened >= 1
-
-    asyncio.run(talk())
+        await until(talks)
+        link.close()
+    assert f"link lost: tcp:{host}:{port}: no data for 0.25 s" in story.notes
+    assert any(f": connected to {host.strip('[]')}, after" in note for note in story.notes)
+    assert story.reopened >= 1
 
 
 def resolving(monkeypatch, *answers):
@@ -106,24 +103,21 @@ def resolving(monkeypatch, *answers):
 
 
 @pytest.mark.parametrize("after", ["127.0.0.2", "::1"])
-def test_a_tcp_connection_follows_its_name(monkeypatch, after):
+async def test_a_tcp_connection_follows_its_name(monkeypatch, after):
     failure = socket.gaierror(-3, "Temporary failure in name resolution")
     resolving(monkeypatch, "127.0.0.1", failure, after)
 
-    async def talk():
-        story = Story()
-        async with tcp_server("127.0.0.1") as (clients, port):
-            link = story.link(f"tcp:robot.local:{port}")
-            await link.open()
-            await until(lambda: b"hello" in story.got)
-            async with tcp_server(after, port, b"there"):
-                clients[0].transport.abort()
-                await until(lambda: b"there" in story.got)
-                link.close()
-        assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
-        assert any(f"connected to {after}, after" in note for note in story.notes)
-
-    asyncio.run(talk())
+    story = Story()
+    async with tcp_server("127.0.0.1") as (clients, port):
+        link = story.link(f"tcp:robot.local:{port}")
+        await link.open()
+        await until(lambda: b"hello" in story.got)
+        async with tcp_server(after, port, b"there"):
+            clients[0].transport.abort()
+            await until(lambda: b"there" in story.got)
+            link.close()
+    assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
+    assert any(f"connected to {after}, after" in note for note in story.notes)
 
 
 class Vehicle(asyncio.DatagramProtocol):
@@ -148,145 +142,129 @@ async def vehicle(name, host, port=0):
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_a_udp_link_is_opened_anew_when_it_falls_silent(host):
-    async def talk():
-        story = Story()
-        other, port = await vehicle(b"a", host)
-        link = story.link(f"udp:{host}:{port}")
-        await link.open()
+async def test_a_udp_link_is_opened_anew_when_it_falls_silent(host):
+    story = Story()
+    other, port = await vehicle(b"a", host)
+    link = story.link(f"udp:{host}:{port}")
+    await link.open()
 
-        def answers(number):
-            link.send(b"x")
-            return len(story.got) >= number
+    def answers(number):
+        link.send(b"x")
+        return len(story.got) >= number
 
-        await until(lambda: answers(1))
-        # This computer's address may have changed: what is sent now comes from a socket of its own.
-        await until(lambda: any(": it sends to" in note for note in story.notes))
-        heard = len(story.got)
-        await until(lambda: answers(heard + 1))
-        assert other.peers[0] != other.peers[-1]
-        link.close()
-        other.transport.close()
-
-    asyncio.run(talk())
+    await until(lambda: answers(1))
+    # This computer's address may have changed: what is sent now comes from a socket of its own.
+    await until(lambda: any(": it sends to" in note for note in story.notes))
+    heard = len(story.got)
+    await until(lambda: answers(heard + 1))
+    assert other.peers[0] != other.peers[-1]
+    link.close()
+    other.transport.close()
 
 
-def test_a_udp_link_follows_its_name(monkeypatch):
+async def test_a_udp_link_follows_its_name(monkeypatch):
     resolving(monkeypatch, "127.0.0.1", "127.0.0.2")
 
-    async def talk():
-        story = Story()
-        first, port = await vehicle(b"a", "127.0.0.1")
-        second, _ = await vehicle(b"b", "127.0.0.2", port)
-        link = story.link(f"udp:robot.local:{port}")
-        await link.open()
+    story = Story()
+    first, port = await vehicle(b"a", "127.0.0.1")
+    second, _ = await vehicle(b"b", "127.0.0.2", port)
+    link = story.link(f"udp:robot.local:{port}")
+    await link.open()
 
-        def comes(name):
-            link.send(b"x")
-            return name in story.got
+    def comes(name):
+        link.send(b"x")
+        return name in story.got
 
-        await until(lambda: comes(b"a"))
-        first.transport.close()
-        await until(lambda: comes(b"b"))
-        assert f"link lost: udp:robot.local:{port}: no data for 0.15 s" in story.notes
-        link.close()
-        second.transport.close()
-
-    asyncio.run(talk())
+    await until(lambda: comes(b"a"))
+    first.transport.close()
+    await until(lambda: comes(b"b"))
+    assert f"link lost: udp:robot.local:{port}: no data for 0.15 s" in story.notes
+    link.close()
+    second.transport.close()
 
 
 @pytest.mark.parametrize("host", HOSTS)
-def test_a_port_that_listens_tells_who_sends_and_answers_one(host):
-    async def talk():
-        story = Story()
-        bare = host.strip("[]")
-        family = socket.AF_INET6 if ":" in bare else socket.AF_INET
-        with socket.socket(family, socket.SOCK_DGRAM) as free:
-            free.bind((bare, 0))
-            port = free.getsockname()[1]
-        link = story.link(f"udpin:{host}:{port}")
-        await link.open()
-        ends = [await vehicle(name, host) for name in (b"a", b"b")]
-        for made, _ in ends:
-            made.transport.sendto(made.name, (bare, port))
-        await until(lambda: sorted(story.got) == sorted(b"ab"))
-        assert story.senders == [f"{host}:{number}" for _, number in ends]
-        link.send_to(b"!", f"{host}:{ends[1][1]}")
-        await until(lambda: ends[1][0].peers)
-        assert not ends[0][0].peers
-        link.close()
-        for made, _ in ends:
-            made.transport.close()
-
-    asyncio.run(talk())
+async def test_a_port_that_listens_tells_who_sends_and_answers_one(host):
+    story = Story()
+    bare = host.strip("[]")
+    family = socket.AF_INET6 if ":" in bare else socket.AF_INET
+    with socket.socket(family, socket.SOCK_DGRAM) as free:
+        free.bind((bare, 0))
+        port = free.getsockname()[1]
+    link = story.link(f"udpin:{host}:{port}")
+    await link.open()
+    ends = [await vehicle(name, host) for name in (b"a", b"b")]
+    for made, _ in ends:
+        made.transport.sendto(made.name, (bare, port))
+    await until(lambda: sorted(story.got) == sorted(b"ab"))
+    assert story.senders == [f"{host}:{number}" for _, number in ends]
+    link.send_to(b"!", f"{host}:{ends[1][1]}")
+    await until(lambda: ends[1][0].peers)
+    assert not ends[0][0].peers
+    link.close()
+    for made, _ in ends:
+        made.transport.close()
 
 
-def test_a_port_that_listens_follows_the_name_of_this_computer(monkeypatch):
+async def test_a_port_that_listens_follows_the_name_of_this_computer(monkeypatch):
     failure = OSError(99, "Cannot assign requested address")
     resolving(monkeypatch, "127.0.0.1", failure, "127.0.0.2")
 
-    async def talk():
-        story = Story()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        link = story.link(f"udpin:robot.local:{port}")
-        await link.open()
-        made, _ = await vehicle(b"a", "127.0.0.2")
+    story = Story()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    link = story.link(f"udpin:robot.local:{port}")
+    await link.open()
+    made, _ = await vehicle(b"a", "127.0.0.2")
 
-        def comes():
-            made.transport.sendto(b"a", ("127.0.0.2", port))
-            return b"a" in story.got
+    def comes():
+        made.transport.sendto(b"a", ("127.0.0.2", port))
+        return b"a" in story.got
 
-        await until(comes)
-        assert any("it listens at 127.0.0.2" in note for note in story.notes)
-        link.close()
-        made.transport.close()
-
-    asyncio.run(talk())
+    await until(comes)
+    assert any("it listens at 127.0.0.2" in note for note in story.notes)
+    link.close()
+    made.transport.close()
 
 
 @pytest.mark.parametrize("talks", [True, False])
-def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypatch, talks):
+async def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypatch, talks):
     """Whether or not a vehicle sends to the other address meanwhile, whose socket is kept."""
+    story = Story()
+    one, _ = await vehicle(b"1", "127.0.0.2")
+    other, _ = await vehicle(b"2", "127.0.0.3")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.3", 0))
+        port = taken.getsockname()[1]
+        found = [(socket.AF_INET, (f"127.0.0.{host}", port)) for host in (2, 3)]
 
-    async def talk():
-        story = Story()
-        one, _ = await vehicle(b"1", "127.0.0.2")
-        other, _ = await vehicle(b"2", "127.0.0.3")
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
-            taken.bind(("127.0.0.3", 0))
-            port = taken.getsockname()[1]
-            found = [(socket.AF_INET, (f"127.0.0.{host}", port)) for host in (2, 3)]
+        async def addresses(self, within):
+            return found
 
-            async def addresses(self, within):
-                return found
+        monkeypatch.setattr(Lookup, "addresses", addresses)
+        link = story.link(f"udpin:robot.local:{port}")
+        await link.open()
+        (kept,) = link._sockets.open
+        assert [note for note in story.notes if "127.0.0.3: Address already in use" in note]
+        await asyncio.sleep(0.3)
+        assert sum("127.0.0.3" in note for note in story.notes) == 1
 
-            monkeypatch.setattr(Lookup, "addresses", addresses)
-            link = story.link(f"udpin:robot.local:{port}")
-            await link.open()
-            (kept,) = link._sockets.open
-            assert [note for note in story.notes if "127.0.0.3: Address already in use" in note]
-            await asyncio.sleep(0.3)
-            assert sum("127.0.0.3" in note for note in story.notes) == 1
+    def comes():
+        if talks:
+            one.transport.sendto(b"1", ("127.0.0.2", port))
+        other.transport.sendto(b"2", ("127.0.0.3", port))
+        return b"2" in story.got
 
-        def comes():
-            if talks:
-                one.transport.sendto(b"1", ("127.0.0.2", port))
-            other.transport.sendto(b"2", ("127.0.0.3", port))
-            return b"2" in story.got
-
-        await until(comes)
-        assert any("it listens at 127.0.0.3" in note for note in story.notes)
-        assert kept in link._sockets.open
-        # It answers each over the socket that it has sent to.
-        link.send(b"?")
-        await until(lambda: ("127.0.0.3", port) in other.peers)
-        link.close()
-        for made in (one, other):
-            made.transport.close()
-
-    asyncio.run(talk())
+    await until(comes)
+    assert any("it listens at 127.0.0.3" in note for note in story.notes)
+    assert kept in link._sockets.open
+    # It answers each over the socket that it has sent to.
+    link.send(b"?")
+    await until(lambda: ("127.0.0.3", port) in other.peers)
+    link.close()
+    for made in (one, other):
+        made.transport.close()
 
 
 @pytest.mark.parametrize(
@@ -302,26 +280,23 @@ def test_addresses_of_ipv6_are_taken(text, parts):
     assert parse_endpoint(text) == [parts]
 
 
-def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypatch):
+async def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypatch):
     asked = []
 
-    async def talk():
-        loop = asyncio.get_running_loop()
+    loop = asyncio.get_running_loop()
 
-        async def hangs(*names, **_):
-            asked.append(names)
-            await asyncio.sleep(3600.0)
+    async def hangs(*names, **_):
+        asked.append(names)
+        await asyncio.sleep(3600.0)
 
-        monkeypatch.setattr(loop, "getaddrinfo", hangs)
-        lookup = Lookup("robot.local", 5760, socket.SOCK_STREAM)
-        for _ in range(3):
-            with pytest.raises(TimeoutError, match="not resolved within"):
-                await lookup.addresses(0.01)
-        assert len(asked) == 1
-        assert not lookup.is_literal
-        assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
-
-    asyncio.run(talk())
+    monkeypatch.setattr(loop, "getaddrinfo", hangs)
+    lookup = Lookup("robot.local", 5760, socket.SOCK_STREAM)
+    for _ in range(3):
+        with pytest.raises(TimeoutError, match="not resolved within"):
+            await lookup.addresses(0.01)
+    assert len(asked) == 1
+    assert not lookup.is_literal
+    assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
 
 
 def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
@@ -339,30 +314,27 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert tries.lost("it hung up", 64.0) != ""
 
 
-def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monkeypatch):
-    async def talk():
-        story = Story()
-        async with tcp_server("127.0.0.1") as (_, port):
-            with socket.socket() as hole:
-                # Its queue is full: nothing is answered.
-                hole.bind(("127.0.0.9", port))
-                hole.listen(0)
-                callers = [socket.socket() for _ in range(3)]
-                for caller in callers:
-                    caller.setblocking(False)
-                    caller.connect_ex(hole.getsockname())
-                silent = [(socket.AF_INET, ("127.0.0.9", port))] * 6
-
-                async def addresses(self, within):
-                    return [*silent, (socket.AF_INET, ("127.0.0.1", port))]
-
-                monkeypatch.setattr(Lookup, "addresses", addresses)
-                link = story.link(f"tcp:robot.local:{port}")
-                await link.open()
-                await until(lambda: story.got)
-                link.close()
-                for caller in callers:
-                    caller.close()
-
+async def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monkeypatch):
     monkeypatch.setattr("lfield.address_race.ATTEMPT_DELAY", 0.01)
-    asyncio.run(talk())
+    story = Story()
+    async with tcp_server("127.0.0.1") as (_, port):
+        with socket.socket() as hole:
+            # Its queue is full: nothing is answered.
+            hole.bind(("127.0.0.9", port))
+            hole.listen(0)
+            callers = [socket.socket() for _ in range(3)]
+            for caller in callers:
+                caller.setblocking(False)
+                caller.connect_ex(hole.getsockname())
+            silent = [(socket.AF_INET, ("127.0.0.9", port))] * 6
+
+            async def addresses(self, within):
+                return [*silent, (socket.AF_INET, ("127.0.0.1", port))]
+
+            monkeypatch.setattr(Lookup, "addresses", addresses)
+            link = story.link(f"tcp:robot.local:{port}")
+            await link.open()
+            await until(lambda: story.got)
+            link.close()
+            for caller in callers:
+                caller.close()

@@ -280,26 +280,23 @@ def test_unsigned_packets_are_refused_where_a_stranger_may_speak(key_file, endpo
     assert (list(reader.feed(plain)) == []) is refused
 
 
-def test_the_file_is_kept_ahead_and_a_full_disk_is_told_once(key_file, monkeypatch):
+async def test_the_file_is_kept_ahead_and_a_full_disk_is_told_once(key_file, monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.signing.CHECK_INTERVAL", 0.001)
     stamps, clock = stamps_of(key_file)
     notes = []
 
-    async def story():
-        task = asyncio.create_task(Signing(KEY_BYTES, stamps).keep_ahead(notes.append))
-        clock.advance(15.0)
-        async with asyncio.timeout(60):
-            while stamps.is_low:
-                await asyncio.sleep(0.001)
-        (key_file.parent / "alpha.key.timestamp.new").mkdir()
-        clock.advance(1000.0)
-        async with asyncio.timeout(60):
-            while not notes:
-                await asyncio.sleep(0.001)
-        await asyncio.sleep(0.05)
-        task.cancel()
-
-    asyncio.run(story())
+    task = asyncio.create_task(Signing(KEY_BYTES, stamps).keep_ahead(notes.append))
+    clock.advance(15.0)
+    async with asyncio.timeout(60):
+        while stamps.is_low:
+            await asyncio.sleep(0.001)
+    (key_file.parent / "alpha.key.timestamp.new").mkdir()
+    clock.advance(1000.0)
+    async with asyncio.timeout(60):
+        while not notes:
+            await asyncio.sleep(0.001)
+    await asyncio.sleep(0.05)
+    task.cancel()
     assert len(notes) == 1
     assert "may ignore packets" in notes[0]
     assert os.listdir(key_file.parent)

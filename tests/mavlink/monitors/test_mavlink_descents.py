@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from test_mavlink_flight_faults import STACKS, at, fails, up
 
 from lfield_mavlink.monitors.descent_monitor import DESCENT, DescentMonitor, Expected
@@ -127,61 +128,49 @@ def test_what_stands_falls_no_more():
 
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("by", ["setVelocity", "setYawRate"])
-def test_a_flight_by_setpoints_is_told_of_a_fall(bench, flavour, by):
-    b = bench(flavour=flavour, ttl=1.0)
+@on_bench("bench", ttl=1.0, given="flavour")
+async def test_a_flight_by_setpoints_is_told_of_a_fall(b, fc, /, flavour, by):
+    await up(fc, 20.0)
+    began = at(3.0, lambda: b.faults.apply(["motor_power=0.6"]))
 
-    async def mission(fc):
-        await up(fc, 20.0)
-        began = at(3.0, lambda: b.faults.apply(["motor_power=0.6"]))
+    async def flight():
+        for number in range(100):
+            # No two setpoints are the same.
+            rate = 0.2 + 0.01 * (number % 3)
+            await fc.execute(by, [rate] if by == "setYawRate" else [1.0, 0.0, rate])
+            await asyncio.sleep(0.2)
 
-        async def flight():
-            for number in range(100):
-                # No two setpoints are the same.
-                rate = 0.2 + 0.01 * (number % 3)
-                await fc.execute(by, [rate] if by == "setYawRate" else [1.0, 0.0, rate])
-                await asyncio.sleep(0.2)
-
-        ended, reason = await fails(b, flight())
-        assert 0.0 < ended - began < 2.0
-        assert f"{by} refused: it sinks at " in reason
-        assert b.autopilot.vehicle.place[2] < -10.0
-
-    b.run(mission)
+    ended, reason = await fails(b, flight())
+    assert 0.0 < ended - began < 2.0
+    assert f"{by} refused: it sinks at " in reason
+    assert b.autopilot.vehicle.place[2] < -10.0
 
 
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_fall_in_a_hover_lets_no_motion_begin_but_a_landing(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await up(fc, 20.0)
-        b.faults.apply(["motor_power=0.6"])
-        await asyncio.sleep(3.0)
-        _, reason = await fails(b, fc.execute("goTo", [10.0, 0.0, -20.0]))
-        assert "goTo refused: it falls: " in reason
-        landing = asyncio.ensure_future(fc.execute("land", []))
-        await asyncio.sleep(1.0)
-        assert b.autopilot.mode in ("LAND", "AUTO.LAND")
-        _, reason = await fails(b, landing)
-        assert reason.startswith("land ended early: ")
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_a_fall_in_a_hover_lets_no_motion_begin_but_a_landing(b, fc, /, flavour):
+    await up(fc, 20.0)
+    b.faults.apply(["motor_power=0.6"])
+    await asyncio.sleep(3.0)
+    _, reason = await fails(b, fc.execute("goTo", [10.0, 0.0, -20.0]))
+    assert "goTo refused: it falls: " in reason
+    landing = asyncio.ensure_future(fc.execute("land", []))
+    await asyncio.sleep(1.0)
+    assert b.autopilot.mode in ("LAND", "AUTO.LAND")
+    _, reason = await fails(b, landing)
+    assert reason.startswith("land ended early: ")
 
 
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_landing_that_ends_in_a_crash_is_none(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await up(fc, 5.0)
-        landing = asyncio.ensure_future(fc.execute("land", []))
-        await b.until(lambda: b.autopilot.vehicle.place[2] > -1.0)
-        b.autopilot.disarm(force=True)
-        _, reason = await fails(b, landing)
-        assert reason.startswith("land ended early: it")
-        assert len(b.lock_outs) == 1
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_a_landing_that_ends_in_a_crash_is_none(b, fc, /, flavour):
+    await up(fc, 5.0)
+    landing = asyncio.ensure_future(fc.execute("land", []))
+    await b.until(lambda: b.autopilot.vehicle.place[2] > -1.0)
+    b.autopilot.disarm(force=True)
+    _, reason = await fails(b, landing)
+    assert reason.startswith("land ended early: it")
+    assert len(b.lock_outs) == 1
 
 
 @pytest.mark.parametrize(("flavour", "name", "value"), [

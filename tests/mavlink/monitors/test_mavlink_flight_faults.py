@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
@@ -62,108 +63,88 @@ def reposition(b, north, east, height):
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_a_foreign_setpoint_that_ours_overwrites_is_a_takeover_within_two_seconds(bench, known):
+@on_bench("bench")
+async def test_a_foreign_setpoint_that_ours_overwrites_is_a_takeover_within_two_seconds(b, fc, /, known):
     """ArduCopter follows the last setpoint, whoever sent it, and tells nobody; once is enough."""
-    b = bench()
+    await up(fc)
 
-    async def mission(fc):
-        await up(fc)
+    def interferes():
+        data = foreign(b, setpoint(-20.0, -20.0, -8.0))
+        if known:
+            b.links[0].on_data(data)
 
-        def interferes():
-            data = foreign(b, setpoint(-20.0, -20.0, -8.0))
-            if known:
-                b.links[0].on_data(data)
-
-        began = at(6.25, interferes)
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert ended - began < 2.0
-        assert "another station has sent it elsewhere" in reason
-        assert ("system 77" in reason) == known
-        assert fc.taken_over()
-        with pytest.raises(
-            DeviceError, match=r"goTo refused: another station .* release\(\) takes control again"
-        ):
-            await fc.execute("goTo", [60.0, 0.0, -8.0])
-        mode = b.autopilot.mode
-        await fc.make_safe()
-        assert b.autopilot.mode == mode, "left to them, as a mode that a pilot chose is"
-        await fc.execute("release", [])
-        await fc.execute("goTo", [20.0, 0.0, -8.0])
-
-    b.run(mission)
+    began = at(6.25, interferes)
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert ended - began < 2.0
+    assert "another station has sent it elsewhere" in reason
+    assert ("system 77" in reason) == known
+    assert fc.taken_over()
+    with pytest.raises(
+        DeviceError, match=r"goTo refused: another station .* release\(\) takes control again"
+    ):
+        await fc.execute("goTo", [60.0, 0.0, -8.0])
+    mode = b.autopilot.mode
+    await fc.make_safe()
+    assert b.autopilot.mode == mode, "left to them, as a mode that a pilot chose is"
+    await fc.execute("release", [])
+    await fc.execute("goTo", [20.0, 0.0, -8.0])
 
 
-def test_a_station_that_keeps_sending_setpoints_is_seen_although_ours_never_is(bench):
-    b = bench()
+@on_bench("bench")
+async def test_a_station_that_keeps_sending_setpoints_is_seen_although_ours_never_is(b, fc, /):
+    await up(fc)
 
-    async def mission(fc):
-        await up(fc)
+    async def interfere():
+        while True:
+            foreign(b, setpoint(-20.0, -20.0, -8.0))
+            await asyncio.sleep(0.05)
 
-        async def interfere():
-            while True:
-                foreign(b, setpoint(-20.0, -20.0, -8.0))
-                await asyncio.sleep(0.05)
-
-        other = asyncio.create_task(interfere())
-        began = asyncio.get_running_loop().time()
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert "another station" in reason or "flies away from its goal" in reason
-        assert ended - began < 4.0
-        other.cancel()
-
-    b.run(mission)
+    other = asyncio.create_task(interfere())
+    began = asyncio.get_running_loop().time()
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert "another station" in reason or "flies away from its goal" in reason
+    assert ended - began < 4.0
+    other.cancel()
 
 
-def test_px4_that_another_station_repositions_in_flight_is_taken_over(bench):
-    b = bench(flavour="px4", limits={"speed": 3.0})
-
-    async def mission(fc):
-        await up(fc)
-        began = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert ended - began < 2.0
-        assert "AUTO.LOITER" in reason
-        assert "system" not in reason, "its messages do not come here"
-        assert fc.taken_over()
-
-    b.run(mission)
+@on_bench("bench", flavour="px4", limits={"speed": 3.0})
+async def test_px4_that_another_station_repositions_in_flight_is_taken_over(b, fc, /):
+    await up(fc)
+    began = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert ended - began < 2.0
+    assert "AUTO.LOITER" in reason
+    assert "system" not in reason, "its messages do not come here"
+    assert fc.taken_over()
 
 
-def test_setpoints_of_another_station_to_px4_in_offboard_are_a_takeover(bench):
-    b = bench(flavour="px4", limits={"speed": 3.0})
+@on_bench("bench", flavour="px4", limits={"speed": 3.0})
+async def test_setpoints_of_another_station_to_px4_in_offboard_are_a_takeover(b, fc, /):
+    await up(fc)
 
-    async def mission(fc):
-        await up(fc)
+    async def interfere():
+        await asyncio.sleep(6.01)
+        while True:
+            foreign(b, setpoint(-20.0, -20.0, -8.0))
+            await asyncio.sleep(0.03)
 
-        async def interfere():
-            await asyncio.sleep(6.01)
-            while True:
-                foreign(b, setpoint(-20.0, -20.0, -8.0))
-                await asyncio.sleep(0.03)
-
-        other = asyncio.create_task(interfere())
-        began = asyncio.get_running_loop().time() + 6.0
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert ended - began < 2.0
-        assert "another station has sent it elsewhere" in reason
-        assert not b.driver.devices["a1.fc"].motion.stream.runs, "it does not fight the other one"
-        other.cancel()
-
-    b.run(mission)
+    other = asyncio.create_task(interfere())
+    began = asyncio.get_running_loop().time() + 6.0
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert ended - began < 2.0
+    assert "another station has sent it elsewhere" in reason
+    assert not b.driver.devices["a1.fc"].motion.stream.runs, "it does not fight the other one"
+    other.cancel()
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
-def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(bench, flavour):
-    b = bench(flavour=flavour, faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0)
-
-    async def mission(fc):
-        await up(fc)
-        for goal in ((12.0, 0.0, -8.0), (0.0, 9.0, -5.0), (0.0, 0.0, -8.0)):
-            await fc.execute("goTo", list(goal))
-        await fc.execute("land", [])
-
-    b.run(mission)
+@on_bench("bench", faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0, given="flavour")
+async def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(b, fc, /, flavour):
+    await up(fc)
+    for goal in ((12.0, 0.0, -8.0), (0.0, 9.0, -5.0), (0.0, 0.0, -8.0)):
+        await fc.execute("goTo", list(goal))
+    await fc.execute("land", [])
     assert not [note for note in b.notes if "taken over" in note or "falling" in note]
     assert b.lock_outs == []
 
@@ -174,69 +155,57 @@ def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(bench, flavo
 @pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("goal", [(60.0, 0.0, -8.0), (60.0, 0.0, -20.0)])
-def test_a_weak_motor_ends_a_motion_well_before_the_ground(bench, flavour, goal):
-    b = bench(flavour=flavour, limits={"speed": 3.0})
-
-    async def mission(fc):
-        await up(fc)
-        began = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
-        ended, reason = await fails(b, fc.execute("goTo", list(goal)))
-        assert ended - began < 2.5
-        assert "it falls" in reason or "it sinks" in reason
-        assert b.autopilot.vehicle.airborne
-        await asyncio.sleep(6.0)
-        assert [why.startswith("it crashed: it hit the ground at 2.") for why in b.lock_outs] == [True]
-        with pytest.raises(DeviceError, match=r"refused: it hit the ground .* estop --lift"):
-            await fc.execute("goTo", [0.0, 0.0, -8.0])
-        assert not await fc.execute("isReady", []) or b.autopilot.armed
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, given="flavour")
+async def test_a_weak_motor_ends_a_motion_well_before_the_ground(b, fc, /, flavour, goal):
+    await up(fc)
+    began = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
+    ended, reason = await fails(b, fc.execute("goTo", list(goal)))
+    assert ended - began < 2.5
+    assert "it falls" in reason or "it sinks" in reason
+    assert b.autopilot.vehicle.airborne
+    await asyncio.sleep(6.0)
+    assert [why.startswith("it crashed: it hit the ground at 2.") for why in b.lock_outs] == [True]
+    with pytest.raises(DeviceError, match=r"refused: it hit the ground .* estop --lift"):
+        await fc.execute("goTo", [0.0, 0.0, -8.0])
+    assert not await fc.execute("isReady", []) or b.autopilot.armed
 
 
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(bench, flavour):
-    b = bench(flavour=flavour, limits={"speed": 3.0})
-
-    async def mission(fc):
-        await up(fc)
-        at(5.0, lambda: b.autopilot.disarm(force=True))
-        _, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert "its motors went off in the air" in reason
-        for what, values in (("arm", []), ("takeoff", [5.0])):
-            with pytest.raises(DeviceError, match="Inspect it"):
-                await fc.execute(what, values)
-        assert "crashed" in await fc.execute("whyNotReady", [])
-        (why,) = b.lock_outs
-        assert why.startswith("it crashed: its motors went off in the air")
-        await asyncio.sleep(3.0)
-        # What the guard lets through once an operator has ended the lock-out.
-        await fc.execute("release", [])
-        await fc.execute("waitReady", [20.0])
-        await fc.execute("arm", [])
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, given="flavour")
+async def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(b, fc, /, flavour):
+    await up(fc)
+    at(5.0, lambda: b.autopilot.disarm(force=True))
+    _, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert "its motors went off in the air" in reason
+    for what, values in (("arm", []), ("takeoff", [5.0])):
+        with pytest.raises(DeviceError, match="Inspect it"):
+            await fc.execute(what, values)
+    assert "crashed" in await fc.execute("whyNotReady", [])
+    (why,) = b.lock_outs
+    assert why.startswith("it crashed: its motors went off in the air")
+    await asyncio.sleep(3.0)
+    # What the guard lets through once an operator has ended the lock-out.
+    await fc.execute("release", [])
+    await fc.execute("waitReady", [20.0])
+    await fc.execute("arm", [])
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
-def test_ordinary_landings_and_low_speeds_are_no_crashes(bench, flavour):
-    b = bench(flavour=flavour, limits={"speed": 3.0}, waivers=("device_watchdog", "autonomous_motion"))
-
-    async def mission(fc):
-        await up(fc, 12.0)
-        await fc.execute("goTo", [10.0, 0.0, -3.0])
-        await fc.execute("goTo", [0.0, 0.0, -12.0])
-        await fc.execute("setVelocity", [0.0, 0.0, 1.0])
-        await asyncio.sleep(0.3)
-        await fc.execute("hold", [])
-        await fc.execute("land", [])
-        await fc.execute("arm", [])
-        await fc.execute("disarm", [])
-        await up(fc, 5.0)
-        await fc.execute("goTo", [8.0, 0.0, -5.0])
-        await fc.execute("returnHome", [])
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, waivers=("device_watchdog", "autonomous_motion"), given="flavour")
+async def test_ordinary_landings_and_low_speeds_are_no_crashes(b, fc, /, flavour):
+    await up(fc, 12.0)
+    await fc.execute("goTo", [10.0, 0.0, -3.0])
+    await fc.execute("goTo", [0.0, 0.0, -12.0])
+    await fc.execute("setVelocity", [0.0, 0.0, 1.0])
+    await asyncio.sleep(0.3)
+    await fc.execute("hold", [])
+    await fc.execute("land", [])
+    await fc.execute("arm", [])
+    await fc.execute("disarm", [])
+    await up(fc, 5.0)
+    await fc.execute("goTo", [8.0, 0.0, -5.0])
+    await fc.execute("returnHome", [])
     assert b.lock_outs == []
     assert not [note for note in b.notes if note.startswith(("falling", "crashed"))]
 
@@ -246,23 +215,19 @@ def test_ordinary_landings_and_low_speeds_are_no_crashes(bench, flavour):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordered(bench, flavour):
-    b = bench(flavour=flavour, limits={"speed": 3.0, "radius": 100.0})
-
-    async def mission(fc):
-        await up(fc)
-        began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert ended - began < 2.0
-        assert "its GNSS fix is lost" in reason
-        assert b.values["gpsFix"] < 3
-        for what, values in (("goTo", [0.0, 0.0, -8.0]), ("hold", []), ("setVelocity", [1.0, 0.0, 0.0])):
-            with pytest.raises(DeviceError, match=f"{what} refused: .*land\\(\\) needs no position"):
-                await fc.execute(what, values)
-        await asyncio.sleep(25.0)
-        assert b.autopilot.mode in ("LAND", "AUTO.LAND") or not b.autopilot.armed
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0, "radius": 100.0}, given="flavour")
+async def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordered(b, fc, /, flavour):
+    await up(fc)
+    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert ended - began < 2.0
+    assert "its GNSS fix is lost" in reason
+    assert b.values["gpsFix"] < 3
+    for what, values in (("goTo", [0.0, 0.0, -8.0]), ("hold", []), ("setVelocity", [1.0, 0.0, 0.0])):
+        with pytest.raises(DeviceError, match=f"{what} refused: .*land\\(\\) needs no position"):
+            await fc.execute(what, values)
+    await asyncio.sleep(25.0)
+    assert b.autopilot.mode in ("LAND", "AUTO.LAND") or not b.autopilot.armed
     assert b.breaches == [], "a drift is no breach of a limit"
     assert b.lock_outs == []
 
@@ -284,15 +249,11 @@ def test_a_safe_state_without_a_position_is_a_landing(bench, flavour, state):
 
 
 @pytest.mark.parametrize("fault", ["gps_glitch=33", "compass_failure=true"])
-def test_what_real_ones_fly_on_with_ends_no_motion(bench, fault):
-    b = bench(limits={"speed": 3.0})
-
-    async def mission(fc):
-        await up(fc)
-        at(3.0, lambda: b.faults.apply([fault]))
-        await fc.execute("goTo", [30.0, 0.0, -8.0])
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0})
+async def test_what_real_ones_fly_on_with_ends_no_motion(b, fc, /, fault):
+    await up(fc)
+    at(3.0, lambda: b.faults.apply([fault]))
+    await fc.execute("goTo", [30.0, 0.0, -8.0])
     assert b.lock_outs == [] == b.breaches
 
 

@@ -7,6 +7,7 @@ import math
 from itertools import pairwise
 
 import pytest
+from coroutine_tests import on_bench
 from test_mavlink_flight_faults import at, fails, foreign, reposition, setpoint, up
 
 from lfield_mavlink.link.dialect import dialect
@@ -50,93 +51,75 @@ def interfered(b, message, *, after, pause=0.2, known=True):
         ("px4", "rover", (-1.0, -1.0, 0.0), "m from its goal it moves elsewhere, at 1."),
     ],
 )
-def test_velocities_of_another_station_are_a_takeover_within_two_seconds(bench, flavour, kind, sent, words):
-    b = bench(flavour=flavour, kind=kind, limits={"speed": 3.0})
-
-    async def mission(fc):
-        if kind == "copter":
-            await up(fc)
-        else:
-            await fc.execute("arm", [])
-        pause = 0.03 if flavour == "px4" else 0.2
-        began, other = interfered(b, velocity(*sent), after=6.25, pause=pause)
-        ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
-        assert ended - began < 2.0
-        assert words in reason
-        assert "system 77, component 190" in reason
-        assert fc.taken_over()
-        other.cancel()
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, given="flavour kind")
+async def test_velocities_of_another_station_are_a_takeover_within_two_seconds(
+    b, fc, /, flavour, kind, sent, words
+):
+    if kind == "copter":
+        await up(fc)
+    else:
+        await fc.execute("arm", [])
+    pause = 0.03 if flavour == "px4" else 0.2
+    began, other = interfered(b, velocity(*sent), after=6.25, pause=pause)
+    ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+    assert ended - began < 2.0
+    assert words in reason
+    assert "system 77, component 190" in reason
+    assert fc.taken_over()
+    other.cancel()
 
 
 @pytest.mark.parametrize("message", [setpoint(*ELSEWHERE), velocity(-2.0, 0.0, 0.0)])
-def test_a_flight_by_velocities_that_another_station_takes_over_is_told_of_it(bench, message):
-    b = bench(limits={"speed": 3.0}, ttl=1.0)
+@on_bench("bench", limits={"speed": 3.0}, ttl=1.0)
+async def test_a_flight_by_velocities_that_another_station_takes_over_is_told_of_it(b, fc, /, message):
+    await up(fc)
+    began, other = interfered(b, message, after=3.03, pause=0.1)
 
-    async def mission(fc):
-        await up(fc)
-        began, other = interfered(b, message, after=3.03, pause=0.1)
+    async def flight():
+        while True:
+            await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+            await asyncio.sleep(0.2)
 
-        async def flight():
-            while True:
-                await fc.execute("setVelocity", [1.0, 0.0, 0.0])
-                await asyncio.sleep(0.2)
-
-        ended, reason = await fails(b, flight())
-        assert 0.0 < ended - began < 2.0
-        assert "setVelocity refused: another station has sent it elsewhere" in reason
-        other.cancel()
-
-    b.run(mission)
+    ended, reason = await fails(b, flight())
+    assert 0.0 < ended - began < 2.0
+    assert "setVelocity refused: another station has sent it elsewhere" in reason
+    other.cancel()
 
 
-def test_a_copter_that_takes_off_or_hovers_is_seen_to_be_sent_elsewhere(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        began = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
-        ended, reason = await fails(b, fc.execute("takeoff", [20.0]))
-        assert ended - began < 2.0
-        assert "takeoff ended early: another station has sent it elsewhere, to a place 28 m away" in reason
-        await fc.execute("release", [])
-        await fc.execute("hold", [])
-        await asyncio.sleep(4.0)
-        assert not fc.taken_over()
-        foreign(b, reposition(b, 30.0, 30.0, 8.0))
-        await asyncio.sleep(2.0)
-        assert fc.taken_over()
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_copter_that_takes_off_or_hovers_is_seen_to_be_sent_elsewhere(b, fc, /):
+    await fc.execute("arm", [])
+    began = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
+    ended, reason = await fails(b, fc.execute("takeoff", [20.0]))
+    assert ended - began < 2.0
+    assert "takeoff ended early: another station has sent it elsewhere, to a place 28 m away" in reason
+    await fc.execute("release", [])
+    await fc.execute("hold", [])
+    await asyncio.sleep(4.0)
+    assert not fc.taken_over()
+    foreign(b, reposition(b, 30.0, 30.0, 8.0))
+    await asyncio.sleep(2.0)
+    assert fc.taken_over()
 
 
-def test_another_height_and_what_a_router_sends_back(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        send = b.links[0].send
-        b.links[0].send = lambda data: (send(data), b.links[0].on_data(data))
-        began = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
-        ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
-        assert ended - began < 2.0
-        assert "sent it elsewhere, 7 m from its goal;" in reason, "nobody else's message came here"
-
-    b.run(mission)
+@on_bench("bench")
+async def test_another_height_and_what_a_router_sends_back(b, fc, /):
+    await up(fc)
+    send = b.links[0].send
+    b.links[0].send = lambda data: (send(data), b.links[0].on_data(data))
+    began = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
+    ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+    assert ended - began < 2.0
+    assert "sent it elsewhere, 7 m from its goal;" in reason, "nobody else's message came here"
 
 
-def test_a_px4_rover_that_is_repositioned_is_in_other_hands(bench):
-    b = bench(flavour="px4", kind="rover", limits={"speed": 3.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        at(6.25, lambda: b.links[0].on_data(foreign(b, reposition(b, -20.0, -20.0, 0.0))))
-        _, reason = await fails(b, fc.execute("goTo", list(GOAL)))
-        assert "went to AUTO.LOITER, commanded by system 77, component 190" in reason
-        assert fc.taken_over()
-
-    b.run(mission)
+@on_bench("bench", flavour="px4", kind="rover", limits={"speed": 3.0})
+async def test_a_px4_rover_that_is_repositioned_is_in_other_hands(b, fc, /):
+    await fc.execute("arm", [])
+    at(6.25, lambda: b.links[0].on_data(foreign(b, reposition(b, -20.0, -20.0, 0.0))))
+    _, reason = await fails(b, fc.execute("goTo", list(GOAL)))
+    assert "went to AUTO.LOITER, commanded by system 77, component 190" in reason
+    assert fc.taken_over()
 
 
 # -- pure ---------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 from test_mavlink_flight_faults import STACKS, at, fails, up
 
 from lfield.errors import DeviceError
@@ -16,63 +17,47 @@ GPS2_RAW = int(dialect.MAVLINK_MSG_ID_GPS2_RAW)
 
 
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_fix_that_is_away_for_a_second_ends_nothing(bench, flavour):
-    b = bench(flavour=flavour, limits={"speed": 3.0})
-
-    async def mission(fc):
-        await up(fc)
-        at(4.0, lambda: b.faults.apply(["gps_loss=true"]))
-        at(5.0, lambda: b.faults.apply(["gps_loss=false"]))
-        await fc.execute("goTo", [25.0, 0.0, -8.0])
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, given="flavour")
+async def test_a_fix_that_is_away_for_a_second_ends_nothing(b, fc, /, flavour):
+    await up(fc)
+    at(4.0, lambda: b.faults.apply(["gps_loss=true"]))
+    at(5.0, lambda: b.faults.apply(["gps_loss=false"]))
+    await fc.execute("goTo", [25.0, 0.0, -8.0])
 
 
 @pytest.mark.parametrize("flavour", STACKS)
-def test_a_loss_is_thrown_within_two_seconds_also_over_a_slow_radio(bench, flavour):
-    b = bench(flavour=flavour, limits={"speed": 3.0}, faults=("loss=0.2", "delay=0.5"), ttl=1.0)
-
-    async def mission(fc):
-        await up(fc)
-        began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        assert ended - began < 2.0
-        assert "its GNSS fix is lost" in reason
-        assert b.values["gpsFix"] < 3, "read where it is caught"
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, faults=("loss=0.2", "delay=0.5"), ttl=1.0, given="flavour")
+async def test_a_loss_is_thrown_within_two_seconds_also_over_a_slow_radio(b, fc, /, flavour):
+    await up(fc)
+    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    assert ended - began < 2.0
+    assert "its GNSS fix is lost" in reason
+    assert b.values["gpsFix"] < 3, "read where it is caught"
 
 
 @pytest.mark.parametrize(("flavour", "refused", "taken"), [
     ("ardupilot", "RTL", "ALT_HOLD"), ("px4", "AUTO.RTL", "AUTO.LAND"),
 ])  # fmt: skip
-def test_modes_that_need_a_position_are_refused_without_one(bench, flavour, refused, taken):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await up(fc)
-        b.faults.apply(["gps_loss=true"])
-        await asyncio.sleep(1.6)
-        with pytest.raises(DeviceError, match=f"mode {refused} refused: its GNSS fix is lost"):
-            await fc.execute("setMode", [refused])
-        await fc.execute("setMode", [taken])
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_modes_that_need_a_position_are_refused_without_one(b, fc, /, flavour, refused, taken):
+    await up(fc)
+    b.faults.apply(["gps_loss=true"])
+    await asyncio.sleep(1.6)
+    with pytest.raises(DeviceError, match=f"mode {refused} refused: its GNSS fix is lost"):
+        await fc.execute("setMode", [refused])
+    await fc.execute("setMode", [taken])
 
 
-def test_a_rover_without_a_position_stops_and_does_not_return(bench):
-    b = bench(kind="rover", safe_state="return")
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, 0.0]))
-        assert ended - began < 2.0
-        assert "hold() needs no position" in reason
-        await fc.make_safe()
-        assert b.autopilot.mode == "HOLD"
-
-    b.run(mission)
+@on_bench("bench", kind="rover", safe_state="return")
+async def test_a_rover_without_a_position_stops_and_does_not_return(b, fc, /):
+    await fc.execute("arm", [])
+    began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, 0.0]))
+    assert ended - began < 2.0
+    assert "hold() needs no position" in reason
+    await fc.make_safe()
+    assert b.autopilot.mode == "HOLD"
 
 
 @pytest.fixture
@@ -90,24 +75,20 @@ def second(monkeypatch):
     return fixes
 
 
-def test_with_a_second_receiver_all_goes_on_until_both_have_no_fix(bench, second):
-    b = bench(limits={"speed": 3.0}, safe_state="hold")
-
-    async def mission(fc):
-        await up(fc)
-        second["first"] = 1
-        await asyncio.sleep(3.0)
-        await fc.execute("goTo", [8.0, 0.0, -8.0])
-        await fc.make_safe()
-        assert b.autopilot.mode == "BRAKE", "no landing"
-        await fc.execute("release", [])
-        began = at(3.0, second.update, {"second": 1})
-        ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-        # It is asked every 0.4 s.
-        assert 0.0 < ended - began < 2.0
-        assert "its GNSS fix is lost (GPS_FIX_TYPE 1)" in reason
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 3.0}, safe_state="hold")
+async def test_with_a_second_receiver_all_goes_on_until_both_have_no_fix(b, fc, /, second):
+    await up(fc)
+    second["first"] = 1
+    await asyncio.sleep(3.0)
+    await fc.execute("goTo", [8.0, 0.0, -8.0])
+    await fc.make_safe()
+    assert b.autopilot.mode == "BRAKE", "no landing"
+    await fc.execute("release", [])
+    began = at(3.0, second.update, {"second": 1})
+    ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
+    # It is asked every 0.4 s.
+    assert 0.0 < ended - began < 2.0
+    assert "its GNSS fix is lost (GPS_FIX_TYPE 1)" in reason
 
 
 def test_receivers_count_together_and_what_never_had_a_fix_is_not_lost():

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.vehicle_state import SOURCES
@@ -23,22 +24,18 @@ def refusal(error) -> tuple[str, str]:
     return error.value.kind, error.value.reason
 
 
-def test_a_whole_flight(bench):
-    b = bench()
-
-    async def mission(fc):
-        assert b.values["armed"] is False
-        assert b.values["landed"] is True
-        await up(fc, 6.0)
-        assert b.values["altitude"] == pytest.approx(6.0, abs=0.6)
-        await fc.execute("goTo", [10.0, -4.0, -6.0])
-        assert math.dist(b.values["position"], (10.0, -4.0, -6.0)) <= 0.5
-        await fc.execute("yaw", [2.0])
-        assert b.values["attitude"][2] == pytest.approx(2.0, abs=0.08)
-        await fc.execute("land", [])
-        await fc.execute("disarm", [])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_whole_flight(b, fc, /):
+    assert b.values["armed"] is False
+    assert b.values["landed"] is True
+    await up(fc, 6.0)
+    assert b.values["altitude"] == pytest.approx(6.0, abs=0.6)
+    await fc.execute("goTo", [10.0, -4.0, -6.0])
+    assert math.dist(b.values["position"], (10.0, -4.0, -6.0)) <= 0.5
+    await fc.execute("yaw", [2.0])
+    assert b.values["attitude"][2] == pytest.approx(2.0, abs=0.08)
+    await fc.execute("land", [])
+    await fc.execute("disarm", [])
     assert not b.autopilot.armed
     assert b.autopilot.vehicle.place[2] == 0.0
     assert 0.8 < b.values["battery"] < 1.0
@@ -57,13 +54,11 @@ def test_it_asks_for_streams_and_reports_the_failsafe(bench):
     assert b.values["globalPosition"][:2] == pytest.approx([47.397742, 8.545594], abs=1e-6)
 
 
-def test_takeoff_while_disarmed_is_refused_in_words(bench):
-    async def mission(fc):
-        with pytest.raises(DeviceError) as error:
-            await fc.execute("takeoff", [5.0])
-        return refusal(error)
-
-    kind, reason = bench().run(mission)
+@on_bench("bench")
+async def test_takeoff_while_disarmed_is_refused_in_words(b, fc, /):
+    with pytest.raises(DeviceError) as error:
+        await fc.execute("takeoff", [5.0])
+    kind, reason = refusal(error)
     assert kind == "DeviceException"
     assert reason == "takeoff refused: the motors are off; call arm() first"
 
@@ -80,25 +75,19 @@ def test_a_long_reason_is_joined_from_its_chunks(bench):
     assert b.run(mission)[1] == f"arm refused: FAILED (4), Arm: {why}"
 
 
-def test_takeoff_while_flying_is_refused(bench):
-    async def mission(fc):
-        await up(fc)
-        with pytest.raises(DeviceError) as error:
-            await fc.execute("takeoff", [8.0])
-        return refusal(error)
-
-    assert bench().run(mission)[1] == "takeoff refused: FAILED (4)"
+@on_bench("bench")
+async def test_takeoff_while_flying_is_refused(b, fc, /):
+    await up(fc)
+    with pytest.raises(DeviceError) as error:
+        await fc.execute("takeoff", [8.0])
+    assert refusal(error)[1] == "takeoff refused: FAILED (4)"
 
 
-def test_disarming_in_the_air_is_refused(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        with pytest.raises(DeviceError, match=r"disarm refused: FAILED \(4\)"):
-            await fc.execute("disarm", [])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_disarming_in_the_air_is_refused(b, fc, /):
+    await up(fc)
+    with pytest.raises(DeviceError, match=r"disarm refused: FAILED \(4\)"):
+        await fc.execute("disarm", [])
     assert b.autopilot.armed
 
 
@@ -116,31 +105,23 @@ def test_disarming_in_the_air_is_refused(bench):
         ("yaw", [math.nan], "finite"),
     ],
 )
-def test_limits_are_kept_before_anything_is_sent(bench, instruction, arguments, words):
-    b = bench(limits={"altitude": 20.0, "radius": 50.0, "speed": 3.0})
-
-    async def mission(fc):
-        sent = len(b.sent)
-        with pytest.raises(DeviceError, match=words):
-            await fc.execute(instruction, arguments)
-        assert len(b.sent) == sent
-
-    b.run(mission)
+@on_bench("bench", limits={"altitude": 20.0, "radius": 50.0, "speed": 3.0})
+async def test_limits_are_kept_before_anything_is_sent(b, fc, /, instruction, arguments, words):
+    sent = len(b.sent)
+    with pytest.raises(DeviceError, match=words):
+        await fc.execute(instruction, arguments)
+    assert len(b.sent) == sent
 
 
-def test_the_speed_limit_is_set_in_the_autopilot(bench):
-    b = bench(limits={"speed": 2.0})
+@on_bench("bench", limits={"speed": 2.0})
+async def test_the_speed_limit_is_set_in_the_autopilot(b, fc, /):
     fastest = 0.0
 
-    async def mission(fc):
-        nonlocal fastest
-        await up(fc)
-        flight = asyncio.create_task(fc.execute("goTo", [20.0, 0.0, -5.0]))
-        while not flight.done():
-            await asyncio.sleep(0.1)
-            fastest = max(fastest, b.values["velocity"][0])
-
-    b.run(mission)
+    await up(fc)
+    flight = asyncio.create_task(fc.execute("goTo", [20.0, 0.0, -5.0]))
+    while not flight.done():
+        await asyncio.sleep(0.1)
+        fastest = max(fastest, b.values["velocity"][0])
     assert 1.8 < fastest <= 2.05
 
 
@@ -159,43 +140,33 @@ def test_lost_packets_cost_time_but_not_the_flight(bench, seed):
     assert not b.autopilot.vehicle.airborne
 
 
-def test_a_lost_link_is_an_exception_within_bounds_and_recovers(bench):
-    b = bench()
-
-    async def mission(fc):
-        loop = asyncio.get_running_loop()
-        await up(fc)
-        flight = asyncio.create_task(fc.execute("goTo", [200.0, 0.0, -5.0]))
-        await asyncio.sleep(2.0)
-        b.cut, start = True, loop.time()
-        with pytest.raises(DeviceError, match="the link is lost") as error:
-            await flight
-        assert error.value.kind == "DeviceTimeoutException"
-        assert loop.time() - start <= 3.0
-        await asyncio.sleep(1.0)
-        b.cut = False
-        await asyncio.sleep(3.0)
-        with pytest.raises(DeviceError, match="the vehicle is in LAND, which this program did not select"):
-            await fc.execute("goTo", [b.values["position"][0], 0.0, -5.0])
-        await fc.execute("release", [])
+@on_bench("bench")
+async def test_a_lost_link_is_an_exception_within_bounds_and_recovers(b, fc, /):
+    loop = asyncio.get_running_loop()
+    await up(fc)
+    flight = asyncio.create_task(fc.execute("goTo", [200.0, 0.0, -5.0]))
+    await asyncio.sleep(2.0)
+    b.cut, start = True, loop.time()
+    with pytest.raises(DeviceError, match="the link is lost") as error:
+        await flight
+    assert error.value.kind == "DeviceTimeoutException"
+    assert loop.time() - start <= 3.0
+    await asyncio.sleep(1.0)
+    b.cut = False
+    await asyncio.sleep(3.0)
+    with pytest.raises(DeviceError, match="the vehicle is in LAND, which this program did not select"):
         await fc.execute("goTo", [b.values["position"][0], 0.0, -5.0])
-
-    b.run(mission)
+    await fc.execute("release", [])
+    await fc.execute("goTo", [b.values["position"][0], 0.0, -5.0])
     assert "mavlink-link-back" in [note.code for note in b.notes]
 
 
-def test_nobody_there_is_an_error_within_its_bound(bench):
-    b = bench(options={"connect": 2.0}, faults=("silence=true",))
-
-    async def mission(fc):
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(
-            DeviceError, match=r"from system 1 at udp:127.0.0.1:1 within 2 s; nothing on link 0"
-        ):
-            await fc.open()
-        assert asyncio.get_running_loop().time() - start < 2.1
-
-    b.run(mission, opened=False)
+@on_bench("bench", options={"connect": 2.0}, faults=("silence=true",), opened=False)
+async def test_nobody_there_is_an_error_within_its_bound(b, fc, /):
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"from system 1 at udp:127.0.0.1:1 within 2 s; nothing on link 0"):
+        await fc.open()
+    assert asyncio.get_running_loop().time() - start < 2.1
 
 
 def test_who_is_heard_instead_is_named(bench):
@@ -217,57 +188,39 @@ def test_who_is_heard_instead_is_named(bench):
     )
 
 
-def test_what_is_no_mavlink_is_named(bench):
-    b = bench(options={"connect": 1.0}, faults=("silence=true",))
-
-    async def mission(fc):
-        b.links[0].on_data(b"login: ")
-        with pytest.raises(DeviceError, match=r"the 7 received bytes contain no heartbeat.*baud rate"):
-            await fc.open()
-
-    b.run(mission, opened=False)
+@on_bench("bench", options={"connect": 1.0}, faults=("silence=true",), opened=False)
+async def test_what_is_no_mavlink_is_named(b, fc, /):
+    b.links[0].on_data(b"login: ")
+    with pytest.raises(DeviceError, match=r"the 7 received bytes contain no heartbeat.*baud rate"):
+        await fc.open()
 
 
-def test_another_kind_of_vehicle_is_refused(bench):
-    b = bench(options={"kind": "rover"})
-
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="is not a rover"):
-            await fc.open()
-
-    b.run(mission, opened=False)
+@on_bench("bench", options={"kind": "rover"}, opened=False)
+async def test_another_kind_of_vehicle_is_refused(b, fc, /):
+    with pytest.raises(DeviceError, match="is not a rover"):
+        await fc.open()
 
 
-def test_another_autopilot_is_refused(bench):
-    b = bench(options={"autopilot": "px4"})
-
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="system 1 has ArduPilot, but the binding has px4"):
-            await fc.open()
-
-    b.run(mission, opened=False)
+@on_bench("bench", options={"autopilot": "px4"}, opened=False)
+async def test_another_autopilot_is_refused(b, fc, /):
+    with pytest.raises(DeviceError, match="system 1 has ArduPilot, but the binding has px4"):
+        await fc.open()
 
 
-def test_a_failsafe_ends_the_flight_and_is_not_fought(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        flight = asyncio.create_task(fc.execute("goTo", [100.0, 0.0, -5.0]))
-        await asyncio.sleep(2.0)
-        b.autopilot.go_home()
-        with pytest.raises(DeviceError, match="goTo ended early: the vehicle went to RTL"):
-            await flight
-        with pytest.raises(
-            DeviceError, match=r"a pilot or a failsafe has it. release\(\) takes control again"
-        ):
-            await fc.execute("goTo", [0.0, 0.0, -5.0])
-        await fc.make_safe()
-        assert b.autopilot.mode == "RTL"
-        await fc.execute("release", [])
+@on_bench("bench")
+async def test_a_failsafe_ends_the_flight_and_is_not_fought(b, fc, /):
+    await up(fc)
+    flight = asyncio.create_task(fc.execute("goTo", [100.0, 0.0, -5.0]))
+    await asyncio.sleep(2.0)
+    b.autopilot.go_home()
+    with pytest.raises(DeviceError, match="goTo ended early: the vehicle went to RTL"):
+        await flight
+    with pytest.raises(DeviceError, match=r"a pilot or a failsafe has it. release\(\) takes control again"):
         await fc.execute("goTo", [0.0, 0.0, -5.0])
-
-    b.run(mission)
+    await fc.make_safe()
+    assert b.autopilot.mode == "RTL"
+    await fc.execute("release", [])
+    await fc.execute("goTo", [0.0, 0.0, -5.0])
 
 
 def test_an_accepted_command_that_does_not_happen_is_an_error(bench, monkeypatch):
@@ -281,21 +234,17 @@ def test_an_accepted_command_that_does_not_happen_is_an_error(bench, monkeypatch
     b.run(mission)
 
 
-def test_a_stuck_vehicle_gives_up(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        b.autopilot.pace.own = lambda: 0.0
-        with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
-            await fc.execute("goTo", [30.0, 0.0, -5.0])
-        # It does not set out after all when what held it has gone.
-        place = b.autopilot.vehicle.place
-        b.autopilot.pace.own = lambda: 5.0
-        await asyncio.sleep(3.0)
-        assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.2)
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_stuck_vehicle_gives_up(b, fc, /):
+    await up(fc)
+    b.autopilot.pace.own = lambda: 0.0
+    with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
+        await fc.execute("goTo", [30.0, 0.0, -5.0])
+    # It does not set out after all when what held it has gone.
+    place = b.autopilot.vehicle.place
+    b.autopilot.pace.own = lambda: 5.0
+    await asyncio.sleep(3.0)
+    assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.2)
 
 
 @pytest.mark.few(1)
@@ -315,81 +264,61 @@ def test_safe_states_in_the_air(bench, state):
     assert b.autopilot.vehicle.airborne == (state == "hold")
 
 
-def test_the_safe_state_of_an_armed_copter_on_the_ground_is_disarmed(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.make_safe()
-
-    b.run(mission)
+@on_bench("bench")
+async def test_the_safe_state_of_an_armed_copter_on_the_ground_is_disarmed(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.make_safe()
     assert not b.autopilot.armed
 
 
-def test_positions_are_of_home_even_when_home_has_moved(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("goTo", [8.0, 3.0, -5.0])
-        await fc.execute("land", [])
-        await fc.execute("disarm", [])
-        await up(fc)
-        await asyncio.sleep(3.0)
-        assert math.dist(b.values["position"], (0.0, 0.0, -5.0)) < 0.7
-        await fc.execute("goTo", [2.0, 0.0, -5.0])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_positions_are_of_home_even_when_home_has_moved(b, fc, /):
+    await up(fc)
+    await fc.execute("goTo", [8.0, 3.0, -5.0])
+    await fc.execute("land", [])
+    await fc.execute("disarm", [])
+    await up(fc)
+    await asyncio.sleep(3.0)
+    assert math.dist(b.values["position"], (0.0, 0.0, -5.0)) < 0.7
+    await fc.execute("goTo", [2.0, 0.0, -5.0])
     north, east, _ = b.autopilot.vehicle.place
     assert math.dist((north, east), (10.0, 3.0)) < 1.2
 
 
-def test_a_rover_drives_and_holds_and_does_not_take_off(bench):
-    b = bench(kind="rover")
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("goTo", [6.0, 6.0, 0.0])
-        with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
-            await fc.execute("takeoff", [3.0])
-        await fc.execute("hold", [])
-
-    b.run(mission)
+@on_bench("bench", kind="rover")
+async def test_a_rover_drives_and_holds_and_does_not_take_off(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("goTo", [6.0, 6.0, 0.0])
+    with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
+        await fc.execute("takeoff", [3.0])
+    await fc.execute("hold", [])
     assert math.dist(b.autopilot.vehicle.place[:2], (6.0, 6.0)) < 1.0
     assert b.autopilot.mode == "HOLD"
 
 
-def test_global_goals_keep_the_limits_about_home(bench):
-    b = bench(limits={"radius": 50.0, "altitude": 20.0})
-
-    async def mission(fc):
-        await up(fc)
-        latitude, longitude, _ = b.values["globalPosition"]
-        await fc.execute("goToGlobal", [latitude, longitude + 1e-4, 6.0])
-        assert b.values["position"] == pytest.approx([0.0, 7.53, -6.0], abs=0.6)
-        for goal, words in (
-            ([latitude + 1e-3, longitude, 6.0], "beyond the limit of 50 m"),
-            ([latitude, longitude, 21.0], "above the limit of 20 m"),
-            ([math.nan, longitude, 6.0], "requires a latitude"),
-            ([latitude, 181.0, 6.0], "requires a latitude"),
-            ([latitude, longitude, math.nan], "finite"),
-        ):
-            with pytest.raises(DeviceError, match=words):
-                await fc.execute("goToGlobal", goal)
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": 50.0, "altitude": 20.0})
+async def test_global_goals_keep_the_limits_about_home(b, fc, /):
+    await up(fc)
+    latitude, longitude, _ = b.values["globalPosition"]
+    await fc.execute("goToGlobal", [latitude, longitude + 1e-4, 6.0])
+    assert b.values["position"] == pytest.approx([0.0, 7.53, -6.0], abs=0.6)
+    for goal, words in (
+        ([latitude + 1e-3, longitude, 6.0], "beyond the limit of 50 m"),
+        ([latitude, longitude, 21.0], "above the limit of 20 m"),
+        ([math.nan, longitude, 6.0], "requires a latitude"),
+        ([latitude, 181.0, 6.0], "requires a latitude"),
+        ([latitude, longitude, math.nan], "finite"),
+    ):
+        with pytest.raises(DeviceError, match=words):
+            await fc.execute("goToGlobal", goal)
 
 
-def test_return_home_lands_there(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("goTo", [20.0, 0.0, -5.0])
-        await fc.execute("returnHome", [])
-        assert b.values["landed"]
-
-    b.run(mission)
+@on_bench("bench")
+async def test_return_home_lands_there(b, fc, /):
+    await up(fc)
+    await fc.execute("goTo", [20.0, 0.0, -5.0])
+    await fc.execute("returnHome", [])
+    assert b.values["landed"]
     assert math.hypot(*b.autopilot.vehicle.place[:2]) < 1.0
 
 
@@ -422,112 +351,84 @@ def test_orbit_goes_round_and_holds(bench):
     assert len(quarters) == 4
 
 
-def test_speed_is_kept_over_changes_of_mode(bench):
-    b = bench(limits={"speed": 4.0})
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("setSpeed", [1.5])
-        await fc.execute("hold", [])
-        flight = asyncio.create_task(fc.execute("goTo", [10.0, 0.0, -5.0]))
-        fastest = 0.0
-        while not flight.done():
-            await asyncio.sleep(0.1)
-            fastest = max(fastest, b.values["groundSpeed"])
-        assert 1.3 < fastest <= 1.55
-        for speed in (4.5, 0.0, math.nan):
-            with pytest.raises(DeviceError, match="setSpeed"):
-                await fc.execute("setSpeed", [speed])
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 4.0})
+async def test_speed_is_kept_over_changes_of_mode(b, fc, /):
+    await up(fc)
+    await fc.execute("setSpeed", [1.5])
+    await fc.execute("hold", [])
+    flight = asyncio.create_task(fc.execute("goTo", [10.0, 0.0, -5.0]))
+    fastest = 0.0
+    while not flight.done():
+        await asyncio.sleep(0.1)
+        fastest = max(fastest, b.values["groundSpeed"])
+    assert 1.3 < fastest <= 1.55
+    for speed in (4.5, 0.0, math.nan):
+        with pytest.raises(DeviceError, match="setSpeed"):
+            await fc.execute("setSpeed", [speed])
 
 
-def test_a_yaw_rate_turns_on_the_spot(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        before = b.values["heading"]
-        for _ in range(5):
-            await fc.execute("setYawRate", [0.5])
-            await asyncio.sleep(0.2)
-        assert b.values["heading"] - before == pytest.approx(0.5, abs=0.2)
-        assert b.values["groundSpeed"] < 0.1
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_yaw_rate_turns_on_the_spot(b, fc, /):
+    await up(fc)
+    before = b.values["heading"]
+    for _ in range(5):
+        await fc.execute("setYawRate", [0.5])
+        await asyncio.sleep(0.2)
+    assert b.values["heading"] - before == pytest.approx(0.5, abs=0.2)
+    assert b.values["groundSpeed"] < 0.1
 
 
-def test_modes_by_name(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("setMode", ["alt_hold"])
-        assert b.values["mode"] == "ALT_HOLD"
-        with pytest.raises(DeviceError, match="ArduPilot has no mode 'HOVER'; it has ACRO, ALT_HOLD"):
-            await fc.execute("setMode", ["HOVER"])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_modes_by_name(b, fc, /):
+    await fc.execute("setMode", ["alt_hold"])
+    assert b.values["mode"] == "ALT_HOLD"
+    with pytest.raises(DeviceError, match="ArduPilot has no mode 'HOVER'; it has ACRO, ALT_HOLD"):
+        await fc.execute("setMode", ["HOVER"])
 
 
-def test_a_velocity_may_not_lead_out_of_the_fence(bench):
-    b = bench(limits={"radius": 12.0, "altitude": 6.0, "speed": 5.0})
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("goTo", [11.0, 0.0, -5.0])
-        with pytest.raises(DeviceError, match="leads beyond the limit of 12 m"):
-            await fc.execute("setVelocity", [4.0, 0.0, 0.0])
-        with pytest.raises(DeviceError, match="leads above the limit of 6 m"):
-            await fc.execute("setVelocity", [0.0, 0.0, -4.0])
-        await fc.execute("setVelocity", [-2.0, 0.0, 0.0])
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": 12.0, "altitude": 6.0, "speed": 5.0})
+async def test_a_velocity_may_not_lead_out_of_the_fence(b, fc, /):
+    await up(fc)
+    await fc.execute("goTo", [11.0, 0.0, -5.0])
+    with pytest.raises(DeviceError, match="leads beyond the limit of 12 m"):
+        await fc.execute("setVelocity", [4.0, 0.0, 0.0])
+    with pytest.raises(DeviceError, match="leads above the limit of 6 m"):
+        await fc.execute("setVelocity", [0.0, 0.0, -4.0])
+    await fc.execute("setVelocity", [-2.0, 0.0, 0.0])
 
 
-def test_a_setpoint_is_sent_once(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        before = len(b.sent)
-        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
-        await asyncio.sleep(3.0)
-        return sum(data[7] == 84 for data in b.sent[before:])
-
-    assert b.run(mission) == 1
+@on_bench("bench")
+async def test_a_setpoint_is_sent_once(b, fc, /):
+    await up(fc)
+    before = len(b.sent)
+    await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+    await asyncio.sleep(3.0)
+    assert sum(data[7] == 84 for data in b.sent[before:]) == 1
 
 
-def test_a_call_that_is_given_up_in_the_middle_leaves_the_next_one_free(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        for delay in (0.0, 0.01, 0.03, 0.1, 0.4):
-            climb = asyncio.create_task(fc.execute("takeoff", [5.0]))
-            await asyncio.sleep(delay)
-            climb.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await climb
-        await fc.execute("goTo", [5.0, 0.0, -5.0])
-        assert fc._expected == {}
-        assert fc.exchange._questions == {}
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_call_that_is_given_up_in_the_middle_leaves_the_next_one_free(b, fc, /):
+    await fc.execute("arm", [])
+    for delay in (0.0, 0.01, 0.03, 0.1, 0.4):
+        climb = asyncio.create_task(fc.execute("takeoff", [5.0]))
+        await asyncio.sleep(delay)
+        climb.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await climb
+    await fc.execute("goTo", [5.0, 0.0, -5.0])
+    assert fc._expected == {}
+    assert fc.exchange._questions == {}
 
 
-def test_streams_that_stopped_are_asked_for_again(bench):
-    b = bench()
-
-    async def mission(fc):
-        # Another ground station on the link has stopped them.
-        for kind in SOURCES:
-            stop = dialect.MAVLink_command_long_message(1, 1, 511, 0, kind, -1, 0, 0, 0, 0, 0)
-            b.fakes[1].receive("another", Writer().pack(stop, 255))
-        b.values.clear()
-        await asyncio.sleep(6.0)
-        assert {"position", "attitude", "battery"} <= set(b.values)
-
-    b.run(mission)
+@on_bench("bench")
+async def test_streams_that_stopped_are_asked_for_again(b, fc, /):
+    # Another ground station on the link has stopped them.
+    for kind in SOURCES:
+        stop = dialect.MAVLink_command_long_message(1, 1, 511, 0, kind, -1, 0, 0, 0, 0, 0)
+        b.fakes[1].receive("another", Writer().pack(stop, 255))
+    b.values.clear()
+    await asyncio.sleep(6.0)
+    assert {"position", "attitude", "battery"} <= set(b.values)
 
 
 def test_an_autopilot_without_intervals_is_asked_for_groups(bench, monkeypatch):

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -126,60 +127,48 @@ async def fastest(b, work):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
-    b = limited(limits={"speed": 3.0}, kind=kind)
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        if kind == "copter":
-            await fc.execute("takeoff", [5.0])
-        # It may be asked for before there is anything that it could be kept for.
-        await fc.execute("setSpeed", [2.0])
-        assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 2.05
-        await fc.execute("setSpeed", [3.0])
-        # A rover approaches its speed from below: the real one shoots over it by 15 %.
-        least = 2.9 if kind == "copter" else 2.4
-        assert least < await fastest(b, fc.execute("goTo", [30.0, 0.0, -5.0])) <= 3.07
-        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
-        await asyncio.sleep(0.3)
-        latitude, longitude, _ = b.values["globalPosition"]
-        assert await fastest(b, fc.execute("goToGlobal", [latitude - 1e-4, longitude, 5.0])) <= 3.07
-        await fc.execute("hold", [])
-        assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 3.07
-        assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.25
-
-    b.run(mission)
-    assert [note for note in b.notes if "limit exceeded" in note] == []
-
-
-def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(limited):
-    b = limited(flavour="px4", kind="rover", limits={"speed": 2.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        assert 1.8 < await fastest(b, fc.execute("goTo", [25.0, 0.0, 0.0])) <= 2.1
-        await asyncio.sleep(3.0)  # it rolls out
-        await fc.execute("setSpeed", [0.6])
-        assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
-
-    b.run(mission)
-    assert [note for note in b.notes if "limit exceeded" in note] == []
-
-
-def test_a_speed_that_was_lost_is_said_and_told_again(limited):
-    b = limited(limits={"speed": 3.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
+@on_bench("limited", limits={"speed": 3.0}, given="kind")
+async def test_ardupilot_is_told_its_speed_when_it_keeps_it(b, fc, /, kind):
+    await fc.execute("arm", [])
+    if kind == "copter":
         await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
-        await asyncio.sleep(3.0)
-        b.autopilot.pace.change(7.0)  # by another ground station
-        await asyncio.sleep(12.0)
-        assert b.values["groundSpeed"] == pytest.approx(3.0, abs=0.1)
-        await flight
+    # It may be asked for before there is anything that it could be kept for.
+    await fc.execute("setSpeed", [2.0])
+    assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 2.05
+    await fc.execute("setSpeed", [3.0])
+    # A rover approaches its speed from below: the real one shoots over it by 15 %.
+    least = 2.9 if kind == "copter" else 2.4
+    assert least < await fastest(b, fc.execute("goTo", [30.0, 0.0, -5.0])) <= 3.07
+    await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+    await asyncio.sleep(0.3)
+    latitude, longitude, _ = b.values["globalPosition"]
+    assert await fastest(b, fc.execute("goToGlobal", [latitude - 1e-4, longitude, 5.0])) <= 3.07
+    await fc.execute("hold", [])
+    assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 3.07
+    assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.25
+    assert [note for note in b.notes if "limit exceeded" in note] == []
 
-    b.run(mission)
+
+@on_bench("limited", flavour="px4", kind="rover", limits={"speed": 2.0})
+async def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(b, fc, /):
+    await fc.execute("arm", [])
+    assert 1.8 < await fastest(b, fc.execute("goTo", [25.0, 0.0, 0.0])) <= 2.1
+    await asyncio.sleep(3.0)  # it rolls out
+    await fc.execute("setSpeed", [0.6])
+    assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
+    assert [note for note in b.notes if "limit exceeded" in note] == []
+
+
+@on_bench("limited", limits={"speed": 3.0})
+async def test_a_speed_that_was_lost_is_said_and_told_again(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+    await asyncio.sleep(3.0)
+    b.autopilot.pace.change(7.0)  # by another ground station
+    await asyncio.sleep(12.0)
+    assert b.values["groundSpeed"] == pytest.approx(3.0, abs=0.1)
+    await flight
     assert b.notes.count("speed of 3 m/s commanded again") == 1
     assert [note.split(", ", 1)[1] for note in b.notes if "beyond" in note] == [
         "beyond its limit of 3 m/s; commanded to be slower"
@@ -224,30 +213,26 @@ def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
     assert b.breaches[0].endswith("beyond its limit of 3 m/s, and corrections had no effect")
 
 
-def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(limited):
-    b = limited(limits={"speed": 3.0})
+@on_bench("limited", limits={"speed": 3.0})
+async def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+    await asyncio.sleep(3.0)
+    send, lost = b.links[0].send, []
 
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
-        await asyncio.sleep(3.0)
-        send, lost = b.links[0].send, []
+    def lose_two(data):
+        (message,) = Reader().feed(data)
+        asked = getattr(message, "command", 0)
+        if asked == dialect.MAV_CMD_DO_CHANGE_SPEED and len(lost) < 2:
+            lost.append(asked)
+        else:
+            send(data)
 
-        def lose_two(data):
-            (message,) = Reader().feed(data)
-            asked = getattr(message, "command", 0)
-            if asked == dialect.MAV_CMD_DO_CHANGE_SPEED and len(lost) < 2:
-                lost.append(asked)
-            else:
-                send(data)
-
-        b.links[0].send = lose_two
-        b.autopilot.pace.change(7.0)
-        await flight
-        assert len(lost) == 2
-
-    b.run(mission)
+    b.links[0].send = lose_two
+    b.autopilot.pace.change(7.0)
+    await flight
+    assert len(lost) == 2
     assert "within its limit of 3 m/s again" in b.notes
     assert b.breaches == []
 
@@ -277,44 +262,36 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
     assert b.breaches == []
 
 
-def test_a_pilot_is_only_told(limited):
-    b = limited(limits={"speed": 3.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        b.autopilot.enter("RTL")
-        b.autopilot.parameters["RTL_ALT"] = 500
-        b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
-        b.autopilot.pace.change(7.0)
-        await asyncio.sleep(8.0)
-
-    b.run(mission)
+@on_bench("limited", limits={"speed": 3.0})
+async def test_a_pilot_is_only_told(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    b.autopilot.enter("RTL")
+    b.autopilot.parameters["RTL_ALT"] = 500
+    b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
+    b.autopilot.pace.change(7.0)
+    await asyncio.sleep(8.0)
     (said,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
     assert said.endswith("since a pilot or a failsafe controls it in RTL")
     assert b.breaches == []
 
 
-def test_px4_is_sent_to_where_it_can_stop_to_hold_it(limited):
+@on_bench("limited", flavour="px4", limits={"speed": 3.0})
+async def test_px4_is_sent_to_where_it_can_stop_to_hold_it(b, fc, /):
     """In OFFBOARD, which it leaves by itself when nothing is sent any more."""
-    b = limited(flavour="px4", limits={"speed": 3.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
-        await asyncio.sleep(5.0)
-        sent = len(b.sent)
-        flight.cancel()
-        await fc.execute("hold", [])
-        await asyncio.sleep(5.0)
-        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
-        places = {
-            (round(m.x, 2), round(m.y, 2)) for data in b.sent[sent:] for m in Reader().feed(data)
-            if m.get_msgId() == dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
-        }  # fmt: skip
-        assert len(places) == 1
-        assert places.pop() == pytest.approx(b.autopilot.vehicle.place[:2], abs=0.5)
-        assert b.autopilot.mode == "OFFBOARD"
-
-    b.run(mission)
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+    await asyncio.sleep(5.0)
+    sent = len(b.sent)
+    flight.cancel()
+    await fc.execute("hold", [])
+    await asyncio.sleep(5.0)
+    assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+    places = {
+        (round(m.x, 2), round(m.y, 2)) for data in b.sent[sent:] for m in Reader().feed(data)
+        if m.get_msgId() == dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+    }  # fmt: skip
+    assert len(places) == 1
+    assert places.pop() == pytest.approx(b.autopilot.vehicle.place[:2], abs=0.5)
+    assert b.autopilot.mode == "OFFBOARD"

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.services.plan_items import HOME, Item, PlanKind
@@ -104,68 +105,52 @@ def test_it_holds_before_it_leaves_the_limits(bench, flavour, kind, name):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_a_change_inside_the_limits_is_flown(bench, flavour, kind):
-    b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": CEILING, "speed": 5.0})
-
-    async def mission(fc):
-        await begin(b, fc, [item(b, 20.0), item(b, 20.0, 20.0)])
-        await asyncio.sleep(2.0)
-        change(b, [item(b, 20.0), item(b, -20.0), item(b, -20.0, 20.0)])
-        async with asyncio.timeout(120.0):
-            while math.dist(b.autopilot.vehicle.place[:2], (-20.0, 20.0)) > 2.0:
-                await asyncio.sleep(0.1)
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": RADIUS, "altitude": CEILING, "speed": 5.0}, given="flavour kind")
+async def test_a_change_inside_the_limits_is_flown(b, fc, /, flavour, kind):
+    await begin(b, fc, [item(b, 20.0), item(b, 20.0, 20.0)])
+    await asyncio.sleep(2.0)
+    change(b, [item(b, 20.0), item(b, -20.0), item(b, -20.0, 20.0)])
+    async with asyncio.timeout(120.0):
+        while math.dist(b.autopilot.vehicle.place[:2], (-20.0, 20.0)) > 2.0:
+            await asyncio.sleep(0.1)
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_it_holds_before_it_returns_to_a_rally_point_beyond_the_limits(bench, flavour, kind):
-    b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": 70.0})
-
-    async def mission(fc):
-        await begin(b, fc, [item(b, 10.0), item(b, 40.0), Item(RETURN, 2, 0, 0)])
-        await asyncio.sleep(2.0)
-        change(b, [item(b, 70.0, command=RALLY)], PlanKind.RALLY)
-        far, _ = await farthest(b, 60.0)
-        assert far < RADIUS
-        assert b.autopilot.mode not in (fc.profile.mission, fc.profile.home)
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0}, given="flavour kind")
+async def test_it_holds_before_it_returns_to_a_rally_point_beyond_the_limits(b, fc, /, flavour, kind):
+    await begin(b, fc, [item(b, 10.0), item(b, 40.0), Item(RETURN, 2, 0, 0)])
+    await asyncio.sleep(2.0)
+    change(b, [item(b, 70.0, command=RALLY)], PlanKind.RALLY)
+    far, _ = await farthest(b, 60.0)
+    assert far < RADIUS
+    assert b.autopilot.mode not in (fc.profile.mission, fc.profile.home)
 
 
-def test_a_foreign_choice_of_a_curve_is_held(bench):
+@on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0})
+async def test_a_foreign_choice_of_a_curve_is_held(b, fc, /):
     """Inside its limits from where the mission begins, outside from where another station has it begin."""
-    b = bench(limits={"radius": RADIUS, "altitude": 70.0})
-
-    async def mission(fc):
-        plan = [item(b, 48.0, 12.0), item(b, 0.0, 10.0), item(b, 30.0, command=SPLINE), item(b, -5.0, -40.0)]
-        await begin(b, fc, plan)
-        async with asyncio.timeout(60.0):
-            while b.values["missionItem"] < 1:
-                await asyncio.sleep(0.1)
-        to(b, dialect.MAVLink_mission_set_current_message(1, 1, 3))
-        await asyncio.sleep(3.0)
-        assert b.autopilot.mode != fc.profile.mission
-        far, _ = await farthest(b, 60.0)
-        assert far < RADIUS
-
-    b.run(mission)
+    plan = [item(b, 48.0, 12.0), item(b, 0.0, 10.0), item(b, 30.0, command=SPLINE), item(b, -5.0, -40.0)]
+    await begin(b, fc, plan)
+    async with asyncio.timeout(60.0):
+        while b.values["missionItem"] < 1:
+            await asyncio.sleep(0.1)
+    to(b, dialect.MAVLink_mission_set_current_message(1, 1, 3))
+    await asyncio.sleep(3.0)
+    assert b.autopilot.mode != fc.profile.mission
+    far, _ = await farthest(b, 60.0)
+    assert far < RADIUS
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_a_return_ends_at_a_rally_point(bench, flavour, kind):
-    b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": 70.0})
-
-    async def mission(fc):
-        change(b, [item(b, 30.0, 10.0, command=RALLY)], PlanKind.RALLY)
-        await fc.execute("arm", [])
-        if kind == "copter":
-            await fc.execute("takeoff", [8.0])
-        await fc.execute("goTo", [40.0, 0.0, -8.0 if kind == "copter" else 0.0])
-        await fc.execute("returnHome", [])
-        assert math.dist(b.autopilot.vehicle.place[:2], (30.0, 10.0)) < 2.0
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0}, given="flavour kind")
+async def test_a_return_ends_at_a_rally_point(b, fc, /, flavour, kind):
+    change(b, [item(b, 30.0, 10.0, command=RALLY)], PlanKind.RALLY)
+    await fc.execute("arm", [])
+    if kind == "copter":
+        await fc.execute("takeoff", [8.0])
+    await fc.execute("goTo", [40.0, 0.0, -8.0 if kind == "copter" else 0.0])
+    await fc.execute("returnHome", [])
+    assert math.dist(b.autopilot.vehicle.place[:2], (30.0, 10.0)) < 2.0

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.vehicle_state import VehicleState
@@ -25,34 +26,26 @@ async def up(fc, height=5.0):
 # -- heights ------------------------------------------------------------------------------------------
 
 
-def test_heights_are_those_of_the_takeoff_however_home_drifts(bench):
-    b = bench(flavour="px4")
-
-    async def mission(fc):
-        await up(fc, 6.0)
-        homes, heights = set(), []
-        for way in (3.0, 0.0, 3.0, 0.0):
-            await fc.execute("goTo", [way, 0.0, -6.0])
-            homes.add(b.autopilot.home[2])
-            heights.append(-b.autopilot.vehicle.place[2])
-            assert b.values["altitude"] == pytest.approx(heights[-1], abs=0.3)
-        assert len(homes) == 4
-        assert max(homes) - min(homes) > 0.2
-        assert heights == pytest.approx([6.0] * 4, abs=0.6)
-
-    b.run(mission)
+@on_bench("bench", flavour="px4")
+async def test_heights_are_those_of_the_takeoff_however_home_drifts(b, fc, /):
+    await up(fc, 6.0)
+    homes, heights = set(), []
+    for way in (3.0, 0.0, 3.0, 0.0):
+        await fc.execute("goTo", [way, 0.0, -6.0])
+        homes.add(b.autopilot.home[2])
+        heights.append(-b.autopilot.vehicle.place[2])
+        assert b.values["altitude"] == pytest.approx(heights[-1], abs=0.3)
+    assert len(homes) == 4
+    assert max(homes) - min(homes) > 0.2
+    assert heights == pytest.approx([6.0] * 4, abs=0.6)
 
 
-def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(bench):
-    b = bench(kind="rover", limits={"altitude": 20.0})
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await asyncio.sleep(5.0)
-        assert b.values["altitude"] == pytest.approx(0.0, abs=0.5)
-        await fc.execute("goTo", [6.0, 0.0, b.values["position"][2]])
-
-    b.run(mission)
+@on_bench("bench", kind="rover", limits={"altitude": 20.0})
+async def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(b, fc, /):
+    await fc.execute("arm", [])
+    await asyncio.sleep(5.0)
+    assert b.values["altitude"] == pytest.approx(0.0, abs=0.5)
+    await fc.execute("goTo", [6.0, 0.0, b.values["position"][2]])
     assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
@@ -60,17 +53,13 @@ def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(ben
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_what_does_not_fly_refuses_to_take_off_at_once(bench, flavour):
-    b = bench(kind="rover", flavour=flavour)
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
-            await fc.execute("takeoff", [3.0])
-        assert asyncio.get_running_loop().time() == start
-
-    b.run(mission)
+@on_bench("bench", kind="rover", given="flavour")
+async def test_what_does_not_fly_refuses_to_take_off_at_once(b, fc, /, flavour):
+    await fc.execute("arm", [])
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
+        await fc.execute("takeoff", [3.0])
+    assert asyncio.get_running_loop().time() == start
 
 
 async def turn_on(fc, times):
@@ -94,39 +83,29 @@ def test_a_rover_turns_by_setpoints(bench):
     b.run(mission)
 
 
-def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
-    b = bench(kind="rover")
-
-    async def mission(fc):
-        loop = asyncio.get_running_loop()
-        await fc.execute("arm", [])
-        start = loop.time()
-        with pytest.raises(
-            DeviceError, match="did not change for 2 s; this frame can turn only while driving"
-        ):
-            await fc.execute("yaw", [2.0])
-        assert loop.time() - start < 3.5
-        with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
-            await turn_on(fc, 10)
-        await fc.execute("hold", [])
-        # It turns round for a goal behind it, driving away from it first.
-        await fc.execute("goTo", [-12.0, 0.0, 0.0])
-        await fc.execute("returnHome", [])
-        await fc.execute("land", [])
-
-    b.run(mission)
+@on_bench("bench", kind="rover")
+async def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(b, fc, /):
+    loop = asyncio.get_running_loop()
+    await fc.execute("arm", [])
+    start = loop.time()
+    with pytest.raises(DeviceError, match="did not change for 2 s; this frame can turn only while driving"):
+        await fc.execute("yaw", [2.0])
+    assert loop.time() - start < 3.5
+    with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
+        await turn_on(fc, 10)
+    await fc.execute("hold", [])
+    # It turns round for a goal behind it, driving away from it first.
+    await fc.execute("goTo", [-12.0, 0.0, 0.0])
+    await fc.execute("returnHome", [])
+    await fc.execute("land", [])
     assert math.hypot(*b.autopilot.vehicle.place[:2]) < 2.5
     assert b.autopilot.mode == "HOLD"
 
 
-def test_a_rover_may_drive_round_on_its_way_to_a_circle(bench):
-    b = bench(kind="rover")
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("orbit", [-6.0, 0.0, 0.0, 3.0, 0.5, 0.25])
-
-    b.run(mission)
+@on_bench("bench", kind="rover")
+async def test_a_rover_may_drive_round_on_its_way_to_a_circle(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("orbit", [-6.0, 0.0, 0.0, 3.0, 0.5, 0.25])
     north, east, _ = b.autopilot.vehicle.place
     assert math.hypot(north + 6.0, east) == pytest.approx(3.0, abs=2.0)
 
@@ -154,33 +133,23 @@ def test_a_slow_rover_is_given_the_time_that_its_way_round_takes(bench, name):
     b.run(mission)
 
 
-def test_a_slow_vehicle_that_stands_is_given_up_all_the_same(bench):
-    b = bench(limits={"speed": 0.2})
-
-    async def mission(fc):
-        await up(fc)
-        flight = asyncio.create_task(fc.execute("goTo", [9.0, 0.0, -5.0]))
-        await asyncio.sleep(5.0)
-        b.autopilot.pace.change(0.001)
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"goTo gave up: no progress for 10 s, 8\.\d m from its goal"):
-            await flight
-        assert asyncio.get_running_loop().time() - start < 12.0
-
-    b.run(mission)
+@on_bench("bench", limits={"speed": 0.2})
+async def test_a_slow_vehicle_that_stands_is_given_up_all_the_same(b, fc, /):
+    await up(fc)
+    flight = asyncio.create_task(fc.execute("goTo", [9.0, 0.0, -5.0]))
+    await asyncio.sleep(5.0)
+    b.autopilot.pace.change(0.001)
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"goTo gave up: no progress for 10 s, 8\.\d m from its goal"):
+        await flight
+    assert asyncio.get_running_loop().time() - start < 12.0
 
 
-def test_px4_has_no_orbit_for_what_drives(bench):
-    b = bench(kind="rover", flavour="px4")
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        with pytest.raises(
-            DeviceError, match="orbit refused: PX4 orbits only with flying vehicles; use goTo"
-        ):
-            await fc.execute("orbit", [9.0, 0.0, 0.0, 4.0, 1.0, 1.0])
-
-    b.run(mission)
+@on_bench("bench", kind="rover", flavour="px4")
+async def test_px4_has_no_orbit_for_what_drives(b, fc, /):
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match="orbit refused: PX4 orbits only with flying vehicles; use goTo"):
+        await fc.execute("orbit", [9.0, 0.0, 0.0, 4.0, 1.0, 1.0])
 
 
 def test_a_rate_is_judged_by_what_it_should_have_turned():
@@ -314,28 +283,20 @@ def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_after_a_landing_it_can_be_armed_and_fly_again(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        for instruction in ("land", "returnHome"):
-            await up(fc)
-            await fc.execute(instruction, [])
-            assert not b.autopilot.armed
+@on_bench("bench", given="flavour")
+async def test_after_a_landing_it_can_be_armed_and_fly_again(b, fc, /, flavour):
+    for instruction in ("land", "returnHome"):
         await up(fc)
-
-    b.run(mission)
+        await fc.execute(instruction, [])
+        assert not b.autopilot.armed
+    await up(fc)
     assert b.autopilot.vehicle.airborne
 
 
-def test_a_landing_goes_on_below_home(bench, monkeypatch):
+@on_bench("bench")
+async def test_a_landing_goes_on_below_home(b, fc, /, monkeypatch):
     """A slope: where it comes down is 20 m lower than where it took off."""
-    b = bench()
-
-    async def mission(fc):
-        await up(fc, 9.0)
-        monkeypatch.setattr(VehicleState, "home_offset", (0.0, 0.0, -20.0))
-        await fc.execute("land", [])
-
-    b.run(mission)
+    await up(fc, 9.0)
+    monkeypatch.setattr(VehicleState, "home_offset", (0.0, 0.0, -20.0))
+    await fc.execute("land", [])
     assert not b.autopilot.armed

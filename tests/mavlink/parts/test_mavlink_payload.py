@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
@@ -34,47 +35,35 @@ def test_payload_is_moved_and_seen_to_have_moved(bench, flavour):
     b.run(mission)
 
 
-def test_the_winch_is_done_when_the_line_is_out(bench):
-    b = bench()
-
-    async def mission(fc):
-        start = asyncio.get_running_loop().time()
-        await fc.execute("winch", [3.0, 1.0])
-        assert asyncio.get_running_loop().time() - start > 2.5
-        assert b.autopilot.payload.line == pytest.approx(3.0, abs=0.15)
-        assert b.values["winchLine"] == pytest.approx(3.0, abs=0.15)
-        await fc.execute("winch", [-2.0, 1.0])
-        assert b.autopilot.payload.line == pytest.approx(1.0, abs=0.15)
-
-    b.run(mission)
+@on_bench("bench")
+async def test_the_winch_is_done_when_the_line_is_out(b, fc, /):
+    start = asyncio.get_running_loop().time()
+    await fc.execute("winch", [3.0, 1.0])
+    assert asyncio.get_running_loop().time() - start > 2.5
+    assert b.autopilot.payload.line == pytest.approx(3.0, abs=0.15)
+    assert b.values["winchLine"] == pytest.approx(3.0, abs=0.15)
+    await fc.execute("winch", [-2.0, 1.0])
+    assert b.autopilot.payload.line == pytest.approx(1.0, abs=0.15)
 
 
-def test_a_winch_that_is_cancelled_holds_its_line(bench):
-    b = bench()
-
-    async def mission(fc):
-        winding = asyncio.ensure_future(fc.execute("winch", [10.0, 1.0]))
-        await b.until(lambda: b.autopilot.payload.line > 2.0)
-        winding.cancel()
-        await fc.execute("stopWinch", [])
-        held = b.autopilot.payload.line
-        await asyncio.sleep(5.0)
-        assert b.autopilot.payload.line == pytest.approx(held, abs=0.1)
-        assert 2.0 < held < 4.0
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_winch_that_is_cancelled_holds_its_line(b, fc, /):
+    winding = asyncio.ensure_future(fc.execute("winch", [10.0, 1.0]))
+    await b.until(lambda: b.autopilot.payload.line > 2.0)
+    winding.cancel()
+    await fc.execute("stopWinch", [])
+    held = b.autopilot.payload.line
+    await asyncio.sleep(5.0)
+    assert b.autopilot.payload.line == pytest.approx(held, abs=0.1)
+    assert 2.0 < held < 4.0
 
 
-def test_a_relay_is_switched(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("setRelay", [1, True])
-        assert b.autopilot.payload.relays[1]
-        await fc.execute("setRelay", [1, False])
-        assert not b.autopilot.payload.relays[1]
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_relay_is_switched(b, fc, /):
+    await fc.execute("setRelay", [1, True])
+    assert b.autopilot.payload.relays[1]
+    await fc.execute("setRelay", [1, False])
+    assert not b.autopilot.payload.relays[1]
 
 
 def test_a_servo_that_stays_where_it_is_is_an_error(bench):
@@ -92,20 +81,16 @@ def test_a_servo_that_stays_where_it_is_is_an_error(bench):
     b.run(mission)
 
 
-def test_payload_works_beside_a_flight(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
-        await asyncio.sleep(0.5)
-        await fc.execute("closeGripper", [])
-        await fc.execute("winch", [1.0, 1.0])
-        assert not flight.done()
-        await flight
-
-    b.run(mission)
+@on_bench("bench")
+async def test_payload_works_beside_a_flight(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
+    await asyncio.sleep(0.5)
+    await fc.execute("closeGripper", [])
+    await fc.execute("winch", [1.0, 1.0])
+    assert not flight.done()
+    await flight
 
 
 @pytest.mark.parametrize(
@@ -126,16 +111,12 @@ def test_payload_works_beside_a_flight(bench):
         ("command", [-1, []]),
     ],
 )
-def test_nonsense_is_refused_before_anything_is_sent(bench, instruction, arguments):
-    b = bench()
-
-    async def mission(fc):
-        sent = len(b.sent)
-        with pytest.raises(DeviceError, match=instruction):
-            await fc.execute(instruction, arguments)
-        assert len(b.sent) == sent
-
-    b.run(mission)
+@on_bench("bench")
+async def test_nonsense_is_refused_before_anything_is_sent(b, fc, /, instruction, arguments):
+    sent = len(b.sent)
+    with pytest.raises(DeviceError, match=instruction):
+        await fc.execute(instruction, arguments)
+    assert len(b.sent) == sent
 
 
 def test_a_picture_whose_answer_is_lost_is_not_taken_twice(bench):
@@ -156,37 +137,29 @@ def test_a_picture_whose_answer_is_lost_is_not_taken_twice(bench):
     assert b.autopilot.payload.pictures == 1
 
 
-def test_home_is_set_on_the_ground_only(bench):
-    b = bench()
-
-    async def mission(fc):
-        latitude, longitude, altitude = b.values["globalPosition"]
-        await fc.execute("setHome", [latitude + 1e-4, longitude, altitude])
-        await asyncio.sleep(1.0)
-        assert b.values["position"][0] == pytest.approx(-11.13, abs=0.1)
-        await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match="the vehicle is armed"):
-            await fc.execute("setHome", [latitude, longitude, altitude])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_home_is_set_on_the_ground_only(b, fc, /):
+    latitude, longitude, altitude = b.values["globalPosition"]
+    await fc.execute("setHome", [latitude + 1e-4, longitude, altitude])
+    await asyncio.sleep(1.0)
+    assert b.values["position"][0] == pytest.approx(-11.13, abs=0.1)
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match="the vehicle is armed"):
+        await fc.execute("setHome", [latitude, longitude, altitude])
 
 
-def test_reboot_is_done_when_it_is_back_and_set_up_again(bench):
-    b = bench()
-
-    async def mission(fc):
-        await asyncio.sleep(20.0)
-        before = b.autopilot.uptime
+@on_bench("bench")
+async def test_reboot_is_done_when_it_is_back_and_set_up_again(b, fc, /):
+    await asyncio.sleep(20.0)
+    before = b.autopilot.uptime
+    await fc.execute("reboot", [])
+    assert b.autopilot.uptime < before
+    b.values.clear()
+    await asyncio.sleep(2.0)
+    assert "position" in b.values
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match="reboot refused: the vehicle is armed"):
         await fc.execute("reboot", [])
-        assert b.autopilot.uptime < before
-        b.values.clear()
-        await asyncio.sleep(2.0)
-        assert "position" in b.values
-        await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match="reboot refused: the vehicle is armed"):
-            await fc.execute("reboot", [])
-
-    b.run(mission)
 
 
 @pytest.mark.parametrize("seconds", [2.0, 5.0])
@@ -212,13 +185,11 @@ def test_a_reboot_takes_its_time_and_its_answer_may_be_lost(bench, monkeypatch, 
     b.run(mission)
 
 
-def test_raw_commands_give_their_result(bench):
-    async def mission(fc):
-        known = await fc.execute("command", [int(dialect.MAV_CMD_DO_SET_RELAY), [0.0, 1.0]])
-        unknown = await fc.execute("command", [31010, []])
-        return known, unknown
-
-    assert bench().run(mission) == (0, 3)
+@on_bench("bench")
+async def test_raw_commands_give_their_result(b, fc, /):
+    known = await fc.execute("command", [int(dialect.MAV_CMD_DO_SET_RELAY), [0.0, 1.0]])
+    unknown = await fc.execute("command", [31010, []])
+    assert (known, unknown) == (0, 3)
 
 
 MOVING = [
@@ -244,16 +215,12 @@ MOVING = [
 
 
 @pytest.mark.parametrize("number", sorted(map(int, MOVING)))
-def test_raw_commands_that_move_are_refused(bench, number):
-    b = bench()
-
-    async def mission(fc):
-        sent = len(b.sent)
-        with pytest.raises(DeviceError, match="use its instruction"):
-            await fc.execute("command", [number, []])
-        assert len(b.sent) == sent
-
-    b.run(mission)
+@on_bench("bench")
+async def test_raw_commands_that_move_are_refused(b, fc, /, number):
+    sent = len(b.sent)
+    with pytest.raises(DeviceError, match="use its instruction"):
+        await fc.execute("command", [number, []])
+    assert len(b.sent) == sent
     assert number in REFUSED
 
 

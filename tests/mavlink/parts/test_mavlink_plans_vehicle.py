@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.services.plan_items import Item, PlanKind, waypoints
@@ -35,46 +36,39 @@ async def until(condition, seconds=60.0):
 
 
 @BOTH
-def test_a_mission_is_flown_paused_and_finished(bench, flavour):
-    b = bench(flavour=flavour)
+@on_bench("bench", given="flavour")
+async def test_a_mission_is_flown_paused_and_finished(b, fc, /, flavour):
     places = [(20.0, 0.0, 8.0), (20.0, 20.0, 8.0), (0.0, 20.0, 8.0)]
 
-    async def mission(fc):
-        values = route(b, *places)
-        await fc.execute("uploadMission", [values])
-        assert await fc.execute("missionWaypoints", []) == pytest.approx(values, abs=1e-6)
-        await until(lambda: b.values.get("missionItem") == 0, 5.0)
-        assert b.values["missionReached"] == -1
-        await fly_up(fc)
-        await fc.execute("startMission", [])
-        await until(lambda: b.values["missionReached"] == 0)
-        assert b.values["missionItem"] == 1
-        await fc.execute("pauseMission", [])
-        await asyncio.sleep(3.0)
-        place = b.values["position"]
-        await asyncio.sleep(3.0)
-        assert b.values["position"] == pytest.approx(place, abs=0.2)
-        await fc.execute("startMission", [])
-        await until(lambda: b.values["missionReached"] == 2)
-        assert b.values["position"] == pytest.approx([0.0, 20.0, -8.0], abs=3.0)
-
-    b.run(mission)
+    values = route(b, *places)
+    await fc.execute("uploadMission", [values])
+    assert await fc.execute("missionWaypoints", []) == pytest.approx(values, abs=1e-6)
+    await until(lambda: b.values.get("missionItem") == 0, 5.0)
+    assert b.values["missionReached"] == -1
+    await fly_up(fc)
+    await fc.execute("startMission", [])
+    await until(lambda: b.values["missionReached"] == 0)
+    assert b.values["missionItem"] == 1
+    await fc.execute("pauseMission", [])
+    await asyncio.sleep(3.0)
+    place = b.values["position"]
+    await asyncio.sleep(3.0)
+    assert b.values["position"] == pytest.approx(place, abs=0.2)
+    await fc.execute("startMission", [])
+    await until(lambda: b.values["missionReached"] == 2)
+    assert b.values["position"] == pytest.approx([0.0, 20.0, -8.0], abs=3.0)
 
 
 @BOTH
-def test_a_mission_jumps_to_a_waypoint(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await fc.execute("uploadMission", [route(b, (9.0, 0.0, 5.0), (9.0, 9.0, 5.0), (0.0, 9.0, 5.0))])
-        await fc.execute("setMissionItem", [2])
-        await until(lambda: b.values.get("missionItem") == 2, 5.0)
-        with pytest.raises(DeviceError, match="waypoint 3 did not become the current one"):
-            await fc.execute("setMissionItem", [3])
-        with pytest.raises(DeviceError, match="no waypoint -1"):
-            await fc.execute("setMissionItem", [-1])
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_a_mission_jumps_to_a_waypoint(b, fc, /, flavour):
+    await fc.execute("uploadMission", [route(b, (9.0, 0.0, 5.0), (9.0, 9.0, 5.0), (0.0, 9.0, 5.0))])
+    await fc.execute("setMissionItem", [2])
+    await until(lambda: b.values.get("missionItem") == 2, 5.0)
+    with pytest.raises(DeviceError, match="waypoint 3 did not become the current one"):
+        await fc.execute("setMissionItem", [3])
+    with pytest.raises(DeviceError, match="no waypoint -1"):
+        await fc.execute("setMissionItem", [-1])
 
 
 @BOTH
@@ -111,23 +105,17 @@ def test_what_cannot_be_started_or_uploaded(bench, flavour):
 
 
 @BOTH
-def test_a_mission_that_others_made_is_held_to_the_limits(bench, flavour):
-    b = bench(flavour=flavour, limits={"radius": 50.0})
-
-    async def mission(fc):
-        await fly_up(fc)
-        # As another ground station would: past the checks of uploadMission.
-        await fc.plans.upload(PlanKind.MISSION, waypoints(route(b, (90.0, 0.0, 5.0)), yaw=0.0))
-        with pytest.raises(
-            DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"
-        ):
-            await fc.execute("startMission", [])
-        before, mode = len(b.sent), "auto.mission" if flavour == "px4" else "auto"
-        with pytest.raises(DeviceError, match=rf"setMode refused: {mode.upper()} .* call startMission\(\)"):
-            await fc.execute("setMode", [mode])
-        assert len(b.sent) == before
-
-    b.run(mission)
+@on_bench("bench", limits={"radius": 50.0}, given="flavour")
+async def test_a_mission_that_others_made_is_held_to_the_limits(b, fc, /, flavour):
+    await fly_up(fc)
+    # As another ground station would: past the checks of uploadMission.
+    await fc.plans.upload(PlanKind.MISSION, waypoints(route(b, (90.0, 0.0, 5.0)), yaw=0.0))
+    with pytest.raises(DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"):
+        await fc.execute("startMission", [])
+    before, mode = len(b.sent), "auto.mission" if flavour == "px4" else "auto"
+    with pytest.raises(DeviceError, match=rf"setMode refused: {mode.upper()} .* call startMission\(\)"):
+        await fc.execute("setMode", [mode])
+    assert len(b.sent) == before
 
 
 @BOTH
@@ -147,157 +135,128 @@ def test_a_mission_survives_a_bad_radio(bench, flavour):
 
 
 @BOTH
-def test_a_fence_is_set_extended_told_and_cleared(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        centre = at(b, 0.0, 0.0)
-        await fc.execute("setFenceCircle", [*centre, 60.0])
-        await fc.execute("excludePolygon", [[*at(b, 30, 0), *at(b, 30, 9), *at(b, 40, 0)]])
-        await fc.execute("excludeCircle", [*at(b, -30, 0), 5.0])
-        lines = (await fc.execute("fence", [])).splitlines()
-        assert [line.split()[:2] for line in lines] == [
-            ["inside", "circle"],
-            ["outside", "polygon"],
-            ["outside", "circle"],
-        ]
-        assert [float(n) for n in lines[0].split()[2:]] == pytest.approx([*centre, 60.0], abs=1e-6)
-        await fc.execute("fenceAction", ["return"])
-        name, value = ("GF_ACTION", 3.0) if flavour == "px4" else ("FENCE_ACTION", 1.0)
-        assert await fc.execute("parameter", [name]) == value
-        with pytest.raises(DeviceError, match="there is no 'explode' for a copter"):
-            await fc.execute("fenceAction", ["explode"])
-        await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
-        assert len((await fc.execute("fence", [])).splitlines()) == 1
-        await fc.execute("clearFence", [])
-        assert await fc.execute("fence", []) == ""
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_a_fence_is_set_extended_told_and_cleared(b, fc, /, flavour):
+    centre = at(b, 0.0, 0.0)
+    await fc.execute("setFenceCircle", [*centre, 60.0])
+    await fc.execute("excludePolygon", [[*at(b, 30, 0), *at(b, 30, 9), *at(b, 40, 0)]])
+    await fc.execute("excludeCircle", [*at(b, -30, 0), 5.0])
+    lines = (await fc.execute("fence", [])).splitlines()
+    assert [line.split()[:2] for line in lines] == [
+        ["inside", "circle"],
+        ["outside", "polygon"],
+        ["outside", "circle"],
+    ]
+    assert [float(n) for n in lines[0].split()[2:]] == pytest.approx([*centre, 60.0], abs=1e-6)
+    await fc.execute("fenceAction", ["return"])
+    name, value = ("GF_ACTION", 3.0) if flavour == "px4" else ("FENCE_ACTION", 1.0)
+    assert await fc.execute("parameter", [name]) == value
+    with pytest.raises(DeviceError, match="there is no 'explode' for a copter"):
+        await fc.execute("fenceAction", ["explode"])
+    await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
+    assert len((await fc.execute("fence", [])).splitlines()) == 1
+    await fc.execute("clearFence", [])
+    assert await fc.execute("fence", []) == ""
     if flavour == "ardupilot":
         assert b.autopilot.parameters["FENCE_ENABLE"] == 0.0
 
 
-def test_a_breach_is_told(bench):
-    b = bench(options={"tolerance": 1.0})
-
-    async def mission(fc):
-        await fc.execute("setFenceCircle", [*at(b, 0.0, 0.0), 30.0])
-        await fc.execute("fenceAction", ["report"])
-        assert b.autopilot.parameters["FENCE_ENABLE"] == 1.0
-        assert int(b.autopilot.parameters["FENCE_TYPE"]) & 4
-        await fly_up(fc)
-        await until(lambda: b.values.get("fenceBreached") is False, 5.0)
-        # A goal beyond it is ignored, so a gust takes it out.
-        with pytest.raises(
-            DeviceError, match=r"no progress .* its own fence has zones, which may be the reason"
-        ):
-            await fc.execute("goTo", [45.0, 0.0, -5.0])
-        b.autopilot.vehicle.place = (33.0, 0.0, -5.0)
-        await until(lambda: b.values["fenceBreached"], 5.0)
-
-    b.run(mission)
+@on_bench("bench", options={"tolerance": 1.0})
+async def test_a_breach_is_told(b, fc, /):
+    await fc.execute("setFenceCircle", [*at(b, 0.0, 0.0), 30.0])
+    await fc.execute("fenceAction", ["report"])
+    assert b.autopilot.parameters["FENCE_ENABLE"] == 1.0
+    assert int(b.autopilot.parameters["FENCE_TYPE"]) & 4
+    await fly_up(fc)
+    await until(lambda: b.values.get("fenceBreached") is False, 5.0)
+    # A goal beyond it is ignored, so a gust takes it out.
+    with pytest.raises(DeviceError, match=r"no progress .* its own fence has zones, which may be the reason"):
+        await fc.execute("goTo", [45.0, 0.0, -5.0])
+    b.autopilot.vehicle.place = (33.0, 0.0, -5.0)
+    await until(lambda: b.values["fenceBreached"], 5.0)
 
 
 @BOTH
-def test_rally_points(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        points = route(b, (20.0, 0.0, 10.0), (0.0, 20.0, 12.0))
-        await fc.execute("setRallyPoints", [points])
-        assert await fc.execute("rallyPoints", []) == pytest.approx(points, abs=1e-6)
-        await fc.execute("clearRallyPoints", [])
-        assert await fc.execute("rallyPoints", []) == []
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_rally_points(b, fc, /, flavour):
+    points = route(b, (20.0, 0.0, 10.0), (0.0, 20.0, 12.0))
+    await fc.execute("setRallyPoints", [points])
+    assert await fc.execute("rallyPoints", []) == pytest.approx(points, abs=1e-6)
+    await fc.execute("clearRallyPoints", [])
+    assert await fc.execute("rallyPoints", []) == []
 
 
 @BOTH
-def test_parameters(bench, flavour):
-    b = bench(flavour=flavour)
+@on_bench("bench", given="flavour")
+async def test_parameters(b, fc, /, flavour):
     real, whole = (
         ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE") if flavour == "px4" else ("PILOT_TKOFF_ALT", "RTL_LOIT_TIME")
     )
 
-    async def mission(fc):
-        for name, value in ((real, 4.5), (whole, 3.0)):
-            if name in b.autopilot.parameters:
-                await fc.execute("setParameter", [name, value])
-                assert await fc.execute("parameter", [name]) == value
-                assert b.autopilot.parameters[name] == value
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match="no answer about a parameter NOPE"):
-            await fc.execute("parameter", ["NOPE"])
-        assert asyncio.get_running_loop().time() - start <= 3.01
-        protected = "NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE"
-        with pytest.raises(DeviceError, match=f"its binding requires {protected}"):
-            await fc.execute("setParameter", [protected, 0.0])
-        lines = (await fc.execute("parameters", [])).splitlines()
-        assert len(lines) == len(b.autopilot.parameters)
-        assert lines == sorted(lines)
-
-    b.run(mission)
+    for name, value in ((real, 4.5), (whole, 3.0)):
+        if name in b.autopilot.parameters:
+            await fc.execute("setParameter", [name, value])
+            assert await fc.execute("parameter", [name]) == value
+            assert b.autopilot.parameters[name] == value
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match="no answer about a parameter NOPE"):
+        await fc.execute("parameter", ["NOPE"])
+    assert asyncio.get_running_loop().time() - start <= 3.01
+    protected = "NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE"
+    with pytest.raises(DeviceError, match=f"its binding requires {protected}"):
+        await fc.execute("setParameter", [protected, 0.0])
+    lines = (await fc.execute("parameters", [])).splitlines()
+    assert len(lines) == len(b.autopilot.parameters)
+    assert lines == sorted(lines)
 
 
 @BOTH
-def test_files(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await fc.execute("makeFolder", ["/notes"])
-        text = "grüezi\n" * 500
-        await fc.execute("writeFile", ["/notes/a.txt", text])
-        assert await fc.execute("listFiles", ["/notes"]) == "a.txt"
-        assert "notes/" in (await fc.execute("listFiles", ["/"])).splitlines()
-        assert await fc.execute("readFile", ["/notes/a.txt"]) == text
-        await fc.files.write("/notes/b", b"\xff\xfe")
-        with pytest.raises(DeviceError, match="2 bytes that are not text"):
-            await fc.execute("readFile", ["/notes/b"])
-        with pytest.raises(DeviceError, match="exceed the limit of 262144"):
-            await fc.execute("writeFile", ["/notes/c", "x" * 300_000])
-        await fc.execute("removeFile", ["/notes/a.txt"])
-        with pytest.raises(DeviceError, match="no such file"):
-            await fc.execute("readFile", ["/notes/a.txt"])
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_files(b, fc, /, flavour):
+    await fc.execute("makeFolder", ["/notes"])
+    text = "grüezi\n" * 500
+    await fc.execute("writeFile", ["/notes/a.txt", text])
+    assert await fc.execute("listFiles", ["/notes"]) == "a.txt"
+    assert "notes/" in (await fc.execute("listFiles", ["/"])).splitlines()
+    assert await fc.execute("readFile", ["/notes/a.txt"]) == text
+    await fc.files.write("/notes/b", b"\xff\xfe")
+    with pytest.raises(DeviceError, match="2 bytes that are not text"):
+        await fc.execute("readFile", ["/notes/b"])
+    with pytest.raises(DeviceError, match="exceed the limit of 262144"):
+        await fc.execute("writeFile", ["/notes/c", "x" * 300_000])
+    await fc.execute("removeFile", ["/notes/a.txt"])
+    with pytest.raises(DeviceError, match="no such file"):
+        await fc.execute("readFile", ["/notes/a.txt"])
 
 
-def test_a_service_ends_with_the_link(bench):
-    b = bench()
-
-    async def mission(fc):
-        values = route(b, *[(float(number), 0.0, 5.0) for number in range(1, 50)])
-        task = asyncio.create_task(fc.execute("uploadMission", [values]))
-        await asyncio.sleep(0)
-        b.cut, start = True, asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match="the link is lost") as raised:
-            await task
-        assert raised.value.kind == "DeviceTimeoutException"
-        assert asyncio.get_running_loop().time() - start <= 3.1
-        b.cut = False
-        await asyncio.sleep(2.0)
-        await fc.execute("uploadMission", [values])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_a_service_ends_with_the_link(b, fc, /):
+    values = route(b, *[(float(number), 0.0, 5.0) for number in range(1, 50)])
+    task = asyncio.create_task(fc.execute("uploadMission", [values]))
+    await asyncio.sleep(0)
+    b.cut, start = True, asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match="the link is lost") as raised:
+        await task
+    assert raised.value.kind == "DeviceTimeoutException"
+    assert asyncio.get_running_loop().time() - start <= 3.1
+    b.cut = False
+    await asyncio.sleep(2.0)
+    await fc.execute("uploadMission", [values])
 
 
-def test_the_state_of_the_link_is_told(bench):
-    b = bench()
-
-    async def mission(fc):
-        await until(lambda: "clockOffset" in b.values, 5.0)
-        await asyncio.sleep(2.0)
-        assert b.values["linkQuality"] == 1.0
-        assert b.values["packetsLost"] == 0
-        assert b.values["roundTrip"] < 0.5
-        told = b.values["clockOffset"]
-        true = b.autopilot.uptime - asyncio.get_running_loop().time()
-        assert told == pytest.approx(true, abs=0.5)
-        b.links[0].on_data(b"\xfd\x01\0\0\0\x01\x01\0\0\0\x07nonsense")
-        await asyncio.sleep(2.0)
-        assert b.values["packetsBroken"] >= 1
-
-    b.run(mission)
+@on_bench("bench")
+async def test_the_state_of_the_link_is_told(b, fc, /):
+    await until(lambda: "clockOffset" in b.values, 5.0)
+    await asyncio.sleep(2.0)
+    assert b.values["linkQuality"] == 1.0
+    assert b.values["packetsLost"] == 0
+    assert b.values["roundTrip"] < 0.5
+    told = b.values["clockOffset"]
+    true = b.autopilot.uptime - asyncio.get_running_loop().time()
+    assert told == pytest.approx(true, abs=0.5)
+    b.links[0].on_data(b"\xfd\x01\0\0\0\x01\x01\0\0\0\x07nonsense")
+    await asyncio.sleep(2.0)
+    assert b.values["packetsBroken"] >= 1
 
 
 # -- signing ----------------------------------------------------------------------------------------------
@@ -376,31 +335,23 @@ PRELUDE = [
 
 
 @BOTH
-def test_a_plan_whose_first_item_is_no_takeoff_is_flown_from_the_ground(bench, flavour):
-    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0})
-
-    async def mission(fc):
-        plan = [*PRELUDE, plan_item(b, 22), plan_item(b, 16, 15.0)]
-        await fc.plans.upload(PlanKind.MISSION, plan)
-        await fc.execute("arm", [])
-        await fc.execute("startMission", [])
-        await until(lambda: b.values["missionReached"] == len(plan) - 1)
-        assert b.values["position"] == pytest.approx([15.0, 0.0, -8.0], abs=1.5)
-
-    b.run(mission)
+@on_bench("bench", limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0}, given="flavour")
+async def test_a_plan_whose_first_item_is_no_takeoff_is_flown_from_the_ground(b, fc, /, flavour):
+    plan = [*PRELUDE, plan_item(b, 22), plan_item(b, 16, 15.0)]
+    await fc.plans.upload(PlanKind.MISSION, plan)
+    await fc.execute("arm", [])
+    await fc.execute("startMission", [])
+    await until(lambda: b.values["missionReached"] == len(plan) - 1)
+    assert b.values["position"] == pytest.approx([15.0, 0.0, -8.0], abs=1.5)
 
 
 @BOTH
-def test_a_plan_that_begins_with_a_waypoint_needs_a_takeoff_first(bench, flavour):
-    b = bench(flavour=flavour)
-
-    async def mission(fc):
-        await fc.plans.upload(PlanKind.MISSION, [*PRELUDE, plan_item(b, 16, 15.0), plan_item(b, 22)])
-        await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match="is on the ground"):
-            await fc.execute("startMission", [])
-
-    b.run(mission)
+@on_bench("bench", given="flavour")
+async def test_a_plan_that_begins_with_a_waypoint_needs_a_takeoff_first(b, fc, /, flavour):
+    await fc.plans.upload(PlanKind.MISSION, [*PRELUDE, plan_item(b, 16, 15.0), plan_item(b, 22)])
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match="is on the ground"):
+        await fc.execute("startMission", [])
 
 
 #: Items that a real copter takes, by autopilot.
@@ -409,89 +360,73 @@ TAKEN = [("ardupilot", n) for n in (30, 31, 36, 82, 84, 85, 94)] + [("px4", n) f
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize(("flavour", "number"), TAKEN)
-def test_items_beyond_the_limits_are_taken_by_the_vehicle_and_not_started(bench, flavour, number):
-    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0})
-
-    async def mission(fc):
-        await fly_up(fc)
-        for bad in (plan_item(b, number, 1000.0), plan_item(b, number, 5.0, height=200.0)):
-            await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), bad])
-            with pytest.raises(DeviceError, match=r"startMission: .*(1|the arc of item 1)[, ].*refused"):
-                await fc.execute("startMission", [])
-
-    b.run(mission)
+@on_bench("bench", limits={"altitude": 20.0, "radius": 50.0}, given="flavour")
+async def test_items_beyond_the_limits_are_taken_by_the_vehicle_and_not_started(b, fc, /, flavour, number):
+    await fly_up(fc)
+    for bad in (plan_item(b, number, 1000.0), plan_item(b, number, 5.0, height=200.0)):
+        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), bad])
+        with pytest.raises(DeviceError, match=r"startMission: .*(1|the arc of item 1)[, ].*refused"):
+            await fc.execute("startMission", [])
 
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize(("flavour", "number"), [each for each in TAKEN if each[1] != 30])
-def test_items_inside_the_limits_are_flown(bench, flavour, number):
-    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0})
-
-    async def mission(fc):
-        values = (5.0 if number == 94 else 0.0, 0.0, 0.0, 0.0)
-        plan = [plan_item(b, number, 10.0, parameters=values)]
-        if number in (84, 85):
-            plan = [plan_item(b, 84), plan_item(b, 16, 10.0), plan_item(b, 85, 10.0)]
-            await fc.plans.upload(PlanKind.MISSION, plan)
-            await fc.execute("arm", [])
-        else:
-            await fc.plans.upload(PlanKind.MISSION, plan)
-            await fly_up(fc)
-        await fc.execute("startMission", [])
-        await until(lambda: b.values["missionReached"] == len(plan) - 1, 90.0)
-        assert b.values["position"][0] == pytest.approx(10.0, abs=1.5)
-        if number in (84, 85):
-            await until(lambda: not b.values["armed"])
-        elif number != 94:
-            assert b.values["position"][2] == pytest.approx(-8.0, abs=1.5)
-
-    b.run(mission)
+@on_bench("bench", limits={"altitude": 20.0, "radius": 50.0}, given="flavour")
+async def test_items_inside_the_limits_are_flown(b, fc, /, flavour, number):
+    values = (5.0 if number == 94 else 0.0, 0.0, 0.0, 0.0)
+    plan = [plan_item(b, number, 10.0, parameters=values)]
+    if number in (84, 85):
+        plan = [plan_item(b, 84), plan_item(b, 16, 10.0), plan_item(b, 85, 10.0)]
+        await fc.plans.upload(PlanKind.MISSION, plan)
+        await fc.execute("arm", [])
+    else:
+        await fc.plans.upload(PlanKind.MISSION, plan)
+        await fly_up(fc)
+    await fc.execute("startMission", [])
+    await until(lambda: b.values["missionReached"] == len(plan) - 1, 90.0)
+    assert b.values["position"][0] == pytest.approx(10.0, abs=1.5)
+    if number in (84, 85):
+        await until(lambda: not b.values["armed"])
+    elif number != 94:
+        assert b.values["position"][2] == pytest.approx(-8.0, abs=1.5)
 
 
 @BOTH
-def test_a_mission_that_another_station_changes_meanwhile_is_held(bench, flavour):
-    b = bench(flavour=flavour, limits={"radius": 50.0})
+@on_bench("bench", limits={"radius": 50.0}, given="flavour")
+async def test_a_mission_that_another_station_changes_meanwhile_is_held(b, fc, /, flavour):
+    await fly_up(fc)
+    await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 20.0)])
+    download = fc.plans.download
 
-    async def mission(fc):
-        await fly_up(fc)
-        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 20.0)])
-        download = fc.plans.download
+    async def changed(kind):
+        items = await download(kind)
+        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 900.0)])
+        return items
 
-        async def changed(kind):
-            items = await download(kind)
-            await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 900.0)])
-            return items
-
-        fc.plans.download = changed
-        with pytest.raises(DeviceError, match=r"startMission: holding, .* beyond the limit of 50 m"):
-            await fc.execute("startMission", [])
-        await asyncio.sleep(5.0)
-        assert abs(b.values["position"][0]) < 10.0
-        assert b.values["mode"] != fc.profile.mission
-
-    b.run(mission)
-
-
-def test_a_mission_in_its_middle_is_not_begun_on_the_ground(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 22), plan_item(b, 16, 9.0), plan_item(b, 21)])
-        await fc.execute("arm", [])
+    fc.plans.download = changed
+    with pytest.raises(DeviceError, match=r"startMission: holding, .* beyond the limit of 50 m"):
         await fc.execute("startMission", [])
-        await until(lambda: not b.values["armed"])
-        # It is over, and begins anew.
-        await fc.execute("arm", [])
-        await fc.execute("startMission", [])
-        await until(lambda: b.values["missionItem"] == 1)
-        await fc.execute("land", [])
-        await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match=r"is on the ground, and waypoint 1 is not a takeoff"):
-            await fc.execute("startMission", [])
-        await fc.execute("setMissionItem", [0])
-        await fc.execute("startMission", [])
+    await asyncio.sleep(5.0)
+    assert abs(b.values["position"][0]) < 10.0
+    assert b.values["mode"] != fc.profile.mission
 
-    b.run(mission)
+
+@on_bench("bench")
+async def test_a_mission_in_its_middle_is_not_begun_on_the_ground(b, fc, /):
+    await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 22), plan_item(b, 16, 9.0), plan_item(b, 21)])
+    await fc.execute("arm", [])
+    await fc.execute("startMission", [])
+    await until(lambda: not b.values["armed"])
+    # It is over, and begins anew.
+    await fc.execute("arm", [])
+    await fc.execute("startMission", [])
+    await until(lambda: b.values["missionItem"] == 1)
+    await fc.execute("land", [])
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match=r"is on the ground, and waypoint 1 is not a takeoff"):
+        await fc.execute("startMission", [])
+    await fc.execute("setMissionItem", [0])
+    await fc.execute("startMission", [])
 
 
 @BOTH
@@ -530,18 +465,14 @@ def test_a_return_is_held_to_the_limits(bench, flavour):
 
 
 @BOTH
-def test_rally_points_beyond_the_limits_are_refused(bench, flavour):
-    b = bench(flavour=flavour, limits={"radius": 50.0})
-
-    async def mission(fc):
-        await fly_up(fc)
-        with pytest.raises(DeviceError, match=r"setRallyPoints: rally point 1 refused: .* limit of 50 m"):
-            await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0), (90.0, 0.0, 5.0))])
-        await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 90.0)])
-        await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), Item(20, 2, 0, 0)])
-        with pytest.raises(DeviceError, match=r"startMission: rally point 0 refused"):
-            await fc.execute("startMission", [])
-        await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0))])
+@on_bench("bench", limits={"radius": 50.0}, given="flavour")
+async def test_rally_points_beyond_the_limits_are_refused(b, fc, /, flavour):
+    await fly_up(fc)
+    with pytest.raises(DeviceError, match=r"setRallyPoints: rally point 1 refused: .* limit of 50 m"):
+        await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0), (90.0, 0.0, 5.0))])
+    await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 90.0)])
+    await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), Item(20, 2, 0, 0)])
+    with pytest.raises(DeviceError, match=r"startMission: rally point 0 refused"):
         await fc.execute("startMission", [])
-
-    b.run(mission)
+    await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0))])
+    await fc.execute("startMission", [])

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.vehicle_state import PREARM, VehicleState
@@ -66,80 +67,62 @@ def test_what_was_told_long_ago_is_not_known():
 @pytest.mark.parametrize(
     ("kind", "flavour"), [("copter", "ardupilot"), ("rover", "ardupilot"), ("copter", "px4")]
 )
-def test_from_cold_it_waits_until_it_can_be_armed_and_is(bench, kind, flavour):
-    b = bench(kind=kind, flavour=flavour, warm_up=43.0, options={"connect": 45.0})
-
-    async def mission(fc):
-        assert await fc.execute("isReady", []) is False
-        with pytest.raises(DeviceError, match="arm refused"):
-            await fc.execute("arm", [])
-        await fc.execute("waitReady", [90.0])
-        assert await fc.execute("isReady", []) is True
-        assert await fc.execute("whyNotReady", []) == ""
-        assert 42.0 < b.autopilot.uptime < 50.0
+@on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind flavour")
+async def test_from_cold_it_waits_until_it_can_be_armed_and_is(b, fc, /, kind, flavour):
+    assert await fc.execute("isReady", []) is False
+    with pytest.raises(DeviceError, match="arm refused"):
         await fc.execute("arm", [])
-
-    b.run(mission)
+    await fc.execute("waitReady", [90.0])
+    assert await fc.execute("isReady", []) is True
+    assert await fc.execute("whyNotReady", []) == ""
+    assert 42.0 < b.autopilot.uptime < 50.0
+    await fc.execute("arm", [])
 
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize("after", [5.0, 15.0, 25.0, 33.0, 36.5])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_checks_that_pass_in_another_mode_are_no_readiness(bench, kind, after):
+@on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind")
+async def test_checks_that_pass_in_another_mode_are_no_readiness(b, fc, /, kind, after):
     """The first mode needs no position, and says so by the bit: the wait is for that to be armed in."""
-    b = bench(kind=kind, warm_up=43.0, options={"connect": 45.0})
-
-    async def mission(fc):
-        await asyncio.sleep(after)
-        if why := await fc.execute("whyNotReady", []):
-            assert "Arm: " in why or f"checks are for {b.autopilot.mode}, but it is armed in GUIDED" in why
-        await fc.execute("waitReady", [90.0])
-        await fc.execute("arm", [])
-        assert 42.0 < b.autopilot.uptime < 50.0
-
-    b.run(mission)
+    await asyncio.sleep(after)
+    if why := await fc.execute("whyNotReady", []):
+        assert "Arm: " in why or f"checks are for {b.autopilot.mode}, but it is armed in GUIDED" in why
+    await fc.execute("waitReady", [90.0])
+    await fc.execute("arm", [])
+    assert 42.0 < b.autopilot.uptime < 50.0
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_wait_in_vain_is_bounded_and_says_why(bench, flavour):
-    b = bench(flavour=flavour, refuse_arming="Compass not calibrated")
-
-    async def mission(fc):
-        assert await fc.execute("isReady", []) is False
-        with pytest.raises(DeviceError, match="Compass not calibrated"):
-            await fc.execute("arm", [])
-        before = len(b.sent)
-        assert "Compass not calibrated" in await fc.execute("whyNotReady", [])
-        assert any(data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG for data in b.sent[before:])
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"cannot be armed after 10 s: .*Compass not calibrated"):
-            await fc.execute("waitReady", [10.0])
-        assert asyncio.get_running_loop().time() - start < 13.0
-        assert "mavlink-not-armable" in [note.code for note in b.notes]
-
-    b.run(mission)
+@on_bench("bench", refuse_arming="Compass not calibrated", given="flavour")
+async def test_a_wait_in_vain_is_bounded_and_says_why(b, fc, /, flavour):
+    assert await fc.execute("isReady", []) is False
+    with pytest.raises(DeviceError, match="Compass not calibrated"):
+        await fc.execute("arm", [])
+    before = len(b.sent)
+    assert "Compass not calibrated" in await fc.execute("whyNotReady", [])
+    assert any(data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG for data in b.sent[before:])
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"cannot be armed after 10 s: .*Compass not calibrated"):
+        await fc.execute("waitReady", [10.0])
+    assert asyncio.get_running_loop().time() - start < 13.0
+    assert "mavlink-not-armable" in [note.code for note in b.notes]
 
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
-def test_a_wait_needs_a_bound(bench, seconds):
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="requires seconds of at least 0"):
-            await fc.execute("waitReady", [seconds])
-
-    bench().run(mission)
+@on_bench("bench")
+async def test_a_wait_needs_a_bound(b, fc, /, seconds):
+    with pytest.raises(DeviceError, match="requires seconds of at least 0"):
+        await fc.execute("waitReady", [seconds])
 
 
-def test_one_that_is_not_heard_is_not_ready(bench):
-    b = bench()
-
-    async def mission(fc):
-        assert await fc.execute("isReady", []) is True
-        b.cut = True
-        await asyncio.sleep(4.0)
-        assert await fc.execute("isReady", []) is False
-        assert "no message for" in await fc.execute("whyNotReady", [])
-
-    b.run(mission)
+@on_bench("bench")
+async def test_one_that_is_not_heard_is_not_ready(b, fc, /):
+    assert await fc.execute("isReady", []) is True
+    b.cut = True
+    await asyncio.sleep(4.0)
+    assert await fc.execute("isReady", []) is False
+    assert "no message for" in await fc.execute("whyNotReady", [])
 
 
 @pytest.mark.few(10)

@@ -7,6 +7,7 @@ import math
 import re
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
@@ -35,188 +36,144 @@ async def watched(fc, seconds=120.0):
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(bench, flavour):
-    b = bench(flavour=flavour, waivers=("device_watchdog",))
-
-    async def mission(fc):
-        assert fc.moving() == ""
-        await up(fc)
-        await fc.make_safe()
-        await asyncio.sleep(2.0)
-        assert SINKS.fullmatch(fc.moving()), fc.moving()
-        words, _ = await watched(fc)
-        assert words[-1] == "on the ground, motors on"
-        assert not b.autopilot.armed
-
-    b.run(mission)
+@on_bench("bench", waivers=("device_watchdog",), given="flavour")
+async def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(b, fc, /, flavour):
+    assert fc.moving() == ""
+    await up(fc)
+    await fc.make_safe()
+    await asyncio.sleep(2.0)
+    assert SINKS.fullmatch(fc.moving()), fc.moving()
+    words, _ = await watched(fc)
+    assert words[-1] == "on the ground, motors on"
+    assert not b.autopilot.armed
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_copter_that_returns_is_told_all_the_way(bench, flavour):
-    b = bench(flavour=flavour, safe_state="return")
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("goTo", [30.0, 0.0, -5.0])
-        await fc.make_safe()
-        words, _ = await watched(fc)
-        assert any("moving at # m/s, # m from home" in told for told in words)
-        assert any("sinking" in told for told in words)
-        assert not b.autopilot.armed
-
-    b.run(mission)
+@on_bench("bench", safe_state="return", given="flavour")
+async def test_a_copter_that_returns_is_told_all_the_way(b, fc, /, flavour):
+    await up(fc)
+    await fc.execute("goTo", [30.0, 0.0, -5.0])
+    await fc.make_safe()
+    words, _ = await watched(fc)
+    assert any("moving at # m/s, # m from home" in told for told in words)
+    assert any("sinking" in told for told in words)
+    assert not b.autopilot.armed
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_copter_that_is_to_hover_is_at_rest_when_it_hovers(bench, flavour):
-    b = bench(flavour=flavour, safe_state="hold")
+@on_bench("bench", safe_state="hold", given="flavour")
+async def test_a_copter_that_is_to_hover_is_at_rest_when_it_hovers(b, fc, /, flavour):
+    await up(fc)
+    for _ in range(8):
+        await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+        await asyncio.sleep(0.2)
+    await fc.make_safe()
+    words, _ = await watched(fc, 10.0)
+    assert words[0] == "# m up, moving at # m/s"
+    assert b.autopilot.vehicle.airborne
+    assert b.autopilot.armed
 
-    async def mission(fc):
-        await up(fc)
-        for _ in range(8):
-            await fc.execute("setVelocity", [3.0, 0.0, 0.0])
-            await asyncio.sleep(0.2)
+
+@on_bench("bench")
+async def test_a_vehicle_that_is_not_heard_is_not_at_rest(b, fc, /):
+    await up(fc)
+    await fc.make_safe()
+    await asyncio.sleep(1.0)
+    b.cut = True
+    await asyncio.sleep(4.0)
+    assert re.fullmatch(r"no message for [34]\.\d s, last seen 4\.\d m up, .*", fc.moving()), fc.moving()
+    b.cut = False
+    await watched(fc)
+
+
+@on_bench("bench")
+async def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_off(b, fc, /):
+    await fc.make_safe()
+    b.cut = True
+    await asyncio.sleep(4.0)
+    assert re.fullmatch(r"no message for \d\.\d s, last seen with its motors off", fc.moving())
+
+
+@on_bench("bench")
+async def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motors_are_off(b, fc, /):
+    await up(fc)
+    await fc.make_safe()
+    await asyncio.sleep(2.0)
+    b.autopilot.command_mode("STABILIZE")
+    await asyncio.sleep(2.0)
+    assert re.match(r"flown by a pilot in STABILIZE, \d\.\d m up", fc.moving()), fc.moving()
+    for _ in range(3):
         await fc.make_safe()
-        words, _ = await watched(fc, 10.0)
-        assert words[0] == "# m up, moving at # m/s"
-        assert b.autopilot.vehicle.airborne
-        assert b.autopilot.armed
-
-    b.run(mission)
-
-
-def test_a_vehicle_that_is_not_heard_is_not_at_rest(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        await fc.make_safe()
-        await asyncio.sleep(1.0)
-        b.cut = True
-        await asyncio.sleep(4.0)
-        assert re.fullmatch(r"no message for [34]\.\d s, last seen 4\.\d m up, .*", fc.moving()), fc.moving()
-        b.cut = False
-        await watched(fc)
-
-    b.run(mission)
-
-
-def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_off(bench):
-    b = bench()
-
-    async def mission(fc):
-        await fc.make_safe()
-        b.cut = True
-        await asyncio.sleep(4.0)
-        assert re.fullmatch(r"no message for \d\.\d s, last seen with its motors off", fc.moving())
-
-    b.run(mission)
-
-
-def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motors_are_off(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        await fc.make_safe()
-        await asyncio.sleep(2.0)
-        b.autopilot.command_mode("STABILIZE")
-        await asyncio.sleep(2.0)
-        assert re.match(r"flown by a pilot in STABILIZE, \d\.\d m up", fc.moving()), fc.moving()
-        for _ in range(3):
-            await fc.make_safe()
-        assert b.autopilot.mode == "STABILIZE"
-        assert sum("not commanded: it is in" in note for note in b.notes) == 1
-        b.cut = True
-        await asyncio.sleep(5.0)
-        assert "no message for" in fc.moving()
-        b.cut = False
-        b.autopilot.disarm(force=True)
-        await asyncio.sleep(2.0)
-        assert fc.moving() == ""
-
-    b.run(mission)
+    assert b.autopilot.mode == "STABILIZE"
+    assert sum("not commanded: it is in" in note for note in b.notes) == 1
+    b.cut = True
+    await asyncio.sleep(5.0)
+    assert "no message for" in fc.moving()
+    b.cut = False
+    b.autopilot.disarm(force=True)
+    await asyncio.sleep(2.0)
+    assert fc.moving() == ""
 
 
 @pytest.mark.parametrize("role", ["go_home", "brake"])
-def test_what_a_failsafe_has_taken_is_watched_on(bench, role):
+@on_bench("bench")
+async def test_what_a_failsafe_has_taken_is_watched_on(b, fc, /, role):
     """Nobody has it: to leave it would take our heartbeats away, and another failsafe would come."""
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        await fc.make_safe()
-        await asyncio.sleep(2.0)
-        b.autopilot.go_home() if role == "go_home" else b.autopilot.command_mode("BRAKE")
-        await asyncio.sleep(2.0)
-        mode = "RTL" if role == "go_home" else "BRAKE"
-        assert fc.moving().endswith(f", in {mode}"), fc.moving()
-        if role == "go_home":
-            await watched(fc)
-            assert not b.autopilot.armed
-
-    b.run(mission)
-
-
-def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(bench):
-    b = bench()
-
-    async def mission(fc):
-        await up(fc)
-        b.autopilot.go_home()
-        await asyncio.sleep(1.5)
-        await fc.make_safe()
-        assert any("not commanded: it is in" in note for note in b.notes)
-        assert "in RTL" in fc.moving()
+    await up(fc)
+    await fc.make_safe()
+    await asyncio.sleep(2.0)
+    b.autopilot.go_home() if role == "go_home" else b.autopilot.command_mode("BRAKE")
+    await asyncio.sleep(2.0)
+    mode = "RTL" if role == "go_home" else "BRAKE"
+    assert fc.moving().endswith(f", in {mode}"), fc.moving()
+    if role == "go_home":
         await watched(fc)
-
-    b.run(mission)
-
-
-def test_one_that_is_led_out_of_its_safe_state_is_not_at_rest(bench):
-    b = bench(safe_state="hold")
-
-    async def mission(fc):
-        await up(fc)
-        await fc.make_safe()
-        await watched(fc)
-        b.autopilot.command_mode("GUIDED")
-        await asyncio.sleep(2.0)
-        assert re.fullmatch(r"\d\.\d m up, in GUIDED", fc.moving()), fc.moving()
-
-    b.run(mission)
+        assert not b.autopilot.armed
 
 
-def test_a_rover_is_at_rest_when_it_stands(bench):
-    b = bench(kind="rover", safe_state="hold")
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        for _ in range(8):
-            await fc.execute("setVelocity", [2.0, 0.0, 0.0])
-            await asyncio.sleep(0.2)
-        await fc.make_safe()
-        words, seconds = await watched(fc, 10.0)
-        assert words == ["motors on, moving at # m/s"]
-        assert seconds > 0.0
-        assert b.autopilot.armed
-
-    b.run(mission)
+@on_bench("bench")
+async def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(b, fc, /):
+    await up(fc)
+    b.autopilot.go_home()
+    await asyncio.sleep(1.5)
+    await fc.make_safe()
+    assert any("not commanded: it is in" in note for note in b.notes)
+    assert "in RTL" in fc.moving()
+    await watched(fc)
 
 
-def test_a_rover_that_returns_is_at_rest_at_home_and_not_before(bench):
-    b = bench(kind="rover", safe_state="return")
+@on_bench("bench", safe_state="hold")
+async def test_one_that_is_led_out_of_its_safe_state_is_not_at_rest(b, fc, /):
+    await up(fc)
+    await fc.make_safe()
+    await watched(fc)
+    b.autopilot.command_mode("GUIDED")
+    await asyncio.sleep(2.0)
+    assert re.fullmatch(r"\d\.\d m up, in GUIDED", fc.moving()), fc.moving()
 
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("goTo", [15.0, 0.0, 0.0])
-        await fc.make_safe()
-        assert fc.moving(), "it only begins to drive"
-        await watched(fc)
-        assert math.hypot(*b.autopilot.vehicle.place[:2]) < 6.0
 
-    b.run(mission)
+@on_bench("bench", kind="rover", safe_state="hold")
+async def test_a_rover_is_at_rest_when_it_stands(b, fc, /):
+    await fc.execute("arm", [])
+    for _ in range(8):
+        await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+        await asyncio.sleep(0.2)
+    await fc.make_safe()
+    words, seconds = await watched(fc, 10.0)
+    assert words == ["motors on, moving at # m/s"]
+    assert seconds > 0.0
+    assert b.autopilot.armed
+
+
+@on_bench("bench", kind="rover", safe_state="return")
+async def test_a_rover_that_returns_is_at_rest_at_home_and_not_before(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("goTo", [15.0, 0.0, 0.0])
+    await fc.make_safe()
+    assert fc.moving(), "it only begins to drive"
+    await watched(fc)
+    assert math.hypot(*b.autopilot.vehicle.place[:2]) < 6.0
 
 
 # -- what is said of states that the fakes do not have -------------------------------------------------
@@ -339,22 +296,18 @@ def test_a_rover_in_the_hands_of_a_pilot():
 
 
 @pytest.mark.parametrize("order", [("goTo", [20.0, 0.0, -5.0]), ("setVelocity", [1.0, 0.0, 0.0])])
-def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(bench, order):
+@on_bench("bench", flavour="px4", safe_state="hold")
+async def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(b, fc, /, order):
     """Else the next safe state would be left to a pilot whom there is not."""
-    b = bench(flavour="px4", safe_state="hold")
-
-    async def mission(fc):
-        await up(fc)
-        landing = asyncio.create_task(fc.execute("land", []))
-        await asyncio.sleep(2.0)
-        landing.cancel()
-        stream = b.driver.devices["a1.fc"].motion.stream
-        stream.start = stream.follow = lambda *_: None
-        with pytest.raises(DeviceError):
-            await fc.execute(*order)
-        assert b.autopilot.mode == "AUTO.LAND"
-        await fc.make_safe()
-        assert b.autopilot.mode == "AUTO.LOITER"
-        assert not any("not commanded: it is in" in note for note in b.notes)
-
-    b.run(mission)
+    await up(fc)
+    landing = asyncio.create_task(fc.execute("land", []))
+    await asyncio.sleep(2.0)
+    landing.cancel()
+    stream = b.driver.devices["a1.fc"].motion.stream
+    stream.start = stream.follow = lambda *_: None
+    with pytest.raises(DeviceError):
+        await fc.execute(*order)
+    assert b.autopilot.mode == "AUTO.LAND"
+    await fc.make_safe()
+    assert b.autopilot.mode == "AUTO.LOITER"
+    assert not any("not commanded: it is in" in note for note in b.notes)

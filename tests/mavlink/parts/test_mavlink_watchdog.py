@@ -6,6 +6,7 @@ import asyncio
 import itertools
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.driver.settings import mismatched
 from lfield.errors import DeviceError, DeviceNotSetUp
@@ -49,16 +50,12 @@ def told(uid, uid2):
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_it_is_told_by_its_board_also_after_a_reboot(bench, flavour):
-    b = bench(flavour=flavour, board=0x3F21, faults=("loss=0.2",))
-
-    async def story(fc):
-        first = await fc.serial()
-        b.autopilot.reboot()
-        await fc.find()
-        return {first, await fc.serial()}
-
-    assert b.run(story) == {"uid 000000000000000000003f21"}
+@on_bench("bench", board=0x3F21, faults=("loss=0.2",), given="flavour")
+async def test_it_is_told_by_its_board_also_after_a_reboot(b, fc, /, flavour):
+    first = await fc.serial()
+    b.autopilot.reboot()
+    await fc.find()
+    assert {first, await fc.serial()} == {"uid 000000000000000000003f21"}
 
 
 @pytest.mark.parametrize(
@@ -221,15 +218,11 @@ def test_a_parameter_that_cannot_be_written_is_told(bench):
     b.run(story, opened=False)
 
 
-def test_nothing_is_written_while_it_is_armed(bench):
-    b = bench()
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match="nothing was written: its motors are on"):
-            await fc.write_setting("FS_GCS_TIMEOUT", 5.0)
-
-    b.run(story)
+@on_bench("bench")
+async def test_nothing_is_written_while_it_is_armed(b, fc, /):
+    await fc.execute("arm", [])
+    with pytest.raises(DeviceError, match="nothing was written: its motors are on"):
+        await fc.write_setting("FS_GCS_TIMEOUT", 5.0)
     assert written(b) == []
 
 
@@ -259,54 +252,42 @@ def test_an_older_name_of_a_parameter_is_found(bench):
     assert "SYSID_MYGCS is 1 and must be 128" in b.run(mission, opened=False)
 
 
-def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(bench):
-    b = bench(ttl=1.0, waivers=())
-
-    async def mission(fc):
-        b.autopilot.parameters["FS_GCS_ENABLE"] = 0
-        b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
-        with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, and 1 more"):
-            await fc.execute("arm", [])
-        told = [note for note in b.notes if note.code == "setting-mismatch"]
-        assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in told)
-        assert not b.autopilot.armed
-        assert b.values["gcsFailsafe"] is False
-
-    b.run(mission)
+@on_bench("bench", ttl=1.0, waivers=())
+async def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(b, fc, /):
+    b.autopilot.parameters["FS_GCS_ENABLE"] = 0
+    b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
+    with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, and 1 more"):
+        await fc.execute("arm", [])
+    told = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in told)
+    assert not b.autopilot.armed
+    assert b.values["gcsFailsafe"] is False
     assert written(b) == []
 
 
 @pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.0), ("px4", 0.5, 2.0)])
-def test_when_we_are_quiet_the_autopilot_acts_by_itself(bench, flavour, ttl, within):
-    b = bench(flavour=flavour, ttl=ttl, waivers=())
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        b.driver.quiet()
-        sent = len(b.sent)
-        await asyncio.sleep(within)
-        assert b.autopilot.mode in ("LAND", "AUTO.LAND")
-        assert len(b.sent) == sent
-        # The safe state is still sent, and heartbeats come again when the owner does.
-        await fc.make_safe()
-        b.driver.resume()
-        await asyncio.sleep(1.0)
-        assert len(b.sent) > sent
-
-    b.run(mission)
+@on_bench("bench", waivers=(), given="flavour ttl")
+async def test_when_we_are_quiet_the_autopilot_acts_by_itself(b, fc, /, flavour, ttl, within):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    b.driver.quiet()
+    sent = len(b.sent)
+    await asyncio.sleep(within)
+    assert b.autopilot.mode in ("LAND", "AUTO.LAND")
+    assert len(b.sent) == sent
+    # The safe state is still sent, and heartbeats come again when the owner does.
+    await fc.make_safe()
+    b.driver.resume()
+    await asyncio.sleep(1.0)
+    assert len(b.sent) > sent
 
 
-def test_our_heartbeats_keep_it_flying(bench):
-    b = bench(ttl=1.0, waivers=(), faults=("loss=0.2",))
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
-        await asyncio.sleep(60.0)
-        assert b.autopilot.mode == "GUIDED"
-
-    b.run(mission)
+@on_bench("bench", ttl=1.0, waivers=(), faults=("loss=0.2",))
+async def test_our_heartbeats_keep_it_flying(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [5.0])
+    await asyncio.sleep(60.0)
+    assert b.autopilot.mode == "GUIDED"
 
 
 def test_every_kind_has_a_time_that_counts():

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -38,154 +39,122 @@ async def ended(flight):
     return error.value.reason
 
 
-def test_sticks_take_over_and_the_setpoints_end(px4):
-    b = px4()
-
-    async def story(fc):
-        flight = await away(fc)
-        b.faults.apply(["sticks=true"])
-        start = b.autopilot.now
-        reason = await ended(flight)
-        assert b.autopilot.now - start < 1.0
-        assert "goTo ended early: the vehicle went to POSCTL" in reason
-        assert "Pilot took over using sticks" in reason
-        await asyncio.sleep(1.5)
-        before = len(b.sent)
-        await asyncio.sleep(2.0)
-        assert targets(b, before) == [], "a switch to OFFBOARD must find no old target"
-        assert b.autopilot.mode == "POSCTL"
-        for what, values in (("goTo", [0.0, 0.0, -8.0]), ("hold", [])):
-            with pytest.raises(DeviceError, match=f"{what} refused: the vehicle is in POSCTL"):
-                await fc.execute(what, values)
-        await fc.make_safe()
-        assert b.autopilot.mode == "POSCTL", "it is left to the pilot"
-
-    b.run(story)
+@on_bench("px4")
+async def test_sticks_take_over_and_the_setpoints_end(b, fc, /):
+    flight = await away(fc)
+    b.faults.apply(["sticks=true"])
+    start = b.autopilot.now
+    reason = await ended(flight)
+    assert b.autopilot.now - start < 1.0
+    assert "goTo ended early: the vehicle went to POSCTL" in reason
+    assert "Pilot took over using sticks" in reason
+    await asyncio.sleep(1.5)
+    before = len(b.sent)
+    await asyncio.sleep(2.0)
+    assert targets(b, before) == [], "a switch to OFFBOARD must find no old target"
+    assert b.autopilot.mode == "POSCTL"
+    for what, values in (("goTo", [0.0, 0.0, -8.0]), ("hold", [])):
+        with pytest.raises(DeviceError, match=f"{what} refused: the vehicle is in POSCTL"):
+            await fc.execute(what, values)
+    await fc.make_safe()
+    assert b.autopilot.mode == "POSCTL", "it is left to the pilot"
 
 
-def test_sticks_that_may_not_take_over_do_not(px4):
-    b = px4()
-
-    async def story(fc):
-        flight = await away(fc)
-        b.autopilot.parameters["COM_RC_OVERRIDE"] = 1
-        b.faults.apply(["sticks=true"])
-        await asyncio.sleep(2.0)
-        assert b.autopilot.mode == "OFFBOARD"
-        with pytest.raises(DeviceError, match="COM_RC_OVERRIDE is 1 and must be 3"):
-            await fc.check_settings()
-        flight.cancel()
-
-    b.run(story)
+@on_bench("px4")
+async def test_sticks_that_may_not_take_over_do_not(b, fc, /):
+    flight = await away(fc)
+    b.autopilot.parameters["COM_RC_OVERRIDE"] = 1
+    b.faults.apply(["sticks=true"])
+    await asyncio.sleep(2.0)
+    assert b.autopilot.mode == "OFFBOARD"
+    with pytest.raises(DeviceError, match="COM_RC_OVERRIDE is 1 and must be 3"):
+        await fc.check_settings()
+    flight.cancel()
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "AUTO.LAND", "POSCTL.ORBIT"])
-def test_a_mode_of_another_station_ends_the_motion_and_is_not_ours(px4, mode):
-    b = px4()
-
-    async def story(fc):
-        flight = await away(fc)
-        b.autopilot.command_mode(mode)
-        assert f"goTo ended early: the vehicle went to {mode}" in await ended(flight)
-        assert fc.taken_over()
-        with pytest.raises(DeviceError, match=rf"goTo refused: .*in {mode}, which this program"):
-            await fc.execute("goTo", [0.0, 0.0, -8.0])
-        await asyncio.sleep(1.5)
-        before = len(b.sent)
-        await asyncio.sleep(1.0)
-        assert targets(b, before) == []
-        assert b.autopilot.mode in (mode, "AUTO.LOITER")
-        await fc.execute("release", [])
-        await fc.execute("hold", [])
-        assert b.autopilot.mode == "OFFBOARD"
-
-    b.run(story)
+@on_bench("px4")
+async def test_a_mode_of_another_station_ends_the_motion_and_is_not_ours(b, fc, /, mode):
+    flight = await away(fc)
+    b.autopilot.command_mode(mode)
+    assert f"goTo ended early: the vehicle went to {mode}" in await ended(flight)
+    assert fc.taken_over()
+    with pytest.raises(DeviceError, match=rf"goTo refused: .*in {mode}, which this program"):
+        await fc.execute("goTo", [0.0, 0.0, -8.0])
+    await asyncio.sleep(1.5)
+    before = len(b.sent)
+    await asyncio.sleep(1.0)
+    assert targets(b, before) == []
+    assert b.autopilot.mode in (mode, "AUTO.LOITER")
+    await fc.execute("release", [])
+    await fc.execute("hold", [])
+    assert b.autopilot.mode == "OFFBOARD"
 
 
-def test_gps_loss_ends_in_the_failsafe_and_nothing_is_sent_on(px4):
-    b = px4()
-
-    async def story(fc):
-        flight = await away(fc)
-        b.faults.apply(["gps_loss=true"])
-        await ended(flight)
-        while b.autopilot.mode != "AUTO.LAND":
-            await asyncio.sleep(0.05)
-        await asyncio.sleep(1.5)
-        before = len(b.sent)
-        await asyncio.sleep(1.0)
-        assert targets(b, before) == []
-
-    b.run(story)
+@on_bench("px4")
+async def test_gps_loss_ends_in_the_failsafe_and_nothing_is_sent_on(b, fc, /):
+    flight = await away(fc)
+    b.faults.apply(["gps_loss=true"])
+    await ended(flight)
+    while b.autopilot.mode != "AUTO.LAND":
+        await asyncio.sleep(0.05)
+    await asyncio.sleep(1.5)
+    before = len(b.sent)
+    await asyncio.sleep(1.0)
+    assert targets(b, before) == []
 
 
-def test_a_fence_that_is_breached_has_it(px4):
+@on_bench("px4")
+async def test_a_fence_that_is_breached_has_it(b, fc, /):
     """As recorded (fact 41), but with no hold before the action: COM_FAIL_ACT_T is 0."""
-    b = px4()
-
-    async def story(fc):
-        flight = await away(fc)
-        b.autopilot.parameters.update(GF_MAX_HOR_DIST=15.0, GF_ACTION=3)
-        reason = await ended(flight)
-        assert "the vehicle went to AUTO.RTL, which its failsafe chose" in reason
-        assert "Geofence: exceeding maximum distance to Home" in reason
-        assert fc.taken_over()
-
-    b.run(story)
+    flight = await away(fc)
+    b.autopilot.parameters.update(GF_MAX_HOR_DIST=15.0, GF_ACTION=3)
+    reason = await ended(flight)
+    assert "the vehicle went to AUTO.RTL, which its failsafe chose" in reason
+    assert "Geofence: exceeding maximum distance to Home" in reason
+    assert fc.taken_over()
 
 
-def test_a_target_waits_for_what_is_held_up(px4):
-    b = px4(limits={"speed": 3.0})
-
-    async def story(fc):
-        flight = await away(fc)
-        limits, place = b.autopilot.vehicle.limits, b.autopilot.vehicle.place
-        was, limits.top = limits.top, 0.001
-        await asyncio.sleep(5.0)
-        ahead = targets(b, len(b.sent) - 40)[-1].x - b.autopilot.vehicle.place[0]
-        assert b.autopilot.vehicle.place[0] - place[0] < 4.0
-        assert ahead <= 1.35 * 3.0 + 0.5 + 0.1
-        limits.top, fastest = was, 0.0
-        for _ in range(200):
-            await asyncio.sleep(0.05)
-            fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
-        assert fastest <= 3.0 * 1.05
-        flight.cancel()
-
-    b.run(story)
+@on_bench("px4", limits={"speed": 3.0})
+async def test_a_target_waits_for_what_is_held_up(b, fc, /):
+    flight = await away(fc)
+    limits, place = b.autopilot.vehicle.limits, b.autopilot.vehicle.place
+    was, limits.top = limits.top, 0.001
+    await asyncio.sleep(5.0)
+    ahead = targets(b, len(b.sent) - 40)[-1].x - b.autopilot.vehicle.place[0]
+    assert b.autopilot.vehicle.place[0] - place[0] < 4.0
+    assert ahead <= 1.35 * 3.0 + 0.5 + 0.1
+    limits.top, fastest = was, 0.0
+    for _ in range(200):
+        await asyncio.sleep(0.05)
+        fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
+    assert fastest <= 3.0 * 1.05
+    flight.cancel()
 
 
-def test_a_hover_between_motions_is_kept_up_by_setpoints_too(px4):
-    b = px4()
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        await fc.execute("goTo", [5.0, 0.0, -8.0])
-        place = b.autopilot.vehicle.place
-        await asyncio.sleep(60.0)
-        assert b.autopilot.mode == "OFFBOARD"
-        assert math.dist(b.autopilot.vehicle.place, place) < 0.7
-        await fc.execute("land", [])
-        assert not b.autopilot.armed
-
-    b.run(story)
+@on_bench("px4")
+async def test_a_hover_between_motions_is_kept_up_by_setpoints_too(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    await fc.execute("goTo", [5.0, 0.0, -8.0])
+    place = b.autopilot.vehicle.place
+    await asyncio.sleep(60.0)
+    assert b.autopilot.mode == "OFFBOARD"
+    assert math.dist(b.autopilot.vehicle.place, place) < 0.7
+    await fc.execute("land", [])
+    assert not b.autopilot.armed
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("loss", [0.2, 0.4])
-def test_setpoints_that_are_lost_by_the_way_do_not_end_it(px4, loss):
-    b = px4(faults=())
-
-    async def story(fc):
-        flight = await away(fc)
-        b.faults.apply([f"loss={loss}"])
-        await asyncio.sleep(20.0)
-        assert b.autopilot.mode == "OFFBOARD"
-        flight.cancel()
-
-    b.run(story)
+@on_bench("px4", faults=())
+async def test_setpoints_that_are_lost_by_the_way_do_not_end_it(b, fc, /, loss):
+    flight = await away(fc)
+    b.faults.apply([f"loss={loss}"])
+    await asyncio.sleep(20.0)
+    assert b.autopilot.mode == "OFFBOARD"
+    flight.cancel()
 
 
 @pytest.mark.few(3)
@@ -201,21 +170,17 @@ def test_setpoints_that_are_lost_by_the_way_do_not_end_it(px4, loss):
         ("setMode", ["AUTO.FOLLOW_TARGET"]),
     ],
 )
-def test_what_px4_flies_by_itself_needs_a_waiver(px4, what, values):
-    b = px4()
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        before = len(b.sent)
-        with pytest.raises(DeviceError) as error:
-            await fc.execute(what, values)
-        assert "by itself, and would continue if this computer fails" in error.value.reason
-        assert "waivers: {autonomous_motion: REASON}" in error.value.reason
-        assert {m.type_mask for m in targets(b, before)} <= {0x0DF8}
-        assert b.autopilot.mode == "OFFBOARD"
-
-    b.run(story)
+@on_bench("px4")
+async def test_what_px4_flies_by_itself_needs_a_waiver(b, fc, /, what, values):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    before = len(b.sent)
+    with pytest.raises(DeviceError) as error:
+        await fc.execute(what, values)
+    assert "by itself, and would continue if this computer fails" in error.value.reason
+    assert "waivers: {autonomous_motion: REASON}" in error.value.reason
+    assert {m.type_mask for m in targets(b, before)} <= {0x0DF8}
+    assert b.autopilot.mode == "OFFBOARD"
 
 
 @pytest.mark.parametrize(
@@ -233,45 +198,33 @@ def test_a_return_is_flown_where_it_is_waived_or_the_safe_state(px4, given):
     b.run(story)
 
 
-def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(bench):
-    b = bench(waivers=("device_watchdog",))
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        await fc.execute("returnHome", [])
-
-    b.run(story)
+@on_bench("bench", waivers=("device_watchdog",))
+async def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    await fc.execute("returnHome", [])
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "ALT_HOLD", "BRAKE", "STABILIZE"])
-def test_a_pilots_mode_in_the_air_needs_a_waiver_on_an_arducopter(bench, mode):
+@on_bench("bench", waivers=("device_watchdog",))
+async def test_a_pilots_mode_in_the_air_needs_a_waiver_on_an_arducopter(b, fc, /, mode):
     """With bit 4 of FS_OPTIONS its failsafe would not act in one when this computer is dead."""
-    b = bench(waivers=("device_watchdog",))
-
-    async def story(fc):
+    await fc.execute("setMode", [mode])
+    await fc.execute("setMode", ["GUIDED"])
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    with pytest.raises(DeviceError) as error:
         await fc.execute("setMode", [mode])
-        await fc.execute("setMode", ["GUIDED"])
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        with pytest.raises(DeviceError) as error:
-            await fc.execute("setMode", [mode])
-        assert "waivers: {autonomous_motion: REASON}" in error.value.reason
-        assert b.autopilot.mode == "GUIDED"
-
-    b.run(story)
+    assert "waivers: {autonomous_motion: REASON}" in error.value.reason
+    assert b.autopilot.mode == "GUIDED"
 
 
-def test_a_pilots_mode_is_entered_where_that_is_waived(bench):
-    b = bench(waivers=("device_watchdog", "autonomous_motion"))
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        await fc.execute("setMode", ["LOITER"])
-        assert b.autopilot.mode == "LOITER"
-
-    b.run(story)
+@on_bench("bench", waivers=("device_watchdog", "autonomous_motion"))
+async def test_a_pilots_mode_is_entered_where_that_is_waived(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    await fc.execute("setMode", ["LOITER"])
+    assert b.autopilot.mode == "LOITER"
 
 
 @pytest.mark.parametrize(("state", "kind"), [("hold", "copter"), ("land", "rover")])

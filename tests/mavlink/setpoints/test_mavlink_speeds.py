@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield_sim.autopilot.vehicle import Response
 
@@ -129,15 +130,11 @@ def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
     assert b.run(story) <= STILL_AIR * limit
 
 
-def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(bench):
-    b = bench(flavour="px4", limits={"speed": 0.5})
-
-    async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
-
-    b.run(story)
+@on_bench("bench", flavour="px4", limits={"speed": 0.5})
+async def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(b, fc, /):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
 
 
 @pytest.mark.few(1)

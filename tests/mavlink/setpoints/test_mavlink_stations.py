@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield.testing.driver_bench import bind
@@ -103,24 +104,20 @@ def test_it_is_safe_in_time_when_host_and_guard_are_dead(bench, flavour, kind, w
     b.run(story)
 
 
-def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(bench):
-    b = bench()
-
-    async def story(fc):
-        other = asyncio.create_task(beats(b, *QGC))
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        latitude, longitude, _ = b.values["globalPosition"]
-        await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
-        await fc.execute("startMission", [])
-        await asyncio.sleep(4.0)
-        b.cut, died = True, b.autopilot.now
-        while b.autopilot.mode != "LAND":
-            assert b.autopilot.now - died < 3.0
-            await asyncio.sleep(0.02)
-        other.cancel()
-
-    b.run(story)
+@on_bench("bench")
+async def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(b, fc, /):
+    other = asyncio.create_task(beats(b, *QGC))
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    latitude, longitude, _ = b.values["globalPosition"]
+    await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
+    await fc.execute("startMission", [])
+    await asyncio.sleep(4.0)
+    b.cut, died = True, b.autopilot.now
+    while b.autopilot.mode != "LAND":
+        assert b.autopilot.now - died < 3.0
+        await asyncio.sleep(0.02)
+    other.cancel()
 
 
 @pytest.mark.parametrize("way", ["hold", "pause"])
@@ -144,19 +141,15 @@ def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(bench, way, stat
     b.run(story)
 
 
-def test_a_pilot_flies_on_when_the_station_is_gone(bench):
-    b = bench()
-
-    async def story(fc):
-        await go(b, fc, "hold", flies=True)
-        b.autopilot.command("POSHOLD")
-        await asyncio.sleep(2.0)
-        b.cut = True
-        await asyncio.sleep(6.0)
-        assert b.autopilot.mode == "POSHOLD"
-        assert b.autopilot.critical, "it has noticed"
-
-    b.run(story)
+@on_bench("bench")
+async def test_a_pilot_flies_on_when_the_station_is_gone(b, fc, /):
+    await go(b, fc, "hold", flies=True)
+    b.autopilot.command("POSHOLD")
+    await asyncio.sleep(2.0)
+    b.cut = True
+    await asyncio.sleep(6.0)
+    assert b.autopilot.mode == "POSHOLD"
+    assert b.autopilot.critical, "it has noticed"
 
 
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
@@ -212,25 +205,21 @@ def test_what_is_armed_when_it_is_found_hears_its_station_once_somebody_here_has
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_the_fakes_fly_on_beside_a_station_as_real_ones_did(bench, flavour):
+@on_bench("bench", given="flavour")
+async def test_the_fakes_fly_on_beside_a_station_as_real_ones_did(b, fc, /, flavour):
     """Facts 1 and 16: that is why a station of its own, and setpoints, are needed."""
-    b = bench(flavour=flavour)
-
-    async def story(fc):
-        other = asyncio.create_task(beats(b, *QGC))
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
-        latitude, longitude, _ = b.values["globalPosition"]
-        await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
-        await fc.execute("startMission", [])
-        b.autopilot.parameters["MAV_GCS_SYSID"] = 255
-        b.cut, mode = True, b.autopilot.mode
-        await asyncio.sleep(15.0)
-        assert b.autopilot.mode == mode
-        assert b.autopilot.vehicle.place[0] > 30.0
-        other.cancel()
-
-    b.run(story)
+    other = asyncio.create_task(beats(b, *QGC))
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [8.0])
+    latitude, longitude, _ = b.values["globalPosition"]
+    await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
+    await fc.execute("startMission", [])
+    b.autopilot.parameters["MAV_GCS_SYSID"] = 255
+    b.cut, mode = True, b.autopilot.mode
+    await asyncio.sleep(15.0)
+    assert b.autopilot.mode == mode
+    assert b.autopilot.vehicle.place[0] > 30.0
+    other.cancel()
 
 
 # -- ids ------------------------------------------------------------------------------------------------
@@ -272,15 +261,11 @@ def test_stations_that_collide_are_refused_at_opening(bench):
         b.run(lambda *devices: asyncio.sleep(0.1))
 
 
-def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(bench):
-    b = bench(systems=(1, 2))
-
-    async def story(one, two):
-        for fc in (one, two):
-            await fc.execute("arm", [])
-            await fc.execute("takeoff", [5.0])
-
-    b.run(story)
+@on_bench("bench", systems=(1, 2))
+async def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(b, one, two, /):
+    for fc in (one, two):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
     reader = Reader()
     sent = {(m.get_srcSystem(), getattr(m, "target_system", 0)) for data in b.sent for m in reader.feed(data)}
     assert sent == {(128, 0), (128, 1), (129, 0), (129, 2)}
@@ -289,44 +274,32 @@ def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(bench):
 @pytest.mark.parametrize(
     ("component", "kind"), [(190, dialect.MAV_TYPE_GCS), (1, dialect.MAV_TYPE_QUADROTOR), (191, 6)]
 )
-def test_somebody_else_with_the_id_of_its_station_keeps_it_on_the_ground(bench, component, kind):
-    b = bench()
-
-    async def story(fc):
-        packer = PacketWriter(128, component)
-        heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
-        b.links[0].on_data(packer.pack(heartbeat))
-        with pytest.raises(DeviceError, match=f"arm refused: system 128, component {component} on its links"):
-            await fc.execute("arm", [])
-        assert not b.autopilot.armed
-
-    b.run(story)
+@on_bench("bench")
+async def test_somebody_else_with_the_id_of_its_station_keeps_it_on_the_ground(b, fc, /, component, kind):
+    packer = PacketWriter(128, component)
+    heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    b.links[0].on_data(packer.pack(heartbeat))
+    with pytest.raises(DeviceError, match=f"arm refused: system 128, component {component} on its links"):
+        await fc.execute("arm", [])
+    assert not b.autopilot.armed
     assert len([note for note in b.notes if "has the id of its station" in note]) == 1
 
 
-def test_an_echo_of_its_own_station_and_other_stations_are_none(bench):
-    b = bench()
+@on_bench("bench")
+async def test_an_echo_of_its_own_station_and_other_stations_are_none(b, fc, /):
+    for packer, heartbeat in (
+        (PacketWriter(128, 191), station_heartbeat(1)),
+        (PacketWriter(*QGC), dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GCS, 8, 0, 0, 4, 3)),
+    ):
+        b.links[0].on_data(packer.pack(heartbeat))
+    await fc.execute("arm", [])
 
-    async def story(fc):
-        for packer, heartbeat in (
-            (PacketWriter(128, 191), station_heartbeat(1)),
-            (PacketWriter(*QGC), dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GCS, 8, 0, 0, 4, 3)),
-        ):
-            b.links[0].on_data(packer.pack(heartbeat))
+
+@on_bench("bench")
+async def test_it_is_not_armed_when_the_autopilots_station_is_another(b, fc, /):
+    b.autopilot.parameters.update(MAV_GCS_SYSID=255.0, MAV_GCS_SYSID_HI=255.0)
+    with pytest.raises(DeviceError, match="MAV_GCS_SYSID is 255 and must be 128, and 1 more"):
         await fc.execute("arm", [])
-
-    b.run(story)
-
-
-def test_it_is_not_armed_when_the_autopilots_station_is_another(bench):
-    b = bench()
-
-    async def story(fc):
-        b.autopilot.parameters.update(MAV_GCS_SYSID=255.0, MAV_GCS_SYSID_HI=255.0)
-        with pytest.raises(DeviceError, match="MAV_GCS_SYSID is 255 and must be 128, and 1 more"):
-            await fc.execute("arm", [])
-
-    b.run(story)
 
 
 def test_a_range_of_stations_counts_on_a_fake_as_on_a_real_one(bench):

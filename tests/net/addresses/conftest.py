@@ -33,12 +33,12 @@ def hole() -> Iterator[int]:
 
 
 @pytest.fixture(params=["asyncio", "uvloop"])
-def run(request) -> Callable[..., object]:
-    def told(story):
+def runner(request) -> Callable[..., object]:
+    def run(test):
         if request.param == "asyncio":
-            return asyncio.run(story)
+            return asyncio.run(test())
         uvloop = pytest.importorskip("uvloop")
         with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(story)
+            return runner.run(test())
 
-    return told
+    return run

@@ -26,59 +26,47 @@ from lfield.testing.transport_kit import MAX_BLOCK, Recorder
 # Names
 
 
-def test_a_name_is_looked_up_at_each_attempt(book, run):
-    async def story():
-        book.rows["bravo"] = ["127.0.0.2"]
-        transport = TcpTransport(MAX_BLOCK)
-        one, _ = await listening("127.0.0.2:0")
-        port = one.address.rpartition(":")[2]
-        two, _ = await listening(f"127.0.0.3:{port}")
-        first = await transport.connect(f"bravo:{port}", Recorder())
-        assert first.peer == f"127.0.0.2:{port}"
-        book.rows["bravo"] = ["127.0.0.3"]
-        second = await transport.connect(f"bravo:{port}", Recorder())
-        assert second.peer == f"127.0.0.3:{port}"
-        for opened in (first, second, one, two):
-            opened.close()
-
-    run(story())
+async def test_a_name_is_looked_up_at_each_attempt(book):
+    book.rows["bravo"] = ["127.0.0.2"]
+    transport = TcpTransport(MAX_BLOCK)
+    one, _ = await listening("127.0.0.2:0")
+    port = one.address.rpartition(":")[2]
+    two, _ = await listening(f"127.0.0.3:{port}")
+    first = await transport.connect(f"bravo:{port}", Recorder())
+    assert first.peer == f"127.0.0.2:{port}"
+    book.rows["bravo"] = ["127.0.0.3"]
+    second = await transport.connect(f"bravo:{port}", Recorder())
+    assert second.peer == f"127.0.0.3:{port}"
+    for opened in (first, second, one, two):
+        opened.close()
 
 
-def test_a_lookup_that_hangs_blocks_neither_the_loop_nor_other_names_nor_later_ones(book, run):
-    async def story():
-        book.rows |= {"dead": ["127.0.0.2"], "bravo": ["127.0.0.3"]}
-        book.blocking.add("dead")
-        hanging = [asyncio.ensure_future(resolve("dead", 1)) for _ in range(MAX_LOOKUPS)]
-        await until(lambda: book.asked == MAX_LOOKUPS)
-        with pytest.raises(socket.gaierror):
-            await resolve("dead", 1)
-        (found,) = await resolve("bravo", 7)
-        assert found.address == ("127.0.0.3", 7)
-        # The name server answers again: new lookups are not behind the old ones.
-        hanging.pop().cancel()
-        book.blocked.set()
-        await asyncio.gather(*hanging)
-        await until(lambda: not resolver._running)
-        assert await resolve("dead", 1)
-
-    run(story())
+async def test_a_lookup_that_hangs_blocks_neither_the_loop_nor_other_names_nor_later_ones(book):
+    book.rows |= {"dead": ["127.0.0.2"], "bravo": ["127.0.0.3"]}
+    book.blocking.add("dead")
+    hanging = [asyncio.ensure_future(resolve("dead", 1)) for _ in range(MAX_LOOKUPS)]
+    await until(lambda: book.asked == MAX_LOOKUPS)
+    with pytest.raises(socket.gaierror):
+        await resolve("dead", 1)
+    (found,) = await resolve("bravo", 7)
+    assert found.address == ("127.0.0.3", 7)
+    # The name server answers again: new lookups are not behind the old ones.
+    hanging.pop().cancel()
+    book.blocked.set()
+    await asyncio.gather(*hanging)
+    await until(lambda: not resolver._running)
+    assert await resolve("dead", 1)
 
 
-def test_a_number_is_not_looked_up(book, run):
-    async def story():
-        book.rows["127.0.0.1"] = ["127.0.0.7"]
-        (found,) = await resolve("127.0.0.1", 9)
-        assert found == ResolvedAddress(socket.AF_INET, ("127.0.0.1", 9))
-
-    run(story())
+async def test_a_number_is_not_looked_up(book):
+    book.rows["127.0.0.1"] = ["127.0.0.7"]
+    (found,) = await resolve("127.0.0.1", 9)
+    assert found == ResolvedAddress(socket.AF_INET, ("127.0.0.1", 9))
 
 
-def test_a_zone_that_is_no_interface_is_named(run):
-    async def story():
-        with pytest.raises(AddressError, match="no such network interface"):
-            await TcpTransport(MAX_BLOCK).connect("[fe80::1%nowhere]:9", Recorder())
-
-    run(story())
+async def test_a_zone_that_is_no_interface_is_named():
+    with pytest.raises(AddressError, match="no such network interface"):
+        await TcpTransport(MAX_BLOCK).connect("[fe80::1%nowhere]:9", Recorder())
 
 
 @pytest.mark.parametrize(
@@ -107,70 +95,56 @@ def test_an_address_is_written_as_it_can_be_given(name, text):
 # Attempts
 
 
-def test_an_address_that_does_not_answer_keeps_no_other_waiting(book, hole, run):
-    async def story():
-        book.rows["bravo"] = [HOLE, "127.0.0.3"]
-        there, _ = await listening(f"127.0.0.3:{hole}")
-        loop, transport = asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
-        began = loop.time()
-        link = await transport.connect(f"bravo:{hole}", Recorder())
-        assert link.peer == f"127.0.0.3:{hole}"
-        assert loop.time() - began >= ATTEMPT_DELAY
-        link.close()
-        there.close()
-
-    run(story())
+async def test_an_address_that_does_not_answer_keeps_no_other_waiting(book, hole):
+    book.rows["bravo"] = [HOLE, "127.0.0.3"]
+    there, _ = await listening(f"127.0.0.3:{hole}")
+    loop, transport = asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
+    began = loop.time()
+    link = await transport.connect(f"bravo:{hole}", Recorder())
+    assert link.peer == f"127.0.0.3:{hole}"
+    assert loop.time() - began >= ATTEMPT_DELAY
+    link.close()
+    there.close()
 
 
-def test_each_address_that_was_tried_is_told_with_what_came_of_it(book, hole, run):
-    async def story():
-        book.rows["bravo"] = ["127.0.0.2", HOLE]
-        transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
-        with pytest.raises(AddressError) as caught:
-            await transport.connect(f"bravo:{hole}", Recorder())
-        assert f"127.0.0.2:{hole}: Connection refused" in caught.value.reason
-        assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
-        book.rows["bravo"] = ["127.0.0.2", "127.0.0.4"]
-        with pytest.raises(NoListener):
-            await transport.connect(f"bravo:{hole}", Recorder())
-
-    run(story())
+async def test_each_address_that_was_tried_is_told_with_what_came_of_it(book, hole):
+    book.rows["bravo"] = ["127.0.0.2", HOLE]
+    transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
+    with pytest.raises(AddressError) as caught:
+        await transport.connect(f"bravo:{hole}", Recorder())
+    assert f"127.0.0.2:{hole}: Connection refused" in caught.value.reason
+    assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
+    book.rows["bravo"] = ["127.0.0.2", "127.0.0.4"]
+    with pytest.raises(NoListener):
+        await transport.connect(f"bravo:{hole}", Recorder())
 
 
 @needs_ipv6
-def test_a_name_of_both_families_is_reached_in_either(book, run):
-    async def story():
-        book.rows["bravo"] = ["::1", "127.0.0.1"]
-        for address in ("127.0.0.1:0", "[::1]:0"):
-            there, _ = await listening(address)
-            port = there.address.rpartition(":")[2]
-            link = await TcpTransport(MAX_BLOCK).connect(f"bravo:{port}", Recorder())
-            assert link.peer == there.address
-            link.close()
-            there.close()
-
-    run(story())
+async def test_a_name_of_both_families_is_reached_in_either(book):
+    book.rows["bravo"] = ["::1", "127.0.0.1"]
+    for address in ("127.0.0.1:0", "[::1]:0"):
+        there, _ = await listening(address)
+        port = there.address.rpartition(":")[2]
+        link = await TcpTransport(MAX_BLOCK).connect(f"bravo:{port}", Recorder())
+        assert link.peer == there.address
+        link.close()
+        there.close()
 
 
 # Listeners
 
 
 @needs_ipv6
-def test_the_address_of_all_interfaces_takes_both_families(run):
-    async def story():
-        there, accepted = await listening("[::]:0")
-        port = there.address.rpartition(":")[2]
-        links = [
-            await TcpTransport(MAX_BLOCK).connect(f"{a}:{port}", Recorder()) for a in ("127.0.0.1", "[::1]")
-        ]
-        await until(lambda: len(accepted) == 2)
-        for opened in (*links, there):
-            opened.close()
-
-    run(story())
+async def test_the_address_of_all_interfaces_takes_both_families():
+    there, accepted = await listening("[::]:0")
+    port = there.address.rpartition(":")[2]
+    links = [await TcpTransport(MAX_BLOCK).connect(f"{a}:{port}", Recorder()) for a in ("127.0.0.1", "[::1]")]
+    await until(lambda: len(accepted) == 2)
+    for opened in (*links, there):
+        opened.close()
 
 
-def test_a_port_taken_between_bind_and_listen_is_reported_and_no_socket_stays_open(run, monkeypatch):
+def test_a_port_taken_between_bind_and_listen_is_reported_and_no_socket_stays_open(runner, monkeypatch):
     bind, bound = listeners.bound_socket, []
     with socket.socket() as rival:
         rival.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -187,54 +161,48 @@ def test_a_port_taken_between_bind_and_listen_is_reported_and_no_socket_stays_op
             with pytest.raises(AddressError, match="the port is in use"):
                 await listening(f"127.0.0.1:{rival.getsockname()[1]}")
 
-        run(story())
+        runner(story)
     assert [made.fileno() for made in bound] == [-1]
 
 
-def test_a_listener_follows_its_name_and_tries_again_what_fails(book, run, monkeypatch):
+async def test_a_listener_follows_its_name_and_tries_again_what_fails(book, monkeypatch):
     monkeypatch.setattr(listeners, "CHECK_EVERY", 0.02)
 
-    async def story():
-        book.rows["alpha"] = ["127.0.0.2"]
-        transport, notes = TcpTransport(MAX_BLOCK), []
-        transport.note = notes.append
-        there, accepted = await listening("alpha:0", transport)
-        port = int(there.address.rpartition(":")[2])
-        # Somebody else has the port there, for a while.
-        with socket.create_server(("127.0.0.3", port)):
-            book.rows["alpha"] = ["127.0.0.3"]
-            await until(lambda: any("not listening on 127.0.0.3" in note for note in notes))
-            assert there.address == f"127.0.0.2:{port}"
-        await until(lambda: there.address == f"127.0.0.3:{port}")
-        assert sum("not listening on" in note for note in notes) == 1
-        link = await TcpTransport(MAX_BLOCK).connect(f"127.0.0.3:{port}", Recorder())
-        await until(lambda: len(accepted) == 1)
-        with pytest.raises(NoListener):
-            await TcpTransport(MAX_BLOCK).connect(f"127.0.0.2:{port}", Recorder())
-        # A name that leads nowhere for a while changes nothing.
-        book.rows["alpha"] = []
-        asked = book.asked
-        await until(lambda: book.asked > asked + 2)
-        assert there.address == f"127.0.0.3:{port}"
-        link.close()
-        there.close()
-        await until(lambda: not resolver._running)
-
-    run(story())
+    book.rows["alpha"] = ["127.0.0.2"]
+    transport, notes = TcpTransport(MAX_BLOCK), []
+    transport.note = notes.append
+    there, accepted = await listening("alpha:0", transport)
+    port = int(there.address.rpartition(":")[2])
+    # Somebody else has the port there, for a while.
+    with socket.create_server(("127.0.0.3", port)):
+        book.rows["alpha"] = ["127.0.0.3"]
+        await until(lambda: any("not listening on 127.0.0.3" in note for note in notes))
+        assert there.address == f"127.0.0.2:{port}"
+    await until(lambda: there.address == f"127.0.0.3:{port}")
+    assert sum("not listening on" in note for note in notes) == 1
+    link = await TcpTransport(MAX_BLOCK).connect(f"127.0.0.3:{port}", Recorder())
+    await until(lambda: len(accepted) == 1)
+    with pytest.raises(NoListener):
+        await TcpTransport(MAX_BLOCK).connect(f"127.0.0.2:{port}", Recorder())
+    # A name that leads nowhere for a while changes nothing.
+    book.rows["alpha"] = []
+    asked = book.asked
+    await until(lambda: book.asked > asked + 2)
+    assert there.address == f"127.0.0.3:{port}"
+    link.close()
+    there.close()
+    await until(lambda: not resolver._running)
 
 
-def test_a_name_with_an_address_of_another_computer_is_listened_at_where_it_can_be(book, run):
-    async def story():
-        book.rows["alpha"] = ["192.0.2.1", "127.0.0.2"]
-        there, _ = await listening("alpha:0")
-        assert there.address.startswith("127.0.0.2:")
-        there.close()
-        book.rows["alpha"] = ["192.0.2.1"]
-        with pytest.raises(AddressError, match="not one of this machine"):
-            await listening("alpha:0")
-        await until(lambda: not resolver._running)
-
-    run(story())
+async def test_a_name_with_an_address_of_another_computer_is_listened_at_where_it_can_be(book):
+    book.rows["alpha"] = ["192.0.2.1", "127.0.0.2"]
+    there, _ = await listening("alpha:0")
+    assert there.address.startswith("127.0.0.2:")
+    there.close()
+    book.rows["alpha"] = ["192.0.2.1"]
+    with pytest.raises(AddressError, match="not one of this machine"):
+        await listening("alpha:0")
+    await until(lambda: not resolver._running)
 
 
 @needs_ipv6

@@ -44,183 +44,152 @@ def test_a_number_needs_no_look_up(address, number):
 # Connecting
 
 
-def test_the_first_address_is_preferred(run):
-    async def story():
-        one, _ = await listening("127.0.0.2:0")
-        port = port_of(one)
-        two, _ = await listening(f"127.0.0.3:{port}")
-        for order in (("127.0.0.2", "127.0.0.3"), ("127.0.0.3", "127.0.0.2")):
-            link = await TcpTransport(MAX_BLOCK).connect(
-                ",".join(f"{each}:{port}" for each in order), Recorder()
-            )
-            assert link.peer == f"{order[0]}:{port}"
-            link.close()
-        one.close()
-        two.close()
-
-    run(story())
+async def test_the_first_address_is_preferred():
+    one, _ = await listening("127.0.0.2:0")
+    port = port_of(one)
+    two, _ = await listening(f"127.0.0.3:{port}")
+    for order in (("127.0.0.2", "127.0.0.3"), ("127.0.0.3", "127.0.0.2")):
+        link = await TcpTransport(MAX_BLOCK).connect(",".join(f"{each}:{port}" for each in order), Recorder())
+        assert link.peer == f"{order[0]}:{port}"
+        link.close()
+    one.close()
+    two.close()
 
 
 @needs_ipv6
-def test_dead_silent_and_unknown_addresses_hide_no_other(book, hole, run):
-    async def story():
-        book.rows["gone"] = []
-        there, _ = await listening(f"[::1]:{hole}")
-        link = await TcpTransport(MAX_BLOCK).connect(
-            f"gone:1,127.0.0.2:{hole},{HOLE}:{hole},[::1]:{hole}", Recorder()
-        )
-        assert link.peer == f"[::1]:{hole}"
-        link.close()
-        there.close()
-
-    run(story())
+async def test_dead_silent_and_unknown_addresses_hide_no_other(book, hole):
+    book.rows["gone"] = []
+    there, _ = await listening(f"[::1]:{hole}")
+    link = await TcpTransport(MAX_BLOCK).connect(
+        f"gone:1,127.0.0.2:{hole},{HOLE}:{hole},[::1]:{hole}", Recorder()
+    )
+    assert link.peer == f"[::1]:{hole}"
+    link.close()
+    there.close()
 
 
-def test_a_name_server_that_does_not_answer_delays_no_other_address(book, run):
-    async def story():
-        book.rows["slow"] = ["127.0.0.3"]
-        book.blocking.add("slow")
-        there, _ = await listening("127.0.0.2:0")
-        port, loop, transport = port_of(there), asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
-        before = loop.time()
-        link = await transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder())
-        assert link.peer == f"127.0.0.2:{port}"
-        assert loop.time() - before >= PREFERENCE_TIME
-        link.close()
-        there.close()
-        # The name alone is left: it is tried when the name server answers, also beside a dead address.
-        there, _ = await listening(f"127.0.0.3:{port}")
-        late = asyncio.ensure_future(transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder()))
-        await asyncio.sleep(2 * PREFERENCE_TIME)
-        assert not late.done()
-        book.blocked.set()
-        link = await late
-        assert link.peer == f"127.0.0.3:{port}"
-        link.close()
-        there.close()
-
-    run(story())
+async def test_a_name_server_that_does_not_answer_delays_no_other_address(book):
+    book.rows["slow"] = ["127.0.0.3"]
+    book.blocking.add("slow")
+    there, _ = await listening("127.0.0.2:0")
+    port, loop, transport = port_of(there), asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
+    before = loop.time()
+    link = await transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder())
+    assert link.peer == f"127.0.0.2:{port}"
+    assert loop.time() - before >= PREFERENCE_TIME
+    link.close()
+    there.close()
+    # The name alone is left: it is tried when the name server answers, also beside a dead address.
+    there, _ = await listening(f"127.0.0.3:{port}")
+    late = asyncio.ensure_future(transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder()))
+    await asyncio.sleep(2 * PREFERENCE_TIME)
+    assert not late.done()
+    book.blocked.set()
+    link = await late
+    assert link.peer == f"127.0.0.3:{port}"
+    link.close()
+    there.close()
 
 
-def test_a_late_name_is_tried_beside_a_silent_address(book, hole, run):
-    async def story():
-        book.rows["slow"] = ["127.0.0.3"]
-        book.blocking.add("slow")
-        there, _ = await listening(f"127.0.0.3:{hole}")
-        late = asyncio.ensure_future(
-            TcpTransport(MAX_BLOCK).connect(f"{HOLE}:{hole},slow:{hole}", Recorder())
-        )
-        await asyncio.sleep(2 * PREFERENCE_TIME)
-        book.blocked.set()
-        link = await late
-        assert link.peer == f"127.0.0.3:{hole}"
-        link.close()
-        there.close()
-
-    run(story())
+async def test_a_late_name_is_tried_beside_a_silent_address(book, hole):
+    book.rows["slow"] = ["127.0.0.3"]
+    book.blocking.add("slow")
+    there, _ = await listening(f"127.0.0.3:{hole}")
+    late = asyncio.ensure_future(TcpTransport(MAX_BLOCK).connect(f"{HOLE}:{hole},slow:{hole}", Recorder()))
+    await asyncio.sleep(2 * PREFERENCE_TIME)
+    book.blocked.set()
+    link = await late
+    assert link.peer == f"127.0.0.3:{hole}"
+    link.close()
+    there.close()
 
 
-def test_each_address_is_named_with_its_error(hole, run):
-    async def story():
-        transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
-        with pytest.raises(AddressError) as caught:
-            await transport.connect(f"127.0.0.2:{hole},{HOLE}:{hole}", Recorder())
-        assert f"127.0.0.2:{hole}: " in caught.value.reason
-        assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
-        # Each once, wherever its answer came in the order.
-        with pytest.raises(AddressError) as caught:
-            await transport.connect(f"{HOLE}:{hole},127.0.0.2:{hole}", Recorder())
-        assert caught.value.reason.count("127.0.0.2") == caught.value.reason.count(HOLE) == 1
-        with pytest.raises(NoListener):
-            await transport.connect(f"127.0.0.2:{hole},127.0.0.3:{hole}", Recorder())
-        with pytest.raises(AddressError):
-            await transport.connect(f"127.0.0.2:{hole},", Recorder())
-
-    run(story())
+async def test_each_address_is_named_with_its_error(hole):
+    transport = TcpTransport(MAX_BLOCK, connect_timeout=0.5)
+    with pytest.raises(AddressError) as caught:
+        await transport.connect(f"127.0.0.2:{hole},{HOLE}:{hole}", Recorder())
+    assert f"127.0.0.2:{hole}: " in caught.value.reason
+    assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
+    # Each once, wherever its answer came in the order.
+    with pytest.raises(AddressError) as caught:
+        await transport.connect(f"{HOLE}:{hole},127.0.0.2:{hole}", Recorder())
+    assert caught.value.reason.count("127.0.0.2") == caught.value.reason.count(HOLE) == 1
+    with pytest.raises(NoListener):
+        await transport.connect(f"127.0.0.2:{hole},127.0.0.3:{hole}", Recorder())
+    with pytest.raises(AddressError):
+        await transport.connect(f"127.0.0.2:{hole},", Recorder())
 
 
-def test_an_address_of_another_host_does_not_hide_the_right_one(run):
-    async def story():
-        wrong, _ = await listening("127.0.0.2:0", served("bravo"))
-        port = port_of(wrong)
-        right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
-        address = f"127.0.0.2:{port},127.0.0.3:{port}"
-        caller = Recorder()
-        link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, caller, "alpha")
-        assert (link.who.name, link.peer) == ("alpha", f"127.0.0.3:{port}")
-        assert caller.ends == []
-        link.close()
-        # Any host is accepted without a name.
-        link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder())
-        assert link.who.name == "bravo"
-        link.close()
-        # At the last address, the handshake names the other host.
-        link = await TcpTransport(MAX_BLOCK, ANNA).connect(f"127.0.0.2:{port}", Recorder(), "alpha")
-        assert link.who.name == "bravo"
-        link.close()
-        right.close()
-        with pytest.raises(AddressError) as caught:
-            await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
-        assert "bravo" in caught.value.reason
-        wrong.close()
-
-    run(story())
+async def test_an_address_of_another_host_does_not_hide_the_right_one():
+    wrong, _ = await listening("127.0.0.2:0", served("bravo"))
+    port = port_of(wrong)
+    right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
+    address = f"127.0.0.2:{port},127.0.0.3:{port}"
+    caller = Recorder()
+    link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, caller, "alpha")
+    assert (link.who.name, link.peer) == ("alpha", f"127.0.0.3:{port}")
+    assert caller.ends == []
+    link.close()
+    # Any host is accepted without a name.
+    link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder())
+    assert link.who.name == "bravo"
+    link.close()
+    # At the last address, the handshake names the other host.
+    link = await TcpTransport(MAX_BLOCK, ANNA).connect(f"127.0.0.2:{port}", Recorder(), "alpha")
+    assert link.who.name == "bravo"
+    link.close()
+    right.close()
+    with pytest.raises(AddressError) as caught:
+        await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
+    assert "bravo" in caught.value.reason
+    wrong.close()
 
 
-def test_an_address_of_a_stranger_does_not_hide_the_right_one(run):
-    async def story():
-        wrong, _ = await listening("127.0.0.2:0", served("alpha", OTHER))
-        port = port_of(wrong)
-        right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
-        address = f"127.0.0.2:{port},127.0.0.3:{port}"
-        link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
-        assert link.peer == f"127.0.0.3:{port}"
-        link.close()
-        right.close()
-        with pytest.raises((AddressError, HandshakeError)):
-            await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
-        wrong.close()
-
-    run(story())
+async def test_an_address_of_a_stranger_does_not_hide_the_right_one():
+    wrong, _ = await listening("127.0.0.2:0", served("alpha", OTHER))
+    port = port_of(wrong)
+    right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
+    address = f"127.0.0.2:{port},127.0.0.3:{port}"
+    link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
+    assert link.peer == f"127.0.0.3:{port}"
+    link.close()
+    right.close()
+    with pytest.raises((AddressError, HandshakeError)):
+        await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder(), "alpha")
+    wrong.close()
 
 
 # Listening
 
 
-def test_a_host_listens_at_its_own_addresses(book, run, monkeypatch):
+async def test_a_host_listens_at_its_own_addresses(book, monkeypatch):
     monkeypatch.setattr(listeners, "CHECK_EVERY", 0.02)
 
-    async def story():
-        book.rows["alpha"] = []
-        transport, notes = TcpTransport(MAX_BLOCK), []
-        transport.note = notes.append
-        there, accepted = await listening("198.51.100.1:0,127.0.0.2:0,alpha:0,127.0.0.3:0", transport)
-        first, second = there.address.split(",")
-        port = first.rpartition(":")[2]
-        assert (first, second) == (f"127.0.0.2:{port}", f"127.0.0.3:{port}")
-        assert [note.code for note in notes] == ["listening-failed"]
-        # An address that appears later is used then.
-        book.rows["alpha"] = ["127.0.0.4"]
-        await until(lambda: f"127.0.0.4:{port}" in there.address)
-        # A name that leads nowhere closes nothing.
-        book.rows["alpha"] = []
-        asked = book.asked
-        await until(lambda: book.asked > asked + 2)
-        for each in (first, second, f"127.0.0.4:{port}"):
-            link = await TcpTransport(MAX_BLOCK).connect(each, Recorder())
-            link.close()
-        await until(lambda: len(accepted) == 3)
-        there.close()
-
-    run(story())
+    book.rows["alpha"] = []
+    transport, notes = TcpTransport(MAX_BLOCK), []
+    transport.note = notes.append
+    there, accepted = await listening("198.51.100.1:0,127.0.0.2:0,alpha:0,127.0.0.3:0", transport)
+    first, second = there.address.split(",")
+    port = first.rpartition(":")[2]
+    assert (first, second) == (f"127.0.0.2:{port}", f"127.0.0.3:{port}")
+    assert [note.code for note in notes] == ["listening-failed"]
+    # An address that appears later is used then.
+    book.rows["alpha"] = ["127.0.0.4"]
+    await until(lambda: f"127.0.0.4:{port}" in there.address)
+    # A name that leads nowhere closes nothing.
+    book.rows["alpha"] = []
+    asked = book.asked
+    await until(lambda: book.asked > asked + 2)
+    for each in (first, second, f"127.0.0.4:{port}"):
+        link = await TcpTransport(MAX_BLOCK).connect(each, Recorder())
+        link.close()
+    await until(lambda: len(accepted) == 3)
+    there.close()
 
 
-def test_a_host_without_an_own_address_cannot_listen(run):
-    async def story():
-        with pytest.raises(AddressError, match="not one of this machine"):
-            await listening("198.51.100.1:0,198.51.100.2:0")
-
-    run(story())
+async def test_a_host_without_an_own_address_cannot_listen():
+    with pytest.raises(AddressError, match="not one of this machine"):
+        await listening("198.51.100.1:0,198.51.100.2:0")
 
 
 def test_a_port_of_any_address_must_be_free():

@@ -40,13 +40,6 @@ class Noted:
         return True
 
 
-def on_loop(story: Callable[[], object]) -> None:
-    async def run() -> None:
-        await story()  # type: ignore[misc]
-
-    asyncio.run(run())
-
-
 async def until(fact: Callable[[], bool]) -> None:
     async with asyncio.timeout(60.0):
         while not fact():
@@ -61,46 +54,40 @@ def sender(at: str = "127.0.0.1") -> socket.socket:
 
 
 @pytest.mark.parametrize("at", ["127.0.0.1:0", "[::1]:0"])
-def test_datagrams_come_to_the_number_of_the_listening_port_and_end_with_it(at: str) -> None:
-    async def story() -> None:
-        transport, noted = TcpTransport(1 << 16), Noted()
-        transport.datagrams = noted
-        try:
-            listener = await transport.listen(at, lambda link: None)  # type: ignore[arg-type,return-value]
-        except OSError:
-            pytest.skip("no IPv6 on this computer")
-        host, port = split_address(listener.address)
-        asks = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-        asks.sendto(SOUND, (host, port))
-        await until(lambda: noted.came == [SOUND])
-        asks.settimeout(60.0)
-        assert asks.recv(100) == b"seen"
-        listener.close()
-        again = socket.socket(asks.family, socket.SOCK_DGRAM)
-        again.bind((host, port))
-        again.close()
-        asks.close()
-
-    on_loop(story)
+async def test_datagrams_come_to_the_number_of_the_listening_port_and_end_with_it(at: str) -> None:
+    transport, noted = TcpTransport(1 << 16), Noted()
+    transport.datagrams = noted
+    try:
+        listener = await transport.listen(at, lambda link: None)  # type: ignore[arg-type,return-value]
+    except OSError:
+        pytest.skip("no IPv6 on this computer")
+    host, port = split_address(listener.address)
+    asks = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+    asks.sendto(SOUND, (host, port))
+    await until(lambda: noted.came == [SOUND])
+    asks.settimeout(60.0)
+    assert asks.recv(100) == b"seen"
+    listener.close()
+    again = socket.socket(asks.family, socket.SOCK_DGRAM)
+    again.bind((host, port))
+    again.close()
+    asks.close()
 
 
-def test_what_cannot_be_an_order_is_dropped() -> None:
-    async def story() -> None:
-        noted, asks = Noted(), sender()
-        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        made.bind(("127.0.0.1", 0))
-        at = made.getsockname()
-        port = DatagramPort(datagram_socket_at(made), noted, float)
-        for wrong in (b"", MAGIC, b"GET / HTTP/1.1" + bytes(200), SOUND[:100], MAGIC + bytes(MAX_DATAGRAM)):
-            asks.sendto(wrong, at)
-        asks.sendto(SOUND, at)
-        await until(lambda: bool(noted.came))
-        assert noted.came == [SOUND]
-        port.close()
-        made.close()
-        asks.close()
-
-    on_loop(story)
+async def test_what_cannot_be_an_order_is_dropped() -> None:
+    noted, asks = Noted(), sender()
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    made.bind(("127.0.0.1", 0))
+    at = made.getsockname()
+    port = DatagramPort(datagram_socket_at(made), noted, float)
+    for wrong in (b"", MAGIC, b"GET / HTTP/1.1" + bytes(200), SOUND[:100], MAGIC + bytes(MAX_DATAGRAM)):
+        asks.sendto(wrong, at)
+    asks.sendto(SOUND, at)
+    await until(lambda: bool(noted.came))
+    assert noted.came == [SOUND]
+    port.close()
+    made.close()
+    asks.close()
 
 
 def test_of_a_sender_that_sends_too_much_the_kernel_drops_all_and_of_nobody_else() -> None:
@@ -123,50 +110,44 @@ def test_of_a_sender_that_sends_too_much_the_kernel_drops_all_and_of_nobody_else
         each.close()
 
 
-def test_a_flood_that_is_refused_does_not_hold_up_others() -> None:
-    async def story() -> None:
-        noted, floods, asks = Noted(), sender(), sender()
-        noted.left[floods.getsockname()] = 3
-        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        made.bind(("127.0.0.1", 0))
-        port = DatagramPort(datagram_socket_at(made), noted, float)
-        for _ in range(100):
-            floods.sendto(SOUND, made.getsockname())
-        await until(lambda: len(noted.came) == 3)
-        asks.sendto(SOUND + b"!", made.getsockname())
-        await until(lambda: SOUND + b"!" in noted.came)
-        assert len(noted.came) == 4
-        port.close()
-        made.close()
-        floods.close()
-        asks.close()
-
-    on_loop(story)
+async def test_a_flood_that_is_refused_does_not_hold_up_others() -> None:
+    noted, floods, asks = Noted(), sender(), sender()
+    noted.left[floods.getsockname()] = 3
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    made.bind(("127.0.0.1", 0))
+    port = DatagramPort(datagram_socket_at(made), noted, float)
+    for _ in range(100):
+        floods.sendto(SOUND, made.getsockname())
+    await until(lambda: len(noted.came) == 3)
+    asks.sendto(SOUND + b"!", made.getsockname())
+    await until(lambda: SOUND + b"!" in noted.came)
+    assert len(noted.came) == 4
+    port.close()
+    made.close()
+    floods.close()
+    asks.close()
 
 
-def test_a_flood_from_many_ports_of_one_address_is_dropped_with_all_ports() -> None:
-    async def story() -> None:
-        noted, asks = Noted(), sender("127.0.0.2")
-        floods = [sender() for _ in range(FLOODING_PORTS + 2)]
-        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        made.bind(("127.0.0.1", 0))
-        port = DatagramPort(datagram_socket_at(made), noted, float)
-        for one in floods[: FLOODING_PORTS + 1]:
-            noted.left[one.getsockname()] = 0
-            one.sendto(SOUND, made.getsockname())
-        await until(lambda: [found.port for found in port.flooders] == [ANY_PORT])
-        # Of this port nothing came before.
-        floods[-1].sendto(SOUND, made.getsockname())
-        asks.sendto(SOUND + b"!", made.getsockname())
-        await until(lambda: noted.came == [SOUND + b"!"])
-        port.close()
-        for each in (made, asks, *floods):
-            each.close()
-
+async def test_a_flood_from_many_ports_of_one_address_is_dropped_with_all_ports() -> None:
     with sender() as tried:
         if not attach(tried, []):
             pytest.skip("this kernel has no socket filters")
-    on_loop(story)
+    noted, asks = Noted(), sender("127.0.0.2")
+    floods = [sender() for _ in range(FLOODING_PORTS + 2)]
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    made.bind(("127.0.0.1", 0))
+    port = DatagramPort(datagram_socket_at(made), noted, float)
+    for one in floods[: FLOODING_PORTS + 1]:
+        noted.left[one.getsockname()] = 0
+        one.sendto(SOUND, made.getsockname())
+    await until(lambda: [found.port for found in port.flooders] == [ANY_PORT])
+    # Of this port nothing came before.
+    floods[-1].sendto(SOUND, made.getsockname())
+    asks.sendto(SOUND + b"!", made.getsockname())
+    await until(lambda: noted.came == [SOUND + b"!"])
+    port.close()
+    for each in (made, asks, *floods):
+        each.close()
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,11 @@ def play(story: Story) -> None:
     run_jumping(told())
 
 
+@pytest.fixture(scope="session")
+def runner():
+    return play
+
+
 async def until(done: Callable[[], bool]) -> None:
     async with asyncio.timeout(60.0):
         while not done():
@@ -58,104 +63,80 @@ def test_either_side_moves_the_link_when_its_data_is_not_acknowledged(senders):
     play(story)
 
 
-def test_the_path_that_returns_is_the_standby_and_then_used_again():
-    async def story(network, alpha, bravo):
-        one, two = network.paths["one"], network.paths["two"]
-        one.alive = False
-        alpha.send(7)
-        await until(lambda: alpha.path == bravo.path == "two")
-        await asyncio.sleep(20.0)
-        assert alpha.count("standby connection with") == 1
-        one.alive, back = True, now()
-        await until(lambda: alpha.count("standby connection with") == 2)
-        assert now() - back < 16.0
-        two.alive = False
-        bravo.send(7)
-        await until(lambda: alpha.path == bravo.path == "one")
-        assert alpha.count("unlinked") == bravo.count("unlinked") == 0
-
-    play(story)
+async def test_the_path_that_returns_is_the_standby_and_then_used_again(network, alpha, bravo, /):
+    one, two = network.paths["one"], network.paths["two"]
+    one.alive = False
+    alpha.send(7)
+    await until(lambda: alpha.path == bravo.path == "two")
+    await asyncio.sleep(20.0)
+    assert alpha.count("standby connection with") == 1
+    one.alive, back = True, now()
+    await until(lambda: alpha.count("standby connection with") == 2)
+    assert now() - back < 16.0
+    two.alive = False
+    bravo.send(7)
+    await until(lambda: alpha.path == bravo.path == "one")
+    assert alpha.count("unlinked") == bravo.count("unlinked") == 0
 
 
-def test_a_standby_is_dialled_at_once_when_there_is_none_and_the_path_dies():
-    async def story(network, alpha, bravo):
-        one, two = network.paths["one"], network.paths["two"]
-        two.alive = False
-        # The keep-alive gets no answer.
-        await until(lambda: len(alpha.transport.dialled) >= 3)
-        await asyncio.sleep(10.0)
-        two.alive = True
-        one.alive = False
-        start = now()
-        alpha.send(7)
-        await until(lambda: alpha.path == bravo.path == "two")
-        # At most the rest of an attempt at the dead path.
-        assert now() - start < 7.0
-
-    play(story)
+async def test_a_standby_is_dialled_at_once_when_there_is_none_and_the_path_dies(network, alpha, bravo, /):
+    one, two = network.paths["one"], network.paths["two"]
+    two.alive = False
+    # The keep-alive gets no answer.
+    await until(lambda: len(alpha.transport.dialled) >= 3)
+    await asyncio.sleep(10.0)
+    two.alive = True
+    one.alive = False
+    start = now()
+    alpha.send(7)
+    await until(lambda: alpha.path == bravo.path == "two")
+    # At most the rest of an attempt at the dead path.
+    assert now() - start < 7.0
 
 
-def test_two_dead_paths_are_no_path():
-    async def story(network, alpha, bravo):
-        for path in network.paths.values():
-            path.alive = False
-        alpha.send(7)
-        await until(lambda: alpha.path == bravo.path == "")
-        for path in network.paths.values():
-            path.alive = True
-        await until(lambda: alpha.path == bravo.path != "")
-
-    play(story)
+async def test_two_dead_paths_are_no_path(network, alpha, bravo, /):
+    for path in network.paths.values():
+        path.alive = False
+    alpha.send(7)
+    await until(lambda: alpha.path == bravo.path == "")
+    for path in network.paths.values():
+        path.alive = True
+    await until(lambda: alpha.path == bravo.path != "")
 
 
-def test_a_much_better_path_is_used_after_a_while_when_nothing_is_under_way():
-    async def story(network, alpha, bravo):
-        network.paths["one"].delay, start = 0.2, now()
-        await until(lambda: alpha.path == bravo.path == "two")
-        assert BETTER_FOR <= now() - start < BETTER_FOR + 20.0
-        assert alpha.count("unlinked") == bravo.count("unlinked") == 0
-        assert alpha.count("the other path is better") == 1
-
-    play(story)
+async def test_a_much_better_path_is_used_after_a_while_when_nothing_is_under_way(network, alpha, bravo, /):
+    network.paths["one"].delay, start = 0.2, now()
+    await until(lambda: alpha.path == bravo.path == "two")
+    assert BETTER_FOR <= now() - start < BETTER_FOR + 20.0
+    assert alpha.count("unlinked") == bravo.count("unlinked") == 0
+    assert alpha.count("the other path is better") == 1
 
 
-def test_a_path_that_is_only_a_little_better_is_not_used():
-    async def story(network, alpha, bravo):
-        network.paths["one"].delay = 0.019
-        await asyncio.sleep(300.0)
-        assert alpha.path == "one"
-        assert alpha.count("moves") == bravo.count("moves") == 0
-
-    play(story)
+async def test_a_path_that_is_only_a_little_better_is_not_used(network, alpha, bravo, /):
+    network.paths["one"].delay = 0.019
+    await asyncio.sleep(300.0)
+    assert alpha.path == "one"
+    assert alpha.count("moves") == bravo.count("moves") == 0
 
 
-def test_a_healthy_link_and_its_standby_stay_for_an_hour():
-    async def story(network, alpha, bravo):
-        dialled = len(alpha.transport.dialled)
-        await asyncio.sleep(3600.0)
-        assert (alpha.path, len(alpha.transport.dialled), bravo.transport.dialled) == ("one", dialled, [])
-
-    play(story)
+async def test_a_healthy_link_and_its_standby_stay_for_an_hour(network, alpha, bravo, /):
+    dialled = len(alpha.transport.dialled)
+    await asyncio.sleep(3600.0)
+    assert (alpha.path, len(alpha.transport.dialled), bravo.transport.dialled) == ("one", dialled, [])
 
 
-def test_a_link_that_is_closed_is_replaced_by_the_standby():
-    async def story(network, alpha, bravo):
-        alpha.peers.link_of("bravo").link.abort()
-        start = now()
-        await until(lambda: alpha.path == bravo.path == "two")
-        assert now() - start < 0.2
-
-    play(story)
+async def test_a_link_that_is_closed_is_replaced_by_the_standby(network, alpha, bravo, /):
+    alpha.peers.link_of("bravo").link.abort()
+    start = now()
+    await until(lambda: alpha.path == bravo.path == "two")
+    assert now() - start < 0.2
 
 
-def test_an_unneeded_link_takes_its_standby_with_it():
-    async def story(network, alpha, bravo):
-        alpha.desired_hosts = bravo.desired_hosts = set
-        await until(lambda: alpha.path == bravo.path == "")
-        await asyncio.sleep(1.0)
-        assert all(link.closed for link in network.links)
-        count = len(alpha.transport.dialled)
-        await asyncio.sleep(60.0)
-        assert len(alpha.transport.dialled) == count
-
-    play(story)
+async def test_an_unneeded_link_takes_its_standby_with_it(network, alpha, bravo, /):
+    alpha.desired_hosts = bravo.desired_hosts = set
+    await until(lambda: alpha.path == bravo.path == "")
+    await asyncio.sleep(1.0)
+    assert all(link.closed for link in network.links)
+    count = len(alpha.transport.dialled)
+    await asyncio.sleep(60.0)
+    assert len(alpha.transport.dialled) == count

@@ -135,46 +135,42 @@ def test_the_hello_of_a_standby_is_none_of_a_link():
         handshake.receive(STANDBY)
 
 
+@pytest.fixture(scope="session")
+def runner():
+    return play
+
+
 @pytest.mark.parametrize("hello", [Hello("standby", "bravo", 0), Hello("standby", "charlie", 0)])
-def test_a_host_may_offer_a_standby_only_for_itself(hello):
-    async def story(network, alpha, bravo):
-        count, caller = (
-            bravo.count("standby connection with"),
-            StandbyConnection(Owner(), "bravo", now(), dialled=True),
-        )
-        link = await alpha.transport.connect("two-bravo:7001", caller, "bravo")
-        caller.open(link, hello)
-        await until(lambda: link.closed)
-        assert bravo.count("standby connection with") == count
-        assert not caller.was_ready
-
-    play(story)
+async def test_a_host_may_offer_a_standby_only_for_itself(network, alpha, bravo, /, hello):
+    count, caller = (
+        bravo.count("standby connection with"),
+        StandbyConnection(Owner(), "bravo", now(), dialled=True),
+    )
+    link = await alpha.transport.connect("two-bravo:7001", caller, "bravo")
+    caller.open(link, hello)
+    await until(lambda: link.closed)
+    assert bravo.count("standby connection with") == count
+    assert not caller.was_ready
 
 
-def test_the_newer_of_two_standbys_is_kept():
-    async def story(network, alpha, bravo):
-        caller = StandbyConnection(Owner(), "bravo", now(), dialled=True)
-        link = await alpha.transport.connect("two-bravo:7001", caller, "bravo")
-        caller.open(link, STANDBY)
-        await until(lambda: caller.was_ready)
-        await until(lambda: bravo.count("standby connection with") >= 2)
-        open_links = [each for each in network.links if not each.closed and each.peer.startswith("two-alpha")]
-        assert len(open_links) == 1
-
-    play(story)
+async def test_the_newer_of_two_standbys_is_kept(network, alpha, bravo, /):
+    caller = StandbyConnection(Owner(), "bravo", now(), dialled=True)
+    link = await alpha.transport.connect("two-bravo:7001", caller, "bravo")
+    caller.open(link, STANDBY)
+    await until(lambda: caller.was_ready)
+    await until(lambda: bravo.count("standby connection with") >= 2)
+    open_links = [each for each in network.links if not each.closed and each.peer.startswith("two-alpha")]
+    assert len(open_links) == 1
 
 
-def test_a_host_that_lost_its_rights_loses_its_standby():
-    async def story(network, alpha, bravo):
-        assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "two-bravo")
-        assert bravo.peers.standbys.paths("alpha") == ("one-alpha", "two-alpha")
-        bravo.peers.standbys._is_admitted = lambda who: False
-        bravo.peers.reauthorise()
-        await asyncio.sleep(0.1)
-        assert [each.closed for each in network.links if each.peer.startswith("two-")] == [True, True]
-        # No other one is accepted.
-        await asyncio.sleep(20.0)
-        assert bravo.count("standby connection with") == 1
-        assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "")
-
-    play(story)
+async def test_a_host_that_lost_its_rights_loses_its_standby(network, alpha, bravo, /):
+    assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "two-bravo")
+    assert bravo.peers.standbys.paths("alpha") == ("one-alpha", "two-alpha")
+    bravo.peers.standbys._is_admitted = lambda who: False
+    bravo.peers.reauthorise()
+    await asyncio.sleep(0.1)
+    assert [each.closed for each in network.links if each.peer.startswith("two-")] == [True, True]
+    # No other one is accepted.
+    await asyncio.sleep(20.0)
+    assert bravo.count("standby connection with") == 1
+    assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "")

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import itertools
 import re
-import signal
 import subprocess
 import sys
-import threading
 import time
 import uuid
 from pathlib import Path
 
-from namespaces import PATIENCE, command
+from namespaces import PATIENCE, Process, command
 
 from lfield.testing.keyring import Keyring
 
@@ -44,54 +42,30 @@ def address(host: str, network: str) -> str:
     return f"10.9.{1 + NETWORKS.index(network)}.{1 + HOSTS.index(host)}"
 
 
-class Host:
+class Host(Process):
     """A host as a process; its lines with the times at which they came."""
 
     def __init__(self, words: list[str]) -> None:
-        self._popen = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        self.lines: list[tuple[float, str]] = []
-        self._changed = threading.Condition()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+        super().__init__(words, subprocess.STDOUT)
 
-    def _read(self) -> None:
-        assert self._popen.stdout is not None
-        for line in self._popen.stdout:
-            with self._changed:
-                self.lines.append((time.monotonic(), line.rstrip("\n")))
-                self._changed.notify_all()
+    def _timed(self, line: str) -> str:
+        return f"{time.monotonic():.6f} {line}"
+
+    def _count(self, until: float) -> int:
+        return sum(float(line.split()[0]) < until for line in list(self.lines))
 
     def wait_for(self, pattern: str, since: float = 0.0) -> float:
         """When the first line with this came, of those since a time."""
-
-        def found() -> float | None:
-            return next((at for at, line in self.lines if at >= since and re.search(pattern, line)), None)
-
-        with self._changed:
-            self._changed.wait_for(lambda: found() is not None, PATIENCE)
-        at = found()
-        assert at is not None, f"no line like {pattern!r}:\n{self.text(since)}"
-        return at
+        return super().wait_for(pattern, self._count(since))
 
     def text(self, since: float = 0.0) -> str:
         """What it wrote besides the stamps."""
-        return "\n".join(
-            f"{at:.2f} {line}" for at, line in self.lines if at >= since and "stamped" not in line
-        )
+        return "\n".join(line for line in self.lines[self._count(since) :] if "stamped" not in line)
 
     def stamps(self) -> list[tuple[float, int]]:
         """The numbers that were stamped here, with their times."""
-        found = ((at, re.search(r"stamped (\d+)", line)) for at, line in list(self.lines))
-        return [(at, int(match[1])) for at, match in found if match]
-
-    def end(self) -> None:
-        if self._popen.returncode is not None:
-            return
-        self._popen.send_signal(signal.SIGKILL)
-        self._popen.wait(PATIENCE)
-        self._reader.join(PATIENCE)
-        assert self._popen.stdout is not None
-        self._popen.stdout.close()
+        found = (re.match(r"(\S+) .*stamped (\d+)", line) for line in list(self.lines))
+        return [(float(match[1]), int(match[2])) for match in found if match]
 
 
 class TwoNetworks:

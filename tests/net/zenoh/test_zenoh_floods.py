@@ -48,9 +48,9 @@ class FakeSession:
 
 
 @pytest.fixture
-def run(monkeypatch):
+def runner(monkeypatch):
     monkeypatch.setattr("lfield.net.zenoh.session.ZenohSession", FakeSession)
-    return asyncio.run
+    return lambda test: asyncio.run(test())
 
 
 def endpoint_with_session() -> tuple[ZenohEndpoint, FakeSession]:
@@ -65,32 +65,26 @@ async def processed() -> None:
         await asyncio.sleep(0)
 
 
-def test_a_flood_of_requests_opens_few_streams(run):
-    async def flood() -> int:
-        endpoint, session = endpoint_with_session()
-        pipes = []
-        endpoint.listen("alpha", 8181, pipes.append)
-        for number in range(COUNT):
-            session.subscribed[f"{ROOT}/at/alpha/8181/*/*"](f"{ROOT}/at/alpha/8181/{number:x}/1", OPEN)
-            await processed()
-        return len(pipes)
-
-    assert MAX_OPENED <= run(flood()) <= SLOWNESS * MAX_OPENED
+async def test_a_flood_of_requests_opens_few_streams():
+    endpoint, session = endpoint_with_session()
+    pipes = []
+    endpoint.listen("alpha", 8181, pipes.append)
+    for number in range(COUNT):
+        session.subscribed[f"{ROOT}/at/alpha/8181/*/*"](f"{ROOT}/at/alpha/8181/{number:x}/1", OPEN)
+        await processed()
+    assert MAX_OPENED <= len(pipes) <= SLOWNESS * MAX_OPENED
 
 
-def test_packets_of_unknown_streams_get_few_answers(run):
-    async def flood() -> int:
-        _, session = endpoint_with_session()
-        (key,) = (key for key in session.subscribed if key.startswith(f"{ROOT}/to/"))
-        for number in range(COUNT):
-            session.subscribed[key](key.replace("*/*", f"{number:x}/1"), DATA)
-            await processed()
-        return len(session.published)
-
-    assert MAX_RESETS <= run(flood()) <= SLOWNESS * MAX_RESETS
+async def test_packets_of_unknown_streams_get_few_answers():
+    _, session = endpoint_with_session()
+    (key,) = (key for key in session.subscribed if key.startswith(f"{ROOT}/to/"))
+    for number in range(COUNT):
+        session.subscribed[key](key.replace("*/*", f"{number:x}/1"), DATA)
+        await processed()
+    assert MAX_RESETS <= len(session.published) <= SLOWNESS * MAX_RESETS
 
 
-def test_packets_that_wait_for_the_loop_are_limited_and_long_ones_dropped(run):
+def test_packets_that_wait_for_the_loop_are_limited_and_long_ones_dropped(runner):
     """They arrive in a thread of Zenoh, and nothing slows that one down."""
 
     async def flood() -> tuple[int, int]:
@@ -108,6 +102,6 @@ def test_packets_that_wait_for_the_loop_are_limited_and_long_ones_dropped(run):
         receive(f"{ROOT}/at/alpha/8181/1/1", bytes(100 * MAX_SEGMENT))
         return count, len(waiting)
 
-    count, long = run(flood())
+    count, long = runner(flood)
     assert 0 < count <= MAX_WAITING // MAX_SEGMENT + 1
     assert long == 0

@@ -25,14 +25,11 @@ async def fail() -> None:
     raise Bug
 
 
-def test_what_is_beside_a_body_ends_with_it() -> None:
+async def test_what_is_beside_a_body_ends_with_it() -> None:
     ended: list[str] = []
 
-    async def main() -> None:
-        async with background_tasks(forever(ended)):
-            await asyncio.sleep(0.0)
-
-    asyncio.run(main())
+    async with background_tasks(forever(ended)):
+        await asyncio.sleep(0.0)
     assert ended == ["ended"]
 
 

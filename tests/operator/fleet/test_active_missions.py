@@ -74,6 +74,9 @@ def test_a_bundle_of_an_earlier_mission_on_a_robot_that_is_left_is_no_division()
     statuses = team(alpha=TWO, bravo=TWO, carol=THREE)
     assert names(statuses) == ["two"]
     assert divided_hosts(statuses) == []
+    # Unless it runs that mission, which cannot reach the others any more.
+    statuses["carol"] = replace(statuses["carol"], run=RunInfo(THREE.digest, "running"))
+    assert divided_hosts(statuses) == ["alpha", "bravo", "carol"]
     # But a robot of the mission with an earlier bundle is one.
     assert divided_hosts(team(alpha=THREE, bravo=THREE, carol=TWO)) == ["alpha", "bravo", "carol"]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from lfield.cli.fleet.push import service_states
 from lfield.errors import AddressError, NoListener
 from lfield.operator.fleet.activation import VOTE_TIMEOUT, BallotResult, activate, new_ballot
 from lfield.operator.fleet.service_link import RESTART_TIME, ServiceLinks
@@ -78,6 +79,19 @@ def test_a_service_that_restarts_is_asked_again_for_a_bounded_time() -> None:
         run_jumping(answered((0.0, 2.0), 0.0))
     with pytest.raises(NoListener):
         run_jumping(answered((0.0, 50.0), RESTART_TIME))
+
+
+async def first_states(away: tuple[float, float]) -> tuple[Any, float]:
+    """What a push learns first of a service, and when."""
+    links = DirectLinks(ServiceState("alpha"), ServiceState("bravo", away))
+    return (await service_states(links, ["bravo"]))["bravo"], elapsed()
+
+
+def test_a_push_does_not_wait_for_a_service_that_has_not_listened() -> None:
+    """One that has answered is asked again: it is restarting."""
+    found, end = run_jumping(first_states((0.0, 50.0)))
+    assert isinstance(found, NoListener)
+    assert end < 1.5
 
 
 async def result(*away: tuple[float, float]) -> tuple[BallotResult, float]:

@@ -54,21 +54,18 @@ async def until(sent: list[str], count: int) -> None:
             await asyncio.sleep(0.01)
 
 
-def test_each_address_of_a_host_gets_the_order() -> None:
-    async def story() -> None:
-        sent: list[str] = []
-        orders = OrderDatagrams(
-            Orders(), {"alpha": "127.0.0.2:1,[::1]:2,127.0.0.3:3"}, lambda _: Sockets(sent)
-        )
-        orders.start()
-        await until(sent, 3)
-        assert sent == ["127.0.0.2", "::1", "127.0.0.3"]
-        orders.close()
-
-    asyncio.run(story())
+async def test_each_address_of_a_host_gets_the_order() -> None:
+    sent: list[str] = []
+    orders = OrderDatagrams(Orders(), {"alpha": "127.0.0.2:1,[::1]:2,127.0.0.3:3"}, lambda _: Sockets(sent))
+    orders.start()
+    await until(sent, 3)
+    assert sent == ["127.0.0.2", "::1", "127.0.0.3"]
+    orders.close()
 
 
-def test_a_name_server_that_does_not_answer_delays_no_other_address(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_name_server_that_does_not_answer_delays_no_other_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     blocked, real = threading.Event(), socket.getaddrinfo
 
     def found(host, port, *args, flags=0, **more):
@@ -79,31 +76,25 @@ def test_a_name_server_that_does_not_answer_delays_no_other_address(monkeypatch:
 
     monkeypatch.setattr(socket, "getaddrinfo", found)
 
-    async def story() -> None:
-        sent: list[str] = []
-        orders = OrderDatagrams(Orders(), {"alpha": "slow:1,127.0.0.2:1"}, lambda _: Sockets(sent))
-        orders.start()
-        await until(sent, 1)
-        assert sent == ["127.0.0.2"]
-        blocked.set()
-        # The next repetition is sent to both.
-        async with asyncio.timeout(30.0):
-            while "127.0.0.9" not in sent:
-                orders.finish("alpha")
-                await asyncio.sleep(0.01)
-        orders.close()
-
-    asyncio.run(story())
+    sent: list[str] = []
+    orders = OrderDatagrams(Orders(), {"alpha": "slow:1,127.0.0.2:1"}, lambda _: Sockets(sent))
+    orders.start()
+    await until(sent, 1)
+    assert sent == ["127.0.0.2"]
+    blocked.set()
+    # The next repetition is sent to both.
+    async with asyncio.timeout(30.0):
+        while "127.0.0.9" not in sent:
+            orders.finish("alpha")
+            await asyncio.sleep(0.01)
+    orders.close()
 
 
-def test_an_address_that_cannot_be_read_is_left_to_the_link() -> None:
-    async def story() -> None:
-        sent: list[str] = []
-        orders = OrderDatagrams(Orders(), {"alpha": "127.0.0.2:x"}, lambda _: Sockets(sent))
-        orders.start()
-        async with asyncio.timeout(30.0):
-            await orders.wait_link_needed("alpha")
-        assert sent == []
-        orders.close()
-
-    asyncio.run(story())
+async def test_an_address_that_cannot_be_read_is_left_to_the_link() -> None:
+    sent: list[str] = []
+    orders = OrderDatagrams(Orders(), {"alpha": "127.0.0.2:x"}, lambda _: Sockets(sent))
+    orders.start()
+    async with asyncio.timeout(30.0):
+        await orders.wait_link_needed("alpha")
+    assert sent == []
+    orders.close()

@@ -8,6 +8,8 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
+import pytest
+
 from lfield.operator.web.accept_limiter import MAX_CALLERS, AcceptLimiter
 
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -86,41 +88,37 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
     asyncio.run(run())
 
 
-def test_a_stranger_is_shown_out_and_who_is_known_stays():
-    async def story(callers, call, late) -> None:
-        guest, stranger = await call(), await call()
-        callers.on_authenticated(guest.peer)
-        late()
-        await stranger.gone()
-        assert await guest.heard()
-        later = await call()
-        late()
-        await later.gone()
-
-    tried(story)
+@pytest.fixture(scope="session")
+def runner():
+    return tried
 
 
-def test_so_many_strangers_are_held_and_the_next_is_let_in():
-    async def story(callers, call, late) -> None:
-        guest = await call()
-        callers.on_authenticated(guest.peer)
-        strangers = [await call() for _ in range(3 * MAX_CALLERS)]
-        still = [stranger for stranger in strangers if await stranger.heard()]
-        assert len(still) == MAX_CALLERS
-        assert strangers[-1] in still
-        assert await guest.heard()
-
-    tried(story)
+async def test_a_stranger_is_shown_out_and_who_is_known_stays(callers, call, late, /):
+    guest, stranger = await call(), await call()
+    callers.on_authenticated(guest.peer)
+    late()
+    await stranger.gone()
+    assert await guest.heard()
+    later = await call()
+    late()
+    await later.gone()
 
 
-def test_who_leaves_first_is_missed_by_nobody():
-    async def story(callers, call, late) -> None:
-        for _ in range(3):
-            caller = await call()
-            caller.writer.close()
-            callers.on_authenticated(caller.peer)
-            callers.on_authenticated(caller.peer)
-        late()
-        assert await (await call()).heard()
+async def test_so_many_strangers_are_held_and_the_next_is_let_in(callers, call, late, /):
+    guest = await call()
+    callers.on_authenticated(guest.peer)
+    strangers = [await call() for _ in range(3 * MAX_CALLERS)]
+    still = [stranger for stranger in strangers if await stranger.heard()]
+    assert len(still) == MAX_CALLERS
+    assert strangers[-1] in still
+    assert await guest.heard()
 
-    tried(story)
+
+async def test_who_leaves_first_is_missed_by_nobody(callers, call, late, /):
+    for _ in range(3):
+        caller = await call()
+        caller.writer.close()
+        callers.on_authenticated(caller.peer)
+        callers.on_authenticated(caller.peer)
+    late()
+    assert await (await call()).heard()

@@ -183,15 +183,12 @@ def keys(folder: Path) -> WebKeys:
     return read_web_keys(folder)
 
 
-def test_a_site_has_the_names_of_its_certificate(keys: WebKeys) -> None:
-    async def story() -> None:
-        site = await network_site(ADDRESS, 0, keys, print)
-        port = site.port
-        assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
-        assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
-        site.close()
-
-    asyncio.run(story())
+async def test_a_site_has_the_names_of_its_certificate(keys: WebKeys) -> None:
+    site = await network_site(ADDRESS, 0, keys, print)
+    port = site.port
+    assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
+    assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
+    site.close()
 
 
 class Echo(asyncio.Protocol):
@@ -217,7 +214,7 @@ async def answers(address: str, port: int, root: BrowserCa) -> bool:
     return answered
 
 
-def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserCa, monkeypatch) -> None:
+async def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserCa, monkeypatch) -> None:
     """Also at the other family, and where an address of the name is not there yet."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
@@ -228,22 +225,19 @@ def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserC
     monkeypatch.setattr(socket, "getaddrinfo", found)
     monkeypatch.setattr(listener, "CHECK_EVERY", 0.01)
 
-    async def story() -> None:
-        notes: list[str] = []
-        site = await network_site(NAME, 0, keys, notes.append)
-        site.limiter.start(Echo)
-        assert await answers("127.0.0.2", site.port, root)
-        leads[:] = ["192.0.2.1", "::1"]
-        async with asyncio.timeout(30.0):
-            while not await answers("::1", site.port, root) or await answers("127.0.0.2", site.port, root):
-                await asyncio.sleep(0.01)
-        assert f"{NAME} listening on [::1]:{site.port} too: the name now resolves to it" in notes
-        assert any("not listening on 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
-        site.close()
-        await asyncio.sleep(0)
-        assert not await answers("::1", site.port, root)
-
-    asyncio.run(story())
+    notes: list[str] = []
+    site = await network_site(NAME, 0, keys, notes.append)
+    site.limiter.start(Echo)
+    assert await answers("127.0.0.2", site.port, root)
+    leads[:] = ["192.0.2.1", "::1"]
+    async with asyncio.timeout(30.0):
+        while not await answers("::1", site.port, root) or await answers("127.0.0.2", site.port, root):
+            await asyncio.sleep(0.01)
+    assert f"{NAME} listening on [::1]:{site.port} too: the name now resolves to it" in notes
+    assert any("not listening on 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
+    site.close()
+    await asyncio.sleep(0)
+    assert not await answers("::1", site.port, root)
 
 
 @pytest.mark.parametrize(

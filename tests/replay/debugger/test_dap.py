@@ -12,10 +12,12 @@ import pytest
 from debugger_recordings import EXAMPLES
 
 from lfield.cli.debugging.dap.dap_session import DapSession, OpenedDebugger
+from lfield.cli.debugging.dap.dap_values import DapValues
 from lfield.cli.debugging.dap.dap_wire import DapStream, RequestQueue
 from lfield.errors import UsageError
 from lfield.replay.debugger import host_timeline
 from lfield.replay.debugger.debugger import Debugger
+from lfield.replay.debugger.statement_table import SourceLine
 
 FOLDER = EXAMPLES / "01-first-flight"
 FILE = str(FOLDER / "mission.L")
@@ -239,3 +241,14 @@ def test_the_end_of_the_stream_within_a_message_is_its_end():
         near.sendall(b'Content-Length: 50\r\n\r\n{"a"')
         near.close()
         assert DapStream(source, sink).read() is None
+
+
+def test_a_source_that_was_changed_since_is_shown_as_it_ran(first_flight, tmp_path):
+    at = SourceLine("mission.L", LEG)
+    text = (FOLDER / "mission.L").read_bytes()
+    values = DapValues(Debugger(first_flight), tmp_path)
+    for data, is_file in ((text, True), (b"// new\n" + text, False)):
+        (tmp_path / "mission.L").write_bytes(data)
+        row = values.source_row(at)
+        assert ("sourceReference" not in row) == is_file
+    assert values.source_text(row["sourceReference"]) == text.decode()

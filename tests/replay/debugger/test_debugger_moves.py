@@ -51,6 +51,32 @@ def test_a_step_over_stays_in_the_frame_and_back_again(debugger):
     assert _line(debugger) == LEG
 
 
+@pytest.mark.parametrize("move", [Debugger.step_line, Debugger.step_over])
+def test_steps_by_line_stop_at_the_same_places_in_both_directions(debugger, move):
+    debugger.enter()
+    found = [debugger.place]
+    while len(found) < 60 and move(debugger):
+        found.append(debugger.place)
+    assert len(found) > 20
+    back = [found[-1]]
+    while len(back) < len(found) and move(debugger, backward=True):
+        back.append(debugger.place)
+    assert back == found[::-1]
+
+
+def test_a_step_backward_from_within_a_line_goes_to_its_beginning(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    assert debugger.resume()
+    while True:
+        place, top = debugger.place, debugger.stack()[0]
+        assert debugger.step()
+        now = debugger.stack()[0]
+        if (now.line, now.depth, now.key) == (top.line, top.depth, top.key):
+            break
+    assert debugger.step_over(backward=True)
+    assert debugger.place == place
+
+
 def test_a_step_follows_the_coordinator_to_another_host(debugger):
     debugger.search(StatementTarget("pilot"))
     hosts = [debugger.host]
@@ -227,7 +253,27 @@ def test_a_mistake_in_an_expression_is_reported(debugger, text):
         debugger.evaluate(text)
 
 
-@pytest.mark.parametrize("text", ["nothing", "leg.x", "1 / 0", 'leg < "a"', "f(1)", "first.nothing"])
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("-7 % 3", -1), ("-7 / 2", -3), ("9007199254740993 / 1", 9007199254740993), ("-7.5 % 2", -1.5),
+        ("7 / 2.0", 3.5), ('"a" + "b"', "ab"), ("first == null", False), ("-leg", 0), ("leg == 0.0", True),
+    ],
+)  # fmt: skip
+def test_an_expression_has_the_value_that_the_program_computes(debugger, text, value):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    debugger.resume()
+    found = debugger.evaluate(text)[0]
+    assert (found, type(found)) == (value, type(value))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nothing", "leg.x", "1 / 0", "1.0 / 0.0", 'leg < "a"', "f(1)", "first.nothing", '"a" * 3', '"%s" % 1',
+        "true + 1", "leg == true", "leg == first", "9223372036854775807 + 1", "!5", "leg && true", "-true",
+    ],
+)  # fmt: skip
 def test_an_expression_without_a_value_says_so(debugger, text):
     debugger.add_breakpoint(Breakpoint("mission.L", LEG))
     debugger.resume()

@@ -12,6 +12,7 @@ from lfield.replay.debugger.frames import StackFrame
 from lfield.replay.debugger.moment import ThreadKey
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.replay.debugger.value_tree import Variable
+from lfield.text.input_files import MAX_TEXT, read_within
 
 Row = dict[str, Any]
 
@@ -63,11 +64,19 @@ class DapValues:
     # --- sources --------------------------------------------------------------------------------------
 
     def source_row(self, at: SourceLine) -> Row:
-        """A source: the file if it is here, otherwise the text in the bundle by its number."""
+        """A source: the file if it is here as it ran, otherwise the text in the bundle by its number."""
         path = Path(at.file) if self._folder is None else self._folder / at.file
-        if path.is_file():
+        if self._is_as_recorded(path, at.file):
             return {"name": path.name, "path": str(path.resolve())}
         return {"name": Path(at.file).name, "path": at.file, "sourceReference": self._sources[at.file]}
+
+    def _is_as_recorded(self, path: Path, file: str) -> bool:
+        """Whether a file has the text in the bundle: it may have been changed since."""
+        text = self._debugger.team.table.source(file)
+        try:
+            return path.is_file() and text is not None and read_within(path, MAX_TEXT) == text.encode()
+        except (OSError, ValueError):
+            return False
 
     def source_text(self, number: object) -> str | None:
         """The text of a source with a number."""

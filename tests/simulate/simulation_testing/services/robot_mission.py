@@ -285,6 +285,10 @@ class ModelProbe:
             self._mission.held = b""
         return await self._answer("")
 
+    async def is_up(self) -> bool:
+        """Whether the host is up."""
+        return not await self._request()
+
     async def condition(self) -> str:
         """Why the host waits."""
         return ""
@@ -293,7 +297,7 @@ class ModelProbe:
         """The model waits for no other host."""
         return ""
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = "") -> list[str]:
         """End the coordinators in the journal of a host that does not run."""
         await self._request()
         ended = list(self._mission.unfinished)
