@@ -85,6 +85,19 @@ def test_both_hosts_of_a_directory_are_replayed(team, tmp_path, capsys):
     assert {row["host"] for row in found["hosts"]} == {"north", "south"}
 
 
+def test_the_directories_of_several_robots_are_searched(team, tmp_path):
+    """As the copies of `recordings` of each robot; a folder that was copied twice is used once."""
+    both(tmp_path / "north", team)
+    for folder in (tmp_path / "north").iterdir():
+        (tmp_path / "south").mkdir(exist_ok=True)
+        shutil.copytree(folder, tmp_path / "south" / folder.name)
+    (tmp_path / "tables").mkdir()
+    found = load_team([tmp_path])
+    assert [each.host for each in found.incarnations] == ["north", "south"]
+    assert found.missing == ()
+    assert load_team([tmp_path / "north", tmp_path / "south"]).others == ()
+
+
 def test_the_missing_hosts_are_named(team, tmp_path, capsys):
     folder = write_folder(tmp_path, team, 0)
     found = result_of(capsys, folder)
