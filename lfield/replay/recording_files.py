@@ -133,7 +133,7 @@ def load_incarnation(folder: Path) -> Incarnation:
     if not parts[0].is_from_start:
         losses.append(f"the beginning is missing, it starts at a checkpoint in {segments[0].name}")
     if not early_end and parts[-1].gap and not losses:
-        early_end = f"{parts[-1].gap}: the host did not end in order"
+        early_end = f"{parts[-1].gap}: the host still runs, or did not end in order"
     problems = [*losses, *([early_end] if early_end else []), *guard_problems(folder)]
     return Incarnation(folder, tuple(parts), tuple(problems), tuple(losses))
 
