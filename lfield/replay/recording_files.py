@@ -159,6 +159,8 @@ def _read_segment(path: Path, frames: list[bytes]) -> _Gap:
     try:
         with path.open("rb") as stream:
             return _read_frames(path, SegmentReader(stream), frames)
+    except FileNotFoundError:
+        return _Gap("it was deleted meanwhile by the recorder")
     except OSError as error:
         raise InputFileError(str(path), error_reason(error)) from None
 
