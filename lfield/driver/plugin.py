@@ -118,6 +118,12 @@ class Plugin:
         path = Path(str(files(self.package))) / "L" / file
         return path if path.is_file() else None
 
+    def sources(self) -> list[str]:
+        """The names of the L sources that programs can include."""
+        from importlib.resources import files
+
+        return sorted(path.name for path in (Path(str(files(self.package))) / "L").glob("*.L"))
+
     def load(self) -> type[Driver]:
         """Imports the driver class with its vendor library. Raises PluginError that says what to install."""
         driver: type[Driver] = self._load(self.driver)

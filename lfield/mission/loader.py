@@ -225,6 +225,11 @@ def _registry_types(mission: Path | None, deploy: Path | None, plugins: Plugins)
     return RegistryTypes(lambda: complete, own=mission)
 
 
+def registry_of_program(path: Path, plugins: Plugins) -> RegistryTypes:
+    """The registry of a program: that of lfield, with the mission's part beside the program."""
+    return _registry_types(sibling_file(path, CAPABILITIES), sibling_file(path, ".dL"), plugins)
+
+
 def _fully_doubled(deploy: Path, doubled: Collection[str]) -> frozenset[str]:
     """The resource types all of whose agents are replaced by a test: they execute nothing."""
     agents = read_deployment(deploy, None).agents if doubled else ()
@@ -283,15 +288,10 @@ def check_program_file(
     from lfield.lang.frontend import check_file
 
     require_file(path)
-    capabilities = types or _registry_types(
-        sibling_file(path, CAPABILITIES), sibling_file(path, ".dL"), known
-    )
+    capabilities = types or registry_of_program(path, known)
+    of_drivers, find = known.device_types, known.find_source
     checked = check_file(
-        path,
-        devices=known.device_types,
-        find_include=known.find_source,
-        capabilities=capabilities,
-        doubled=doubled,
+        path, devices=of_drivers, find_include=find, capabilities=capabilities, doubled=doubled
     )
     return checked, capabilities
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from lfield.editor.layout.line_layout import Row
-from lfield.editor.layout.statement_structure import Placed, Role
+from lfield.editor.layout.statement_structure import Placed, TokenRole
 
 #: The most characters of a line, without a comment at its end.
 MAX_WIDTH = 120
@@ -29,11 +29,11 @@ def _further_break(row: Row) -> int | None:
     """A block in one line gets several lines, a body its own one; else the statement is broken."""
     pieces = row.code
     for at, placed in enumerate(pieces[:-1]):
-        if placed.is_block and pieces[at + 1].role is not Role.CLOSE:
+        if placed.is_block and pieces[at + 1].role is not TokenRole.CLOSE:
             return row.first + at + 1
     for at, placed in enumerate(pieces[1:], 1):
         is_further = pieces[at - 1].item.is_symbol("else") and placed.item.is_symbol("if")
-        if placed.role is Role.BODY and not is_further:
+        if placed.role is TokenRole.BODY and not is_further:
             return row.first + at
     return _break_in_statement(row, pieces)
 
@@ -57,9 +57,9 @@ def _candidates(pieces: Sequence[Placed]) -> Iterator[tuple[int, tuple[int, int]
         if before is not None:
             if before.opens_bracket:
                 depth += 1
-            if placed.role is Role.CLOSE_BRACKET:
+            if placed.role is TokenRole.CLOSE_BRACKET:
                 depth -= 1
-            if placed.role is not Role.INNER or placed.item.is_symbol(";", ","):
+            if placed.role is not TokenRole.INNER or placed.item.is_symbol(";", ","):
                 continue
             if before.item.is_symbol(",", ";") and placed.enclosing:
                 yield at, (depth, 0)

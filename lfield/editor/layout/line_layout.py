@@ -12,7 +12,7 @@ from itertools import accumulate
 
 from lfield.editor.layout.source_items import INDENT, SourceItem, width
 from lfield.editor.layout.spacing import is_spaced
-from lfield.editor.layout.statement_structure import Placed, Role, StatementStructure
+from lfield.editor.layout.statement_structure import Placed, StatementStructure, TokenRole
 
 
 @dataclass(slots=True)
@@ -92,9 +92,9 @@ class LineLayout:
         following = self._following(index)
         if following is None:
             self._start_line(index, 0)
-        elif following.role is Role.CLOSE:
+        elif following.role is TokenRole.CLOSE:
             self._start_line(index, following.level + 1)
-        elif following.role in (Role.STATEMENT, Role.CLAUSE, Role.BODY):
+        elif following.role in (TokenRole.STATEMENT, TokenRole.CLAUSE, TokenRole.BODY):
             self._start_line(index, following.level)
         else:
             self._continue_line(index)
@@ -109,7 +109,7 @@ class LineLayout:
     # --- tokens -----------------------------------------------------------------------------------------
 
     def _add_token(self, index: int, placed: Placed) -> None:
-        if placed.role is Role.CLOSE:
+        if placed.role is TokenRole.CLOSE:
             is_first = self._is_expanded(self._blocks.pop())
         else:
             is_first = self._is_first_on_line(index, placed) and not self._is_behind_leading_comment(placed)
@@ -124,19 +124,23 @@ class LineLayout:
     def _is_first_on_line(self, index: int, placed: Placed) -> bool:
         """Whether a statement, body or clause begins a line."""
         match placed.role:
-            case Role.STATEMENT:
+            case TokenRole.STATEMENT:
                 is_open = not self._blocks or self._is_expanded(self._blocks[-1])
                 return is_open and not placed.item.is_symbol(";")
-            case Role.BODY:
+            case TokenRole.BODY:
                 return placed.must_break
-            case Role.CLAUSE:
+            case TokenRole.CLAUSE:
                 return self._is_clause_first(index, placed)
         return False
 
     def _is_clause_first(self, index: int, placed: Placed) -> bool:
         """Whether `else`, `catch` or `finally` begins a line: not behind a brace that begins one."""
         before = self._placed[index - 1]
-        if before.role is Role.CLOSE and self._is_expanded(before.partner) and before.level == placed.level:
+        if (
+            before.role is TokenRole.CLOSE
+            and self._is_expanded(before.partner)
+            and before.level == placed.level
+        ):
             return False
         return placed.must_break or placed.item.breaks > 0 or before.item.ends_line
 
@@ -157,11 +161,11 @@ class LineLayout:
             return True
         if self.rows[-1].pieces[-1].item.ends_line:
             return True
-        if placed.role is not Role.INNER and placed.role is not Role.CLOSE_BRACKET:
+        if placed.role is not TokenRole.INNER and placed.role is not TokenRole.CLOSE_BRACKET:
             return False
         if placed.item.breaks == 0 or placed.item.is_symbol(";", ","):
             return False
-        return placed.role is Role.INNER or placed.partner in self._hanging
+        return placed.role is TokenRole.INNER or placed.partner in self._hanging
 
     # --- lines ------------------------------------------------------------------------------------------
 
@@ -170,7 +174,7 @@ class LineLayout:
         self._brackets.clear()
         self._statement_indent = level * INDENT
         placed = self._placed[index]
-        may_be_apart = placed.item.is_comment or placed.role is Role.STATEMENT
+        may_be_apart = placed.item.is_comment or placed.role is TokenRole.STATEMENT
         is_inside = bool(self.rows) and not self.rows[-1].code[-1].is_block
         self.rows.append(Row(level * INDENT, index, may_be_apart and is_inside and placed.item.breaks > 1))
 
@@ -179,12 +183,12 @@ class LineLayout:
         placed = self._placed[index]
         if index and self._placed[index - 1].opens_bracket:
             self._hanging.add(index - 1)
-        if placed.role is Role.CLOSE_BRACKET and self._brackets:
+        if placed.role is TokenRole.CLOSE_BRACKET and self._brackets:
             indent = self._brackets[-1]
         elif self._brackets:
             indent = self._brackets[-1] + INDENT
         else:
-            indent = self._statement_indent + (0 if placed.role is Role.OPEN else INDENT)
+            indent = self._statement_indent + (0 if placed.role is TokenRole.OPEN else INDENT)
         self.rows.append(Row(indent, index))
 
     def _append(self, placed: Placed) -> None:
@@ -192,5 +196,5 @@ class LineLayout:
         self.rows[-1].pieces.append(placed)
         if placed.opens_bracket:
             self._brackets.append(self.rows[-1].indent)
-        elif placed.role is Role.CLOSE_BRACKET and self._brackets:
+        elif placed.role is TokenRole.CLOSE_BRACKET and self._brackets:
             self._brackets.pop()

@@ -6,7 +6,7 @@ Operators have one on both sides, brackets none inside. A parenthesis has one be
 
 from __future__ import annotations
 
-from lfield.editor.layout.statement_structure import Placed, Role
+from lfield.editor.layout.statement_structure import Placed, TokenRole
 from lfield.lang.scanner import TokenKind
 
 #: Keywords before a parenthesis of an expression; behind all other ones and behind names are arguments.
@@ -23,7 +23,7 @@ def is_spaced(left: Placed, right: Placed) -> bool:
     if left.is_unary:
         # Without the space it would be another token.
         return right.is_unary and left.item.text == right.item.text == "-"
-    if left.opens_bracket or right.role is Role.CLOSE_BRACKET:
+    if left.opens_bracket or right.role is TokenRole.CLOSE_BRACKET:
         return False
     if _symbol(right) == "(":
         return right.is_head or not _is_called(left)
@@ -37,7 +37,7 @@ def is_spaced(left: Placed, right: Placed) -> bool:
 def _is_comment_spaced(left: Placed, right: Placed) -> bool:
     if right.item.is_comment:
         return not left.opens_bracket
-    return right.role is not Role.CLOSE_BRACKET and _symbol(right) not in (",", ";")
+    return right.role is not TokenRole.CLOSE_BRACKET and _symbol(right) not in (",", ";")
 
 
 def _symbol(placed: Placed) -> str:
@@ -54,7 +54,7 @@ def _is_called(left: Placed) -> bool:
 
 def _ends_operand(left: Placed) -> bool:
     """Whether it may be the end of a name, a type or an operand."""
-    if left.role is Role.CLOSE_BRACKET:
+    if left.role is TokenRole.CLOSE_BRACKET:
         return True
     if left.item.kind is TokenKind.SYMBOL:
         return False

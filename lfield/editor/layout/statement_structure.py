@@ -25,7 +25,7 @@ _PAIRS = {"(": ")", "[": "]", "{": "}"}
 _BEFORE_ELEMENTS = ("=", "(", "[", ",", "return", ":")
 
 
-class Role(Enum):
+class TokenRole(Enum):
     """What a token is for the layout."""
 
     #: The first token of a statement, a member or a unit.
@@ -54,7 +54,7 @@ class Placed:
     """
 
     item: SourceItem
-    role: Role = Role.INNER
+    role: TokenRole = TokenRole.INNER
     level: int = 0
     partner: int = -1
     enclosing: str = ""
@@ -87,7 +87,7 @@ class _Block:
     level: int
     heads: list[_Head] = field(default_factory=list)
     brackets: list[str] = field(default_factory=list)
-    next: Role = Role.STATEMENT
+    next: TokenRole = TokenRole.STATEMENT
     clause_level: int = 0
     is_body_broken: bool = False
 
@@ -95,7 +95,7 @@ class _Block:
         """The indentation of the innermost statement that is not finished."""
         return self.heads[-1].level if self.heads else self.level
 
-    def push(self, head: _Head, following: Role) -> None:
+    def push(self, head: _Head, following: TokenRole) -> None:
         """Begin a statement with a body."""
         self.heads.append(head)
         self.next = following
@@ -103,12 +103,12 @@ class _Block:
     def finish(self, following: str) -> None:
         """End a statement, and those whose body it is, unless the following token continues one of them."""
         owners = _CLAUSES.get(following, ())
-        self.next, self.is_body_broken = Role.STATEMENT, False
+        self.next, self.is_body_broken = TokenRole.STATEMENT, False
         while self.heads:
             head = self.heads.pop()
             self.is_body_broken |= head.is_broken
             if head.kind in owners:
-                self.next, self.clause_level = Role.CLAUSE, head.level
+                self.next, self.clause_level = TokenRole.CLAUSE, head.level
                 return
 
 
@@ -151,7 +151,7 @@ class StatementStructure:
             self._place_inside(block, at, text)
         elif text == "}" and len(self._blocks) > 1:
             self._blocks.pop()
-            placed.role, placed.level = Role.CLOSE, block.level - 1
+            placed.role, placed.level = TokenRole.CLOSE, block.level - 1
             self._blocks[-1].finish(self._text(at + 1))
         else:
             self._place_outside(block, at, text)
@@ -166,53 +166,53 @@ class StatementStructure:
         if text in _PAIRS:
             block.brackets.append(text)
         elif text == _PAIRS[block.brackets[-1]]:
-            placed.role = Role.CLOSE_BRACKET
+            placed.role = TokenRole.CLOSE_BRACKET
             block.brackets.pop()
             placed.enclosing = block.brackets[-1] if block.brackets else ""
             if block.heads and block.heads[-1].opening == self._partners[at]:
-                block.next = Role.BODY
+                block.next = TokenRole.BODY
 
     def _place_outside(self, block: _Block, at: int, text: str) -> None:
         """A token of a statement, outside all brackets."""
         placed = self._item(at)
         placed.role = role = block.next
-        placed.level = block.clause_level if role is Role.CLAUSE else block.statement_level()
-        placed.must_break = role is Role.CLAUSE and block.is_body_broken
-        if role is Role.BODY and self._is_body_broken(at, text):
+        placed.level = block.clause_level if role is TokenRole.CLAUSE else block.statement_level()
+        placed.must_break = role is TokenRole.CLAUSE and block.is_body_broken
+        if role is TokenRole.BODY and self._is_body_broken(at, text):
             block.heads[-1].is_broken = placed.must_break = True
             placed.level += 1
-        block.next = Role.INNER
+        block.next = TokenRole.INNER
         if text == "{" and self._is_block(at, role):
             placed.is_block = True
-            if role is not Role.STATEMENT:
-                placed.role = Role.OPEN
+            if role is not TokenRole.STATEMENT:
+                placed.role = TokenRole.OPEN
             self._blocks.append(_Block(placed.level + 1))
         elif text in _PAIRS:
             block.brackets.append(text)
             placed.is_head = self._is_head(at, block)
         elif text == ";":
             block.finish(self._text(at + 1))
-        elif role is not Role.INNER:
+        elif role is not TokenRole.INNER:
             self._place_head(block, at, text, placed.level)
 
     def _place_head(self, block: _Block, at: int, text: str, level: int) -> None:
         """The first token of a statement, a body or a clause."""
         if text in _HEADS:
-            block.push(_Head(text, level, at + 1), Role.INNER)
+            block.push(_Head(text, level, at + 1), TokenRole.INNER)
         elif text in ("try", "else", "finally") and (text != "finally" or self._text(at + 1) == "{"):
-            block.push(_Head(text, level), Role.BODY)
+            block.push(_Head(text, level), TokenRole.BODY)
 
     def _is_head(self, at: int, block: _Block) -> bool:
         """Whether a parenthesis belongs to `if`, `within` or the like: the body follows it."""
         if block.heads and block.heads[-1].opening == at:
             return True
         before = self._item(at - 1)
-        is_first = before.item.kind is TokenKind.NAME and before.role in (Role.STATEMENT, Role.BODY)
+        is_first = before.item.kind is TokenKind.NAME and before.role in (TokenRole.STATEMENT, TokenRole.BODY)
         return is_first and self._text(self._partners[at] + 1) == "{"
 
-    def _is_block(self, at: int, role: Role) -> bool:
+    def _is_block(self, at: int, role: TokenRole) -> bool:
         """Whether a brace outside all brackets opens a block, and not the elements of an array."""
-        if role is not Role.INNER:
+        if role is not TokenRole.INNER:
             return True
         if self._text(at - 1) in _BEFORE_ELEMENTS:
             return False

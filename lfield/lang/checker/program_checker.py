@@ -35,12 +35,13 @@ def check_program(
     symbols = Symbols(devices, found, incomplete=incomplete, capabilities=capabilities, generated=generated)
     units = declare_units(symbols, [unit for file in files for unit in file.units])
     for declared in units:
-        _check_bodies(symbols, declared)
+        check_bodies(symbols, declared)
     sources = [file.source for file in files]
     return CheckedProgram([declared.unit for declared in units], sources)
 
 
-def _check_bodies(symbols: Symbols, declared: DeclaredUnit) -> None:
+def check_bodies(symbols: Symbols, declared: DeclaredUnit) -> None:
+    """Check and fill the bodies of a unit; mistakes go to the findings of `symbols`."""
     for method, written in declared.bodies:
         first = method.kind in ("init", "constructor")
         _check_body(symbols, method, written, declared.initialisers if first else [])

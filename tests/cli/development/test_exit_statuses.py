@@ -130,6 +130,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
 #: Where the others are tried.
 ELSEWHERE: dict[tuple[str, int], str] = {
     ("fmt", 73): "development/test_fmt_and_new.py",
+    ("lsp", 69): "../editor/test_lsp_session.py",
     ("push", 1): "fleet/test_push_and_start.py",
     ("push", 4): "fleet/test_ballot_report.py",
     ("push", 69): "fleet/test_push_and_start.py",

@@ -1,0 +1,187 @@
+"""The tokens around a position in a program: the chain of names, the method, and the variables in scope.
+
+All of it is found from tokens, so that it works where the text has syntax errors, as it has while one types.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.editor.program_model import ProgramModel
+from lfield.editor.program_parts import ProgramPart
+from lfield.lang import syntax
+from lfield.lang.parser.token_stream import PRIMITIVES
+from lfield.lang.scanner import Token, TokenKind
+from lfield.lang.syntax import TypeName
+
+_OPENING = {")": "(", "]": "["}
+#: What follows the name in a declaration of a local variable, a parameter or a caught exception.
+_AFTER_NAME = ("=", ";", ":", ",", ")")
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredLocal:
+    """A local variable or parameter as it is written: its type, and the token of its name."""
+
+    type: TypeName
+    token: Token
+
+
+@dataclass(slots=True)
+class Cursor:
+    """A token of a part, by its index, with the unit and the method around it."""
+
+    part: ProgramPart
+    index: int
+    unit: syntax.Unit | None
+    method: syntax.Method | None
+
+    @property
+    def tokens(self) -> Sequence[Token]:
+        """The tokens of the part."""
+        return self.part.tokens
+
+    @property
+    def token(self) -> Token:
+        """The token itself."""
+        return self.tokens[self.index]
+
+    def text(self, distance: int) -> str:
+        """The text of the token at a distance; '' of a string, and behind the ends."""
+        at = self.index + distance
+        if not 0 <= at < len(self.tokens) or self.tokens[at].kind is TokenKind.STRING:
+            return ""
+        return self.tokens[at].text
+
+    def moved(self, index: int) -> Cursor:
+        """The same with another token of the part."""
+        return cursor_at_token(self.part, index)
+
+    def owner(self) -> str:
+        """The expression before the dot before the token; '' without one."""
+        if self.text(-1) != ".":
+            return ""
+        first = _operand_start(self.tokens, self.index - 2)
+        return self.part.source.text[self.tokens[first].span.start : self.tokens[self.index - 2].span.end]
+
+    def call(self) -> str:
+        """The expression from the owner to the end of the arguments of the token; '' without arguments."""
+        last = _closing(self.tokens, self.index + 1) if self.text(1) == "(" else -1
+        if last < 0:
+            return ""
+        first = _operand_start(self.tokens, self.index - 2) if self.text(-1) == "." else self.index
+        return self.part.source.text[self.tokens[first].span.start : self.tokens[last].span.end]
+
+    def locals(self) -> dict[str, DeclaredLocal]:
+        """The parameters and variables of the method that are in scope before the token, by name."""
+        if self.method is None:
+            return {}
+        at = next(n for n, token in enumerate(self.tokens) if token.span.start >= self.method.span.start)
+        scopes: list[dict[str, DeclaredLocal]] = [{}]
+        while at < self.index:
+            text = self.tokens[at].text if self.tokens[at].kind is not TokenKind.STRING else ""
+            if text == "{":
+                scopes.append({})
+            elif text == "}" and len(scopes) > 1:
+                scopes.pop()
+            elif (declared := _declaration(self.tokens, at)) is not None:
+                scopes[-1][declared.token.text] = declared
+            at += 1
+        return {name: local for scope in scopes for name, local in scope.items()}
+
+    def local_here(self) -> DeclaredLocal | None:
+        """The variable whose declaration has the token as its name."""
+        for at in range(self.index - 1, max(self.index - 20, -1), -1):
+            if self.tokens[at].text not in ("[", "]"):
+                declared = _declaration(self.tokens, at) if self.method is not None else None
+                return declared if declared is not None and declared.token is self.token else None
+        return None
+
+
+def cursor_at(model: ProgramModel, path: Path, offset: int) -> Cursor | None:
+    """The token at an offset of a file: a name that ends there counts too. None outside the program."""
+    file = model.files.get(path)
+    if file is None or not file.parts:
+        return None
+    part = file.part_at(offset)
+    at = offset - part.source.place.offset
+    index = next((n for n, token in enumerate(part.tokens) if token.span.end >= at), len(part.tokens) - 1)
+    following = part.tokens[index + 1] if index + 1 < len(part.tokens) else None
+    if following is not None and following.span.start <= at and following.kind is TokenKind.NAME:
+        index += 1
+    return cursor_at_token(part, index)
+
+
+def cursor_at_token(part: ProgramPart, index: int) -> Cursor:
+    """A token of a part with what is around it."""
+    start = part.tokens[index].span.start
+    unit = next((one for one in reversed(part.file.units) if one.span.start <= start), None)
+    method = None
+    for one in unit.methods if unit is not None else ():
+        if one.span.start <= start and (method is None or one.span.start > method.span.start):
+            method = one
+    if method is not None and start > method.end.end and not method.broken:
+        method = None
+    return Cursor(part, index, unit, method)
+
+
+def _operand_start(tokens: Sequence[Token], at: int) -> int:
+    """The first token of the operand that ends at a token: `a.b(c)[0]`."""
+    while at >= 0:
+        text = tokens[at].text if tokens[at].kind is not TokenKind.STRING else ""
+        if text in _OPENING:
+            at = _opening(tokens, at)
+            if at > 0 and (tokens[at - 1].kind is TokenKind.NAME or tokens[at - 1].text in (")", "]")):
+                at -= 1
+                continue
+        if at > 1 and tokens[at - 1].text == ".":
+            at -= 2
+            continue
+        if at > 0 and tokens[at - 1].text == "new":
+            at -= 1
+        return max(at, 0)
+    return 0
+
+
+def _opening(tokens: Sequence[Token], at: int) -> int:
+    """The bracket that belongs to a closing one."""
+    depth = 0
+    while at >= 0:
+        text = tokens[at].text if tokens[at].kind is not TokenKind.STRING else ""
+        depth += (text in (")", "]", "}")) - (text in ("(", "[", "{"))
+        if depth == 0:
+            return at
+        at -= 1
+    return 0
+
+
+def _closing(tokens: Sequence[Token], at: int) -> int:
+    """The bracket that belongs to an opening one; -1 without one in the statement."""
+    depth = 0
+    for index in range(at, len(tokens)):
+        text = tokens[index].text if tokens[index].kind is not TokenKind.STRING else ""
+        depth += (text in ("(", "[", "{")) - (text in (")", "]", "}"))
+        if depth == 0:
+            return index
+        if text == ";":
+            return -1
+    return -1
+
+
+def _declaration(tokens: Sequence[Token], at: int) -> DeclaredLocal | None:
+    """The variable whose declaration begins with a token: `T name =`, `T[] name;`."""
+    first = tokens[at]
+    if first.kind is not TokenKind.NAME and first.text not in PRIMITIVES:
+        return None
+    if at > 0 and tokens[at - 1].text in (".", "new"):
+        return None
+    after, dimensions = at + 1, 0
+    while after + 1 < len(tokens) and tokens[after].text == "[" and tokens[after + 1].text == "]":
+        after, dimensions = after + 2, dimensions + 1
+    if after + 1 >= len(tokens) or tokens[after].kind is not TokenKind.NAME:
+        return None
+    if tokens[after + 1].text not in _AFTER_NAME:
+        return None
+    return DeclaredLocal(TypeName(first.span, first.text, dimensions), tokens[after])

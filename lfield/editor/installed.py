@@ -1,0 +1,101 @@
+"""What the language server uses of this computer: files, installed drivers, registries of capabilities."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+from lfield.capability.program_types.registry_types import RegistryTypes
+from lfield.driver.plugins import discover
+from lfield.errors import InputFileError, LfieldError
+from lfield.lang.capability_port import CapabilityTypes, ConstraintProblem, GeneratedClasses
+from lfield.lang.includes import FindInclude
+from lfield.lang.syntax import ParsedFile
+from lfield.manifest import DeviceManifest
+from lfield.mission.loader import CAPABILITIES, registry_of_program, sibling_file
+from lfield.text.input_files import MAX_TEXT, read_bytes
+from lfield.text.source_text import Diagnostic
+
+
+class DiskFiles:
+    """The files of this computer."""
+
+    def read(self, path: Path) -> str | None:
+        """The text of a file, None if it cannot be read."""
+        try:
+            return read_bytes(path, MAX_TEXT).decode("utf-8-sig")
+        except (InputFileError, UnicodeDecodeError):
+            return None
+
+    def names(self, folder: Path) -> Sequence[str]:
+        """The names of the files in a folder."""
+        try:
+            return sorted(path.name for path in folder.iterdir())
+        except OSError:
+            return ()
+
+
+class InstalledEnvironment:
+    """The drivers that are installed beside lfield."""
+
+    def __init__(self) -> None:
+        self._plugins = discover()
+        self._devices = self._plugins.device_types
+        self._shipped: CapabilityTypes | None = None
+
+    @property
+    def devices(self) -> Mapping[str, DeviceManifest]:
+        """The device types of all drivers."""
+        return self._devices
+
+    @property
+    def find_include(self) -> FindInclude:
+        """The file of `include <driver/name.L>`."""
+        return self._plugins.find_source
+
+    @property
+    def include_paths(self) -> list[str]:
+        """The files that drivers have for programs."""
+        return [
+            f"{name}/{source}"
+            for name, installed in sorted(self._plugins.by_driver.items())
+            for source in installed.plugin.sources()
+        ]
+
+    def capabilities(self, program: Path) -> CapabilityTypes:
+        """The registry of a program; without capabilities if it has errors, which `lfield check` reports."""
+        try:
+            if sibling_file(program, CAPABILITIES) is not None:
+                return _ReadableRegistry(registry_of_program(program, self._plugins))
+            if self._shipped is None:
+                self._shipped = _ReadableRegistry(registry_of_program(program, self._plugins))
+            return self._shipped
+        except LfieldError:
+            return _ReadableRegistry(None)
+
+
+class _ReadableRegistry:
+    """A registry that is empty if it cannot be read."""
+
+    def __init__(self, types: RegistryTypes | None) -> None:
+        self._types = types
+
+    def names(self) -> Collection[str]:
+        """The capabilities that can be called."""
+        try:
+            return self._types.names() if self._types is not None else ()
+        except LfieldError:
+            self._types = None
+            return ()
+
+    def generate(self, expected: Collection[str], files: Sequence[ParsedFile]) -> GeneratedClasses:
+        """The classes of some capabilities."""
+        return GeneratedClasses({}) if self._types is None else self._types.generate(expected, files)
+
+    def registry_problems(self, used: Collection[str], files: Sequence[ParsedFile]) -> Sequence[Diagnostic]:
+        """Where the registry does not fit the program."""
+        return () if self._types is None else self._types.registry_problems(used, files)
+
+    def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
+        """The mistakes in a condition."""
+        return () if self._types is None else self._types.mistakes(constraint)

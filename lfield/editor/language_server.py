@@ -1,0 +1,259 @@
+"""The language server: LSP messages to the workspace, and its answers back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from lsprotocol import types
+from pygls import uris
+from pygls.exceptions import JsonRpcInvalidParams
+from pygls.lsp.server import LanguageServer
+
+from lfield import __version__
+from lfield.editor.outline import OutlineEntry
+from lfield.editor.program_parts import file_offsets
+from lfield.editor.text_places import LineIndex, TextPlace
+from lfield.editor.workspace import Workspace
+from lfield.errors import LfieldError, UsageError
+from lfield.text.source_text import Diagnostic
+
+_SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
+_COMPLETION = types.CompletionItemKind
+_COMPLETION_KINDS = {
+    "unit": _COMPLETION.Class,
+    "resource": _COMPLETION.Interface,
+    "coordinator": _COMPLETION.Module,
+    "device": _COMPLETION.Interface,
+    "builtin": _COMPLETION.Class,
+    "method": _COMPLETION.Method,
+    "instruction": _COMPLETION.Method,
+    "library": _COMPLETION.Function,
+    "field": _COMPLETION.Field,
+    "local": _COMPLETION.Variable,
+    "keyword": _COMPLETION.Keyword,
+    "file": _COMPLETION.File,
+    "agent": _COMPLETION.Reference,
+    "host": _COMPLETION.Value,
+}
+_OUTLINE_KINDS = {
+    "resource": types.SymbolKind.Interface,
+    "coordinator": types.SymbolKind.Module,
+    "class": types.SymbolKind.Class,
+    "field": types.SymbolKind.Field,
+    "constructor": types.SymbolKind.Constructor,
+    "init": types.SymbolKind.Constructor,
+    "agent": types.SymbolKind.Object,
+    "witness": types.SymbolKind.Object,
+}
+
+
+class LfieldServer:
+    """The handlers of one server with one workspace."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.server = LanguageServer("lfield", __version__)
+        self._workspace = workspace
+        self._checking: asyncio.Task[None] | None = None
+        self._index: tuple[str, LineIndex] | None = None
+        handlers: dict[str, Callable[[Any], Any]] = {
+            types.TEXT_DOCUMENT_DID_OPEN: self.on_open,
+            types.TEXT_DOCUMENT_DID_CHANGE: self.on_change,
+            types.TEXT_DOCUMENT_DID_CLOSE: self.on_close,
+            types.TEXT_DOCUMENT_DID_SAVE: self.on_files_changed,
+            types.WORKSPACE_DID_CHANGE_WATCHED_FILES: self.on_files_changed,
+            types.TEXT_DOCUMENT_HOVER: self.hover,
+            types.TEXT_DOCUMENT_DEFINITION: self.definition,
+            types.TEXT_DOCUMENT_REFERENCES: self.references,
+            types.TEXT_DOCUMENT_RENAME: self.rename,
+            types.TEXT_DOCUMENT_FORMATTING: self.formatting,
+            types.TEXT_DOCUMENT_DOCUMENT_SYMBOL: self.document_symbols,
+        }
+        for feature, handler in handlers.items():
+            self.server.feature(feature)(_function(handler))
+        triggers = types.CompletionOptions(trigger_characters=[".", "<", "/", "@", "?", "&"])
+        self.server.feature(types.TEXT_DOCUMENT_COMPLETION, triggers)(_function(self.completion))
+
+    # --- texts ------------------------------------------------------------------------------------------
+
+    def on_open(self, params: types.DidOpenTextDocumentParams) -> None:
+        """A text was opened."""
+        self._put(params.text_document.uri)
+
+    def on_change(self, params: types.DidChangeTextDocumentParams) -> None:
+        """A text was edited."""
+        self._put(params.text_document.uri)
+
+    def on_close(self, params: types.DidCloseTextDocumentParams) -> None:
+        """A text was closed."""
+        self._workspace.close(_path(params.text_document.uri))
+
+    def on_files_changed(
+        self, params: types.DidSaveTextDocumentParams | types.DidChangeWatchedFilesParams
+    ) -> None:
+        """A file was saved, or changed on the disk. A program or deployment that is open is known already."""
+        if isinstance(params, types.DidSaveTextDocumentParams):
+            return
+        if any(not change.uri.endswith((".L", ".dL")) for change in params.changes):
+            self._workspace.reload()
+        self._check_later()
+
+    def _put(self, uri: str) -> None:
+        self._workspace.put(_path(uri), self.server.workspace.get_text_document(uri).source)
+        self._check_later()
+
+    def _check_later(self) -> None:
+        """Check what is out of date, part by part, between other messages."""
+        if self._checking is None or self._checking.done():
+            self._checking = asyncio.get_running_loop().create_task(self._check())
+
+    async def _check(self) -> None:
+        await asyncio.sleep(0)
+        while (changed := self._workspace.step()) is not None:
+            self._publish(changed)
+            await asyncio.sleep(0)
+
+    def _publish(self, changed: Mapping[Path, list[Diagnostic]]) -> None:
+        for path, findings in changed.items():
+            index = self._line_index(path)
+            uri = _uri(path)
+            document = self.server.workspace.text_documents.get(uri)
+            self.server.text_document_publish_diagnostics(
+                types.PublishDiagnosticsParams(
+                    uri,
+                    [_diagnostic(one, index) for one in findings],
+                    version=None if document is None else document.version,
+                )
+            )
+
+    # --- places -----------------------------------------------------------------------------------------
+
+    def _line_index(self, path: Path) -> LineIndex:
+        text = self._workspace.text(path)
+        if self._index is None or self._index[0] is not text:
+            is_utf16 = self.server.workspace.position_encoding in (None, types.PositionEncodingKind.Utf16)
+            self._index = text, LineIndex(text, is_utf16=is_utf16)
+        return self._index[1]
+
+    def _place(self, document: types.TextDocumentIdentifier, at: types.Position) -> tuple[Path, int]:
+        path = _path(document.uri)
+        return path, self._line_index(path).offset(at.line, at.character)
+
+    def _locations(self, places: Iterable[TextPlace]) -> list[types.Location]:
+        return [
+            types.Location(_uri(place.path), _range(self._line_index(place.path), place.start, place.end))
+            for place in places
+        ]
+
+    # --- requests ---------------------------------------------------------------------------------------
+
+    def hover(self, params: types.HoverParams) -> types.Hover | None:
+        """The signature and documentation of a name."""
+        text = self._workspace.hover(*self._place(params.text_document, params.position))
+        return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text)) if text else None
+
+    def completion(self, params: types.CompletionParams) -> types.CompletionList:
+        """What can be written at a position."""
+        found = self._workspace.complete(*self._place(params.text_document, params.position))
+        items = [
+            types.CompletionItem(
+                one.text,
+                kind=_COMPLETION_KINDS.get(one.kind, _COMPLETION.Text),
+                detail=one.detail or None,
+                documentation=types.MarkupContent(types.MarkupKind.Markdown, one.documentation)
+                if one.documentation
+                else None,
+            )
+            for one in found
+        ]
+        return types.CompletionList(is_incomplete=False, items=items)
+
+    def definition(self, params: types.DefinitionParams) -> list[types.Location]:
+        """Where a name is declared."""
+        return self._locations(
+            self._workspace.definitions(*self._place(params.text_document, params.position))
+        )
+
+    def references(self, params: types.ReferenceParams) -> list[types.Location]:
+        """All places of a name."""
+        return self._locations(
+            self._workspace.references(*self._place(params.text_document, params.position))
+        )
+
+    def rename(self, params: types.RenameParams) -> types.WorkspaceEdit:
+        """The edits of a renaming."""
+        try:
+            edits = self._workspace.rename(
+                *self._place(params.text_document, params.position), params.new_name
+            )
+        except UsageError as error:
+            raise JsonRpcInvalidParams(str(error)) from None
+        changes: dict[str, list[types.TextEdit]] = {}
+        for edit in edits:
+            place = edit.place
+            where = _range(self._line_index(place.path), place.start, place.end)
+            changes.setdefault(_uri(place.path), []).append(types.TextEdit(where, edit.text))
+        return types.WorkspaceEdit(changes=changes)
+
+    def formatting(self, params: types.DocumentFormattingParams) -> list[types.TextEdit]:
+        """The edit that formats a text; none if it has syntax errors."""
+        path = _path(params.text_document.uri)
+        before = self._workspace.text(path)
+        try:
+            after = self._workspace.format(path)
+        except LfieldError:
+            return []
+        if after == before:
+            return []
+        return [types.TextEdit(_range(self._line_index(path), 0, len(before)), after)]
+
+    def document_symbols(self, params: types.DocumentSymbolParams) -> list[types.DocumentSymbol]:
+        """The outline of a text."""
+        path = _path(params.text_document.uri)
+        index = self._line_index(path)
+        return [_document_symbol(one, index) for one in self._workspace.outline(path)]
+
+
+def _function(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A method as a function, to which pygls adds attributes."""
+
+    def handle(params: Any) -> Any:
+        return handler(params)
+
+    return handle
+
+
+def _path(uri: str) -> Path:
+    return Path(uris.to_fs_path(uri) or uri)
+
+
+def _uri(path: Path) -> str:
+    return uris.from_fs_path(str(path)) or str(path)
+
+
+def _range(index: LineIndex, start: int, end: int) -> types.Range:
+    return types.Range(types.Position(*index.position(start)), types.Position(*index.position(end)))
+
+
+def _diagnostic(finding: Diagnostic, index: LineIndex) -> types.Diagnostic:
+    hint = f"\n{finding.hint}" if finding.hint else ""
+    return types.Diagnostic(
+        _range(index, *file_offsets(finding.span)),
+        finding.message + hint,
+        severity=_SEVERITIES.get(finding.severity, types.DiagnosticSeverity.Information),
+        code=finding.code,
+        source="lfield",
+    )
+
+
+def _document_symbol(entry: OutlineEntry, index: LineIndex) -> types.DocumentSymbol:
+    return types.DocumentSymbol(
+        entry.name,
+        _OUTLINE_KINDS.get(entry.kind, types.SymbolKind.Method),
+        _range(index, entry.start, entry.end),
+        _range(index, entry.name_start, entry.name_end),
+        detail=entry.detail,
+        children=[_document_symbol(one, index) for one in entry.children],
+    )

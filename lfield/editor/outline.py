@@ -1,0 +1,67 @@
+"""The outline of a program: its units with their members."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.editor.program_parts import ProgramFile, ProgramPart, file_offsets
+from lfield.lang import syntax
+from lfield.lang.deployment_line import DeploymentEntry
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineEntry:
+    """A symbol with its name and its whole extent, as offsets in the file."""
+
+    name: str
+    detail: str
+    kind: str
+    start: int
+    end: int
+    name_start: int
+    name_end: int
+    children: tuple[OutlineEntry, ...] = ()
+
+
+def program_outline(file: ProgramFile) -> list[OutlineEntry]:
+    """The units of a file."""
+    found = []
+    for part in file.parts:
+        units = part.file.units
+        for number, unit in enumerate(units):
+            following = units[number + 1] if number + 1 < len(units) else None
+            found.append(_unit(part, unit, following))
+    return found
+
+
+def deployment_outline(entries: list[DeploymentEntry]) -> list[OutlineEntry]:
+    """The agents and witnesses of a deployment."""
+    found = []
+    for entry in entries:
+        name, host = (entry.host, "witness") if entry.is_witness else (entry.id, entry.host.text)
+        detail = host if entry.is_witness else f"{entry.type.text} on {host}"
+        kind = "witness" if entry.is_witness else "agent"
+        span = entry.span
+        found.append(OutlineEntry(name.text, detail, kind, span.start, span.end, name.start, name.end))
+    return found
+
+
+def _unit(part: ProgramPart, unit: syntax.Unit, following: syntax.Unit | None) -> OutlineEntry:
+    start, end = file_offsets(unit.span)
+    last = part.source.place.offset + (following.span.start if following else len(part.source.text.rstrip()))
+    children = [_field(one) for one in unit.fields] + [_method(one) for one in unit.methods]
+    ordered = tuple(sorted(children, key=lambda one: one.start))
+    return OutlineEntry(unit.name, unit.kind, unit.kind, start, max(last, end), start, end, ordered)
+
+
+def _field(field: syntax.Field) -> OutlineEntry:
+    start, end = file_offsets(field.span)
+    return OutlineEntry(field.name, str(field.type), "field", start, end, start, end)
+
+
+def _method(method: syntax.Method) -> OutlineEntry:
+    start, end = file_offsets(method.span)
+    last = max(file_offsets(method.end)[1], end)
+    parameters = ", ".join(f"{one.type} {one.name}" for one in method.parameters)
+    detail = f"({parameters})" + (f" {method.result}" if method.result is not None else "")
+    return OutlineEntry(method.name, detail, method.kind, start, last, start, end)

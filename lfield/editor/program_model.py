@@ -1,0 +1,247 @@
+"""A program with all its files, checked in steps: what an editor shows of it.
+
+An edit parses one unit again and reads all declarations. The bodies of other units are checked again only if
+a declaration has changed; `step` checks one part, so that a request never waits for the whole program.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from lfield.editor.program_parts import PartPlace, ProgramFile, ProgramPart, parse_part
+from lfield.lang import messages, tree
+from lfield.lang.capability_port import CapabilityTypes, unknown_names
+from lfield.lang.checker import check_program
+from lfield.lang.checker.declaration_pass import DeclaredUnit, declare_units
+from lfield.lang.checker.program_checker import check_bodies
+from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
+from lfield.lang.includes import FindInclude
+from lfield.lang.syntax import Include, ParsedFile
+from lfield.lang.tree import CheckedProgram
+from lfield.manifest import DeviceManifest
+from lfield.text.source_text import Diagnostic, Diagnostics
+
+ReadText = Callable[[Path], str | None]
+
+
+class ProgramEnvironment(Protocol):
+    """What a program uses besides its own files."""
+
+    @property
+    def devices(self) -> Mapping[str, DeviceManifest]:
+        """The device types of the installed drivers."""
+
+    @property
+    def find_include(self) -> FindInclude:
+        """The file of `include <path>`."""
+
+    @property
+    def include_paths(self) -> list[str]:
+        """What can be included with `include <path>`."""
+
+    def capabilities(self, program: Path) -> CapabilityTypes:
+        """The registry of a program."""
+
+
+@dataclass(slots=True)
+class _Generated:
+    """The classes of capabilities for some declarations of the program."""
+
+    key: object
+    parts: list[ProgramPart]
+    names: frozenset[str]
+    problems: list[Diagnostic]
+
+
+class ProgramModel:
+    """The program whose first file is `root`."""
+
+    def __init__(self, root: Path, read: ReadText, environment: ProgramEnvironment) -> None:
+        self.root, self._read, self.environment = root, read, environment
+        self.files: dict[Path, ProgramFile] = {}
+        self.capabilities = environment.capabilities(root)
+        self._include_findings: list[Diagnostic] = []
+        self._generated = _Generated(None, [], frozenset(), [])
+        self._declared: list[tuple[ProgramPart, DeclaredUnit]] = []
+        self._declarations: object = None
+        self._program: CheckedProgram | None = None
+        self.symbols = self._new_symbols(is_incomplete=True)
+
+    def update(self) -> None:
+        """Read and parse the files that have changed, and all declarations."""
+        is_changed, is_incomplete = self._read_files()
+        if not is_changed and self._declarations is not None:
+            return
+        self._program = None
+        self._declare(is_incomplete=is_incomplete)
+        if self._generate():
+            self._declare(is_incomplete=is_incomplete)
+
+    # --- files ------------------------------------------------------------------------------------------
+
+    def _read_files(self) -> tuple[bool, bool]:
+        """Whether a file has changed, and whether one is missing."""
+        found: dict[Path, ProgramFile] = {}
+        self._include_findings, is_missing, is_changed = [], False, False
+        waiting: list[tuple[Path, Include | None]] = [(self.root, None)]
+        while waiting:
+            path, include = waiting.pop(0)
+            if path in found:
+                continue
+            text = self._read(path)
+            if text is None:
+                is_missing = True
+                if include is not None:
+                    self._include_findings.append(messages.INCLUDE_MISSING.at(include.span, path=path))
+                continue
+            found[path] = file = self.files.get(path) or ProgramFile(str(path))
+            is_changed |= file.update(text)
+            for part in file.parts:
+                for one in part.file.includes:
+                    if (target := self.included(one, path)) is not None:
+                        waiting.append((target, one))
+                    else:
+                        is_missing = True
+                        self._include_findings.append(messages.INCLUDE_UNKNOWN.at(one.span, path=one.path))
+        is_changed |= found.keys() != self.files.keys()
+        self.files = found
+        return is_changed, is_missing or any(part.file.broken for part in self.parts())
+
+    def included(self, include: Include, origin: Path) -> Path | None:
+        """The file of an include; None for one that no driver has."""
+        if include.library:
+            return self.environment.find_include(include.path)
+        return (
+            (origin.parent / include.path).resolve() if ".." in include.path else origin.parent / include.path
+        )
+
+    def parts(self) -> Iterator[ProgramPart]:
+        """The parts of all files."""
+        for file in self.files.values():
+            yield from file.parts
+
+    def path_of(self, source_name: str) -> Path | None:
+        """The file of a source."""
+        return next((path for path, file in self.files.items() if file.name == source_name), None)
+
+    # --- declarations -----------------------------------------------------------------------------------
+
+    def _new_symbols(self, *, is_incomplete: bool) -> Symbols:
+        return Symbols(
+            self.environment.devices,
+            Diagnostics(),
+            incomplete=is_incomplete,
+            capabilities=self.capabilities,
+            generated=self._generated.names,
+        )
+
+    def _declare(self, *, is_incomplete: bool) -> None:
+        """Read all declarations of the parts as they are now."""
+        self.symbols = self._new_symbols(is_incomplete=is_incomplete)
+        parts = [*self._generated.parts, *self.parts()]
+        owners = {part.source: part for part in parts}
+        declared = declare_units(self.symbols, [unit for part in parts for unit in part.file.units])
+        self._declared = [(owners[one.unit.span.source], one) for one in declared]  # type: ignore[index]
+        self._declarations = (
+            is_incomplete,
+            self._generated.names,
+            tuple(_fingerprint(one.unit) for one in declared),
+            frozenset(self.symbols.broken_units),
+        )
+
+    def _generate(self) -> bool:
+        """Create the classes of the capabilities that the program names; whether they are other ones."""
+        files: list[ParsedFile] = [part.file for part in self.parts()]
+        known = {*BUILTIN_TYPES, *self.environment.devices}
+        unknown = unknown_names(files, known)
+        requested = frozenset(unknown.intersection(self.capabilities.names()) if unknown else ())
+        units = tuple(_fingerprint(one.unit) for part, one in self._declared if not one.unit.capability)
+        key = (requested, units if requested else ())
+        if key == self._generated.key:
+            return False
+        before = self._generated.names
+        self._generated = (
+            self._capability_classes(requested, files, key)
+            if requested
+            else _Generated(key, [], frozenset(), [])
+        )
+        return bool(before or requested)
+
+    def _capability_classes(
+        self, requested: frozenset[str], files: list[ParsedFile], key: object
+    ) -> _Generated:
+        """The classes of some capabilities, and the files that they need besides."""
+        made = self.capabilities.generate(requested, files)
+        parts = [
+            parse_part(source.name, source.text, PartPlace())
+            for source in (*made.common, *made.classes.values())
+        ]
+        for path in made.files:
+            if path not in self.files and (text := self._read(path)) is not None:
+                file = ProgramFile(str(path))
+                file.update(text)
+                parts += file.parts
+        problems = list(self.capabilities.registry_problems(made.classes, files))
+        return _Generated(key, parts, frozenset(made.classes), problems)
+
+    # --- findings ---------------------------------------------------------------------------------------
+
+    def step(self, first: Path | None = None) -> bool:
+        """Check one part whose findings are out of date, one of the file `first` before others; False if
+        there is none."""
+        stale = [part for part in self.parts() if part.checked_for != self._declarations]
+        if not stale:
+            return False
+        name = str(first)
+        self._check(next((part for part in stale if part.source.name == name), stale[0]))
+        return True
+
+    def _check(self, part: ProgramPart) -> None:
+        found = Diagnostics()
+        symbols = replace(self.symbols, found=found, _reported=set())
+        for owner, declared in self._declared:
+            if owner is part:
+                check_bodies(symbols, declared)
+        part.store(found.found, self._declarations)
+
+    def findings(self) -> list[Diagnostic]:
+        """All findings so far, sorted by file and position."""
+        bodies = (finding for part in self.parts() for finding in part.findings)
+        syntax = (finding for part in self.parts() for finding in part.syntax_findings)
+        found = [*syntax, *self.symbols.found.found, *self._include_findings]
+        if self._generated.problems and not any(one.severity == "error" for one in found):
+            found += self._generated.problems
+        else:
+            found += bodies
+        places = {(one.code, one.span.start, one.span.source): one for one in reversed(found)}
+        return sorted(places.values(), key=lambda one: (one.span.source.name, one.span.line, one.span.start))
+
+    def complete_program(self) -> CheckedProgram | None:
+        """The program with all its bodies, for a check of its deployment; None if it has errors."""
+        while self.step():
+            pass
+        if any(one.severity == "error" for one in self.findings()):
+            return None
+        if self._program is None:
+            self._program = check_program(
+                [part.file for part in (*self._generated.parts, *self.parts())],
+                self.environment.devices,
+                Diagnostics(),
+                complete=True,
+                capabilities=self.capabilities,
+                generated=self._generated.names,
+            )
+        return self._program
+
+
+def _fingerprint(unit: tree.Unit) -> tuple[object, ...]:
+    """What other units know of a unit."""
+    fields = tuple((field.name, field.type, field.public) for field in unit.fields)
+    methods = tuple(
+        (method.kind, method.signature, method.result, method.public, method.synchronized)
+        for method in unit.methods
+    )
+    return unit.name, unit.kind, unit.usage, unit.capability, fields, methods

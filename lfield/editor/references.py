@@ -1,0 +1,89 @@
+"""All names that mean the same symbol, and their renaming."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from lfield.editor.cursor import cursor_at, cursor_at_token
+from lfield.editor.program_model import ProgramModel
+from lfield.editor.program_parts import file_offsets
+from lfield.editor.symbols_in_text import TextSymbol, TextSymbols
+from lfield.editor.text_places import TextPlace
+from lfield.errors import UsageError
+from lfield.lang import tree
+from lfield.lang.capability_port import VERBS
+from lfield.lang.scanner import KEYWORDS, TokenKind
+
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+
+def symbol_at(model: ProgramModel, path: Path, offset: int) -> TextSymbol | None:
+    """The symbol whose name is at an offset of a file."""
+    cursor = cursor_at(model, path, offset)
+    return None if cursor is None else TextSymbols(model).at(cursor)
+
+
+def references(model: ProgramModel, symbol: TextSymbol) -> Iterator[TextPlace]:
+    """The places of the name in all files of the program, the declaration included."""
+    symbols = TextSymbols(model)
+    texts = {symbol.name, *(f"{verb}{symbol.name}" for verb in VERBS if symbol.kind == "unit")}
+    for path, file in model.files.items():
+        for part in file.parts:
+            if symbol.name not in part.source.text:
+                continue
+            for index, token in enumerate(part.tokens):
+                if token.kind is TokenKind.NAME and token.text in texts:
+                    found = symbols.at(cursor_at_token(part, index))
+                    if found is not None and found.key == symbol.key:
+                        start, end = file_offsets(token.span)
+                        yield TextPlace(path, start + len(found.prefix), end)
+
+
+def renamed_places(
+    model: ProgramModel, symbol: TextSymbol, name: str, other_files: Mapping[Path, str]
+) -> list[TextPlace]:
+    """The places that a renaming changes. Raises UsageError where it could change the meaning of the program.
+
+    `other_files` are the devices, capability and access files of the mission, which may name the symbol too.
+    """
+    if symbol.span is None or (isinstance(symbol.meaning, tree.Unit) and symbol.meaning.capability):
+        raise UsageError(f"'{symbol.name}' is not declared in this program")
+    if symbol.kind == "method" and symbol.name == "init":
+        raise UsageError("init has a fixed name")
+    if not _NAME.fullmatch(name) or name in KEYWORDS:
+        raise UsageError(f"'{name}' is not a name of L")
+    _refuse_conflict(model, symbol, name)
+    found = list(references(model, symbol))
+    folder = model.root.parent
+    for place in found:
+        if folder not in place.path.parents:
+            raise UsageError(f"'{symbol.name}' is used in {place.path}, outside the folder of this program")
+    for path, text in other_files.items() if symbol.kind != "local" else ():
+        if re.search(rf"\b{re.escape(symbol.name)}\b", text):
+            raise UsageError(f"{path.name} may name '{symbol.name}' too: rename it by hand")
+    return found
+
+
+def _refuse_conflict(model: ProgramModel, symbol: TextSymbol, name: str) -> None:
+    """Refuse a name that means something else where the symbol is used."""
+    symbols = TextSymbols(model)
+    if symbol.kind == "unit":
+        is_in_use = symbols.type_named(name) is not None
+    elif symbol.kind == "local":
+        part = next(
+            one for one in model.parts() if symbol.span is not None and one.source is symbol.span.source
+        )
+        is_in_use = any(token.kind is TokenKind.NAME and token.text == name for token in part.tokens)
+    else:
+        unit = model.symbols.units[symbol.owner]
+        members = {field.name for field in unit.fields} | {method.name for method in unit.methods}
+        is_in_use = name in members or any(
+            token.text == name
+            for part in model.parts()
+            if any(one.name == symbol.owner for one in part.file.units)
+            for token in part.tokens
+        )
+    if is_in_use:
+        raise UsageError(f"the name '{name}' is in use there")

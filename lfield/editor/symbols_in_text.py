@@ -1,0 +1,256 @@
+"""What a name in a program means: a unit, a member, a variable, an instruction, a library function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from lfield.editor.cursor import Cursor, DeclaredLocal
+from lfield.editor.program_model import ProgramModel
+from lfield.lang import tree
+from lfield.lang.capability_port import parse_query_name
+from lfield.lang.checker.expressions import evaluated
+from lfield.lang.checker.scope import BodyContext, Scope
+from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
+from lfield.lang.language_library import (
+    EXCEPTION_METHODS,
+    FUNCTIONS,
+    PROXY_METHODS,
+    STRING_METHODS,
+    LibraryFunction,
+)
+from lfield.lang.parser.expressions import expression
+from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
+from lfield.lang.scanner import TokenKind, scan
+from lfield.lang.types import INT, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
+from lfield.manifest import DeviceManifest, Instruction
+from lfield.text.source_text import Diagnostics, Source, Span
+
+Kind = Literal["unit", "method", "field", "local", "library", "instruction", "device", "builtin", "file"]
+Meaning = (
+    tree.Unit
+    | tree.Method
+    | tree.Field
+    | tree.Local
+    | tuple[LibraryFunction, ...]
+    | Instruction
+    | DeviceManifest
+    | Type
+)
+_ARRAY_LENGTH = LibraryFunction("length", (), INT, "array_len", meaning="number of elements")
+
+
+@dataclass(frozen=True, slots=True)
+class TextSymbol:
+    """A symbol; `span` is the name in its declaration, None for what no program declares.
+
+    `key` is equal for all names that a renaming changes together. `prefix` is what precedes the name of a
+    resource or capability in `findArm`.
+    """
+
+    kind: Kind
+    name: str
+    key: tuple[object, ...]
+    span: Span | None
+    meaning: Meaning
+    prefix: str = ""
+    owner: str = ""
+
+
+class TextSymbols:
+    """The symbols of a program as it is now."""
+
+    def __init__(self, model: ProgramModel) -> None:
+        self._model = model
+        self._symbols = replace(model.symbols, found=Diagnostics(), _reported=set())
+
+    @property
+    def program(self) -> Symbols:
+        """The declarations of the program."""
+        return self._symbols
+
+    # --- names ------------------------------------------------------------------------------------------
+
+    def at(self, cursor: Cursor) -> TextSymbol | None:
+        """The meaning of the name at a cursor."""
+        token = cursor.token
+        if token.kind is not TokenKind.NAME and token.text not in BUILTIN_TYPES:
+            return None
+        if cursor.text(-1) == ".":
+            return self._member(cursor)
+        return self._declared_here(cursor) or self._bare(cursor)
+
+    def _declared_here(self, cursor: Cursor) -> TextSymbol | None:
+        """The symbol whose declaration has the name at the cursor."""
+        unit, token = cursor.unit, cursor.token
+        if unit is None:
+            return None
+        made = self._symbols.units.get(unit.name)
+        if token.span == unit.span or made is None:
+            return None if made is None else self.of_unit(made)
+        for method in made.methods:
+            if method.span == token.span:
+                return self.of_unit(made) if method.kind == "constructor" else self.of_method(method)
+        for field in made.fields:
+            if field.span == token.span:
+                return self.of_field(made, field)
+        local = cursor.local_here()
+        return None if local is None else self._of_local(local)
+
+    def _bare(self, cursor: Cursor) -> TextSymbol | None:
+        """A name without an owner."""
+        name = cursor.token.text
+        unit = self.unit(cursor)
+        if cursor.text(1) == "(" and cursor.text(-1) != "new":
+            return self._called(cursor, unit)
+        if cursor.text(-1) != "new":
+            local = cursor.locals().get(name)
+            if local is not None:
+                return self._of_local(local)
+            field = unit.field(name) if unit is not None else None
+            if unit is not None and field is not None:
+                return self.of_field(unit, field)
+        return self.type_named(name)
+
+    def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
+        """A name before arguments."""
+        name = cursor.token.text
+        methods = unit.overloads(name, "method") if unit is not None else ()
+        if methods:
+            return self.of_method(self._chosen(cursor, methods))
+        if name.startswith("find") and (found := self._symbols.resource(name[4:])) is not None:
+            return self.of_unit(found, "find")
+        query = parse_query_name(name)
+        if query is not None and (offered := self._symbols.capability(query[1])) is not None:
+            return self.of_unit(offered, query[0])
+        functions = [function for function in FUNCTIONS if function.name == name]
+        return _of_library(name, functions) if functions else None
+
+    def type_named(self, name: str) -> TextSymbol | None:
+        """The unit, device type or built-in type of a name."""
+        if (unit := self._symbols.units.get(name)) is not None:
+            return self.of_unit(unit)
+        if (device := self._symbols.devices.get(name)) is not None:
+            return TextSymbol("device", name, ("device", name), None, device)
+        if (builtin := BUILTIN_TYPES.get(name)) is not None:
+            return TextSymbol("builtin", name, ("builtin", name), None, builtin)
+        return None
+
+    # --- members ----------------------------------------------------------------------------------------
+
+    def _member(self, cursor: Cursor) -> TextSymbol | None:
+        """A name behind a dot."""
+        name = cursor.token.text
+        candidates = [one for one in self.members(cursor) if one.name == name]
+        methods = [one.meaning for one in candidates if isinstance(one.meaning, tree.Method)]
+        if methods and cursor.text(1) == "(":
+            return self.of_method(self._chosen(cursor, methods))
+        return candidates[0] if candidates else None
+
+    def members(self, cursor: Cursor) -> list[TextSymbol]:
+        """What can follow the dot before a cursor."""
+        owner = cursor.owner()
+        kind = self.type_of(cursor, owner)
+        unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
+        if unit is not None:
+            return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
+        match kind:
+            case DeviceType():
+                device = self._symbols.devices[kind.name]
+                return [
+                    TextSymbol(
+                        "instruction",
+                        one.name,
+                        ("instruction", kind.name, one.name),
+                        None,
+                        one,
+                        owner=kind.name,
+                    )
+                    for one in device.instructions
+                ]
+            case ArrayType():
+                return [_of_library("length", [_ARRAY_LENGTH])]
+            case ClassType():
+                return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
+        return [_of_library(one.name, [one]) for one in STRING_METHODS] if kind.name == "string" else []
+
+    def _unit_members(self, unit: tree.Unit, kind: Type, *, is_own: bool) -> Iterator[TextSymbol]:
+        is_proxy = isinstance(kind, ResourceType)
+        for method in unit.methods:
+            if method.kind == ("portal" if is_proxy else "method") and (method.public or is_own):
+                yield self.of_method(method)
+        if is_proxy:
+            yield from (_of_library(one.name, [one]) for one in PROXY_METHODS)
+        else:
+            yield from (self.of_field(unit, one) for one in unit.fields if one.public or is_own)
+
+    def _chosen(self, cursor: Cursor, methods: Sequence[tree.Method]) -> tree.Method:
+        """The overload that a call selects; the first one if that is not known."""
+        found = self._evaluated(cursor, cursor.call()) if len(methods) > 1 else None
+        match found:
+            case tree.Call():
+                return found.method
+            case tree.PortalCall():
+                return found.portal
+        return methods[0]
+
+    # --- expressions ------------------------------------------------------------------------------------
+
+    def unit(self, cursor: Cursor) -> tree.Unit | None:
+        """The unit around a cursor."""
+        return None if cursor.unit is None else self._symbols.units.get(cursor.unit.name)
+
+    def type_of(self, cursor: Cursor, text: str) -> Type:
+        """The type of an expression at a cursor; UNKNOWN if it has mistakes."""
+        found = self._evaluated(cursor, text)
+        return UNKNOWN if found is None else found.type
+
+    def _evaluated(self, cursor: Cursor, text: str) -> tree.Expr | None:
+        unit = self.unit(cursor)
+        if unit is None or not text:
+            return None
+        quiet = Diagnostics()
+        try:
+            raw = expression(TokenStream(scan(Source("", text), quiet), quiet))
+        except (SyntaxRecovery, ParsingAborted):
+            return None
+        symbols = replace(self._symbols, found=quiet, _reported=set())
+        known = {name: self.local(local) for name, local in cursor.locals().items()}
+        span = unit.span
+        method = tree.Method("", "method", unit, [], UNKNOWN, False, False, span, span)
+        return evaluated(BodyContext(symbols, unit, method, Scope(None, known)), raw)
+
+    def local(self, written: DeclaredLocal) -> tree.Local:
+        """A variable with its type."""
+        symbols = replace(self._symbols, found=Diagnostics(), _reported=set())
+        return tree.Local(written.token.text, symbols.resolve(written.type), written.token.span)
+
+    # --- symbols ----------------------------------------------------------------------------------------
+
+    def of_unit(self, unit: tree.Unit, prefix: str = "") -> TextSymbol:
+        """A unit; `prefix` is `find` in `findArm`."""
+        return TextSymbol("unit", unit.name, ("unit", unit.name), unit.span, unit, prefix)
+
+    def of_method(self, method: tree.Method) -> TextSymbol:
+        """A method or portal; overloads are renamed together."""
+        unit = method.unit.name
+        return TextSymbol(
+            "method", method.name, ("member", unit, method.name), method.span, method, owner=unit
+        )
+
+    def of_field(self, unit: tree.Unit, field: tree.Field) -> TextSymbol:
+        """A field of a unit."""
+        return TextSymbol(
+            "field", field.name, ("member", unit.name, field.name), field.span, field, owner=unit.name
+        )
+
+    def _of_local(self, local: DeclaredLocal) -> TextSymbol:
+        span = local.token.span
+        return TextSymbol(
+            "local", local.token.text, ("local", span.source, span.start), span, self.local(local)
+        )
+
+
+def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
+    return TextSymbol("library", name, ("library", name), None, tuple(functions))

@@ -1,0 +1,60 @@
+"""Places in files as editors count them.
+
+Lines are counted from 0. Columns are UTF-16 code units, or characters where an editor asks for them.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class TextPlace:
+    """Characters `start` to `end` (exclusive) of a file."""
+
+    path: Path
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class TextEdit:
+    """A place, and the text that replaces it."""
+
+    place: TextPlace
+    text: str
+
+
+class LineIndex:
+    """The lines of a text; `is_utf16` says how columns are counted."""
+
+    def __init__(self, text: str, *, is_utf16: bool) -> None:
+        self._text, self._is_utf16 = text, is_utf16 and not text.isascii()
+        self._starts = [0, *(match.end() for match in re.finditer("\n", text))]
+
+    def position(self, offset: int) -> tuple[int, int]:
+        """Line and column of an offset."""
+        line = bisect_right(self._starts, offset) - 1
+        start = self._starts[line]
+        return line, self._units(self._text[start:offset])
+
+    def offset(self, line: int, column: int) -> int:
+        """The offset of a line and column; places outside the text are moved into it."""
+        if line >= len(self._starts):
+            return len(self._text)
+        start = self._starts[line]
+        end = self._starts[line + 1] - 1 if line + 1 < len(self._starts) else len(self._text)
+        if not self._is_utf16:
+            return min(start + column, end)
+        units = 0
+        for at in range(start, end):
+            if units >= column:
+                return at
+            units += self._units(self._text[at])
+        return end
+
+    def _units(self, text: str) -> int:
+        return len(text) + sum(ord(ch) > 0xFFFF for ch in text) if self._is_utf16 else len(text)

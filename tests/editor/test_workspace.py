@@ -1,0 +1,365 @@
+"""What an editor is answered about a mission, without a server."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from sample_mission import (
+    DEPLOYMENT,
+    DEVICES,
+    FILES,
+    FOLDER,
+    PROGRAM,
+    SHARED,
+    MemoryFiles,
+    findings_of,
+    offset,
+)
+
+from lfield.editor.installed import InstalledEnvironment
+from lfield.editor.text_places import LineIndex
+from lfield.editor.workspace import Workspace
+from lfield.errors import ProgramError, UsageError
+from lfield.lang.frontend import check_text
+
+MISSION, SHARED_FILE = FOLDER / "mission.L", FOLDER / "shared.L"
+DEPLOYED, BOUND = FOLDER / "mission.dL", FOLDER / "mission.devices.yaml"
+
+
+@pytest.fixture(scope="module")
+def environment() -> InstalledEnvironment:
+    return InstalledEnvironment()
+
+
+@pytest.fixture
+def workspace(environment: InstalledEnvironment) -> Workspace:
+    made = Workspace(MemoryFiles(FILES), environment)
+    made.put(MISSION, PROGRAM)
+    return made
+
+
+# --- findings -----------------------------------------------------------------------------------------------
+
+
+def test_the_sample_has_no_findings(workspace: Workspace) -> None:
+    workspace.put(DEPLOYED, DEPLOYMENT)
+    changed = [path for path, found in iter_steps(workspace) if found]
+    assert changed == []
+
+
+def iter_steps(workspace: Workspace):
+    while (changed := workspace.step()) is not None:
+        yield from changed.items()
+
+
+def test_findings_follow_the_edits(workspace: Workspace) -> None:
+    assert findings_of(workspace, "mission.L") == []
+    workspace.put(MISSION, PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
+    assert findings_of(workspace, "mission.L") == [(9, "L301")]
+    # Lines above move the finding, and one of another unit stays away.
+    workspace.put(MISSION, "\n\n" + PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
+    assert findings_of(workspace, "mission.L") == [(11, "L301")]
+    # A changed declaration changes findings of other units.
+    workspace.put(MISSION, PROGRAM.replace("portal rise(int height)", "portal climb(int height)"))
+    assert findings_of(workspace, "mission.L") == []
+    workspace.put(MISSION, PROGRAM.replace("portal rise(real height)", "portal climb(real height)"))
+    assert {code for _, code in findings_of(workspace, "mission.L")} == {"L415"}
+    workspace.put(MISSION, PROGRAM)
+    assert findings_of(workspace, "mission.L") == []
+
+
+def test_an_edit_of_an_included_file_counts_in_the_program(workspace: Workspace) -> None:
+    assert findings_of(workspace, "mission.L") == []
+    workspace.put(SHARED_FILE, SHARED.replace("string text()", "string txt()"))
+    found = findings_of(workspace, "mission.L")
+    assert [code for _, code in found] == ["L305"]
+    workspace.close(SHARED_FILE)
+
+
+def test_a_file_that_a_program_includes_is_checked_with_it(environment: InstalledEnvironment) -> None:
+    files = {"mission.L": 'include "part.L";\nclass A { }\n', "part.L": "class B {\n    public A a;\n}\n"}
+    workspace = Workspace(MemoryFiles(files), environment)
+    workspace.put(FOLDER / "part.L", files["part.L"])
+    assert findings_of(workspace, "part.L") == []
+
+
+def test_a_missing_include_and_an_unknown_driver_are_reported(environment: InstalledEnvironment) -> None:
+    workspace = Workspace(MemoryFiles({}), environment)
+    workspace.put(MISSION, 'include "none.L";\ninclude <none/x.L>;\n')
+    assert findings_of(workspace, "mission.L") == [(1, "L601"), (2, "L603")]
+
+
+def test_a_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
+    workspace.put(DEPLOYED, DEPLOYMENT.replace("Watcher", "Wacher"))
+    assert findings_of(workspace, "mission.dL") == [(1, "L702")]
+    workspace.put(DEPLOYED, DEPLOYMENT.replace("?eye", ""))
+    assert findings_of(workspace, "mission.dL") == [(2, "L716")]
+
+
+GOLDEN = sorted((Path(__file__).parents[1] / "lang/golden/errors").glob("*.L"))
+
+
+@pytest.mark.few(60)
+@pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
+def test_findings_are_those_of_the_compiler(path: Path, environment: InstalledEnvironment) -> None:
+    text = path.read_bytes().decode("utf-8", "replace")
+    if "include" in text:
+        return
+    found = check_text(
+        text, devices=environment.devices, find_include=environment.find_include,
+        capabilities=environment.capabilities(path),
+    )  # fmt: skip
+    workspace = Workspace(MemoryFiles({}), environment)
+    workspace.put(MISSION, text)
+    assert findings_of(workspace, "mission.L") == [(one.span.line, one.code) for one in found.diagnostics]
+
+
+# --- hover --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("marked", "parts"),
+    [
+        ("Wat|cher first", ["resource Watcher", "Watches a field."]),
+        ("find|Watcher(arg", ["Watcher findWatcher(string id)"]),
+        (
+            "first.ri|se(2.0)",
+            ["portal Watcher.rise(real height) emit real", "Goes up, and returns the height."],
+        ),
+        ("first.ri|se(3)", ["portal Watcher.rise(int height) emit real"]),
+        ("fc.take|off", ["void Mavlink.takeoff(real height)", "`height` (m)", "waits until it is done"]),
+        ("fc.posi|tion", ["real[] Mavlink.position()", "returns m", "only reads"]),
+        ("Mav|link fc", ["device Mavlink", "driver `mavlink`", "`takeoff`"]),
+        ("f|c;", ["Mavlink fc", "its autopilot"]),
+        ("note.te|xt()", ["public string Note.text()"]),
+        ("new No|te", ["class Note", "What happened."]),
+        ("note.va|lue", ["real value"]),
+        ("f2|s(height", ["string f2s(real, int)", "real to the shortest text"]),
+        ("no|te.text", ["Note note"]),
+        ("find|Lift", ["Lift[] findLift(string constraint)"]),
+        ("Li|ft[] lifts", ["class Lift", "raises, holds and lowers a load"]),
+        ("lifts[0].li|ft", ["Lift.lift(real height)"]),
+        ("lifts.len|gth", ["int length()"]),
+    ],
+)
+def test_hover(marked: str, parts: list[str], environment: InstalledEnvironment) -> None:
+    workspace = Workspace(MemoryFiles(FILES), environment)
+    workspace.put(MISSION, PROGRAM)
+    text = workspace.hover(MISSION, offset(PROGRAM, marked))
+    assert [part for part in parts if part not in text] == [], text
+
+
+def test_nothing_is_known_of_keywords_numbers_and_mistakes(workspace: Workspace) -> None:
+    for marked in ("with|in (5)", "rise(2.|0)", "// Wa|tches"):
+        assert workspace.hover(MISSION, offset(PROGRAM, marked)) == ""
+
+
+def test_hover_in_a_deployment(workspace: Workspace) -> None:
+    workspace.put(DEPLOYED, DEPLOYMENT)
+    assert "resource Watcher" in workspace.hover(DEPLOYED, offset(DEPLOYMENT, "Wat|cher:eye"))
+    assert "`eye`: Watcher on host `sky`" in workspace.hover(DEPLOYED, offset(DEPLOYMENT, "sky?e|ye"))
+    assert "`boss` (Boss)" in workspace.hover(DEPLOYED, offset(DEPLOYMENT, "boss@s|ky"))
+    assert "a witness" in workspace.hover(DEPLOYED, offset(DEPLOYMENT, "@de|sk"))
+
+
+# --- definitions --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("marked", "path", "target"),
+    [
+        ("first.ri|se(2.0)", MISSION, "rise(real"),
+        ("first.ri|se(3)", MISSION, "rise(int"),
+        ("no|te.text", MISSION, "note = new"),
+        ("note.te|xt", SHARED_FILE, "text() {"),
+        ("new No|te", SHARED_FILE, "Note {"),
+        ('"sha|red.L"', SHARED_FILE, "// What"),
+        ("arg|[1]", MISSION, "arg) {\n        Watcher"),
+        ("Watcher fi|rst", MISSION, "first = "),
+        # From a declaration into the deployment, and into the devices file.
+        ("resource Wat|cher", DEPLOYED, "Watcher:eye"),
+        ("Mavlink f|c", BOUND, "fc: {"),
+        ('findWatcher("e|ye")', DEPLOYED, "eye@sky"),
+    ],
+)
+def test_definition(marked: str, path: Path, target: str, environment: InstalledEnvironment) -> None:
+    workspace = Workspace(MemoryFiles(FILES), environment)
+    workspace.put(MISSION, PROGRAM)
+    found = workspace.definitions(MISSION, offset(PROGRAM, marked))
+    assert [(one.path, one.start) for one in found] == [(path, FILES[path.name].index(target))]
+
+
+def test_definition_in_the_file_of_a_driver(workspace: Workspace) -> None:
+    text = PROGRAM.replace("Watcher first", "Copter other = findCopter(arg[1]);\n        Watcher first")
+    workspace.put(MISSION, text)
+    (found,) = workspace.definitions(MISSION, offset(text, "Cop|ter other"))
+    assert found.path.name == "copter.L"
+    (found,) = workspace.definitions(MISSION, offset(text, "mavlink/co|pter"))
+    assert (found.path.name, found.start) == ("copter.L", 0)
+
+
+def test_definition_in_a_deployment(workspace: Workspace) -> None:
+    workspace.put(DEPLOYED, DEPLOYMENT)
+    for marked, path, target in (
+        ("Wat|cher:eye", MISSION, "Watcher {"),
+        ("e|ye@sky", BOUND, "eye:"),
+        ("sky?e|ye", DEPLOYED, "eye@sky"),
+    ):
+        (found,) = workspace.definitions(DEPLOYED, offset(DEPLOYMENT, marked))
+        assert (found.path, found.start) == (path, FILES[path.name].index(target))
+
+
+# --- completion ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "expected", "excluded"),
+    [
+        ("first.|", {"rise", "agent", "host"}, {"name", "fc", "print"}),
+        ("first.ri|", {"rise"}, {"print"}),
+        ("note.|", {"what", "value", "text"}, {"Note"}),
+        ("new Note(|", {"height", "note", "print", "max"}, {"write"}),
+        ("Note other = new |", {"Note", "Exception"}, {"Watcher", "Mavlink"}),
+        ("fin|", {"findWatcher", "findLift", "finally"}, set()),
+        ("if (note.value > 1) first.|", {"rise"}, set()),
+        ('"text".|', {"length", "substring"}, set()),
+        ("// first.|", set(), {"rise"}),
+        ("lifts[0].|", {"lift", "agent", "score"}, {"facts"}),
+        ("(new Note(first.agent(), 1.0)).|", {"value"}, set()),
+    ],
+)
+def test_completion(
+    line: str, expected: set[str], excluded: set[str], environment: InstalledEnvironment
+) -> None:
+    workspace = Workspace(MemoryFiles(FILES), environment)
+    text = PROGRAM.replace("        within (5)", f"        {line}\n        within (5)")
+    workspace.put(MISSION, text.replace("|", ""))
+    found = {one.text for one in workspace.complete(MISSION, text.index("|"))}
+    assert expected <= found
+    assert not excluded & found
+
+
+def test_completion_in_resources_of_devices_and_of_includes(workspace: Workspace) -> None:
+    text = PROGRAM.replace("fc.takeoff(height);", "fc.")
+    workspace.put(MISSION, text)
+    found = {one.text: one for one in workspace.complete(MISSION, offset(text, "fc.|\n"))}
+    assert found["takeoff"].detail == "void Mavlink.takeoff(real height)"
+    text = PROGRAM.replace("include <mavlink/copter.L>;", "include <mav")
+    workspace.put(MISSION, text)
+    assert "mavlink/copter.L" in {one.text for one in workspace.complete(MISSION, offset(text, "<mav|"))}
+    workspace.put(MISSION, "res")
+    assert "resource" in {one.text for one in workspace.complete(MISSION, 3)}
+
+
+def test_completion_in_a_deployment(workspace: Workspace) -> None:
+    text = DEPLOYMENT + "//\n//Watcher:x@\n//Boss:b@sky?\n"
+    workspace.put(DEPLOYED, text)
+    for marked, expected in (
+        ("\n//|\n", {"Watcher", "Boss", "Copter"}),
+        ("x@|", {"sky", "desk"}),
+        ("b@sky?|", {"eye"}),
+    ):
+        assert expected <= {one.text for one in workspace.complete(DEPLOYED, offset(text, marked))}
+
+
+# --- references and renaming --------------------------------------------------------------------------------
+
+
+def renamed(workspace: Workspace, marked: str, name: str) -> dict[str, str]:
+    """The files after a renaming."""
+    texts = dict(FILES)
+    for edit in sorted(
+        workspace.rename(MISSION, offset(PROGRAM, marked), name), key=lambda one: -one.place.start
+    ):
+        file = edit.place.path.name
+        texts[file] = texts[file][: edit.place.start] + edit.text + texts[file][edit.place.end :]
+    return texts
+
+
+def test_a_unit_is_renamed_in_program_queries_and_deployment(workspace: Workspace) -> None:
+    after = renamed(workspace, "resource Wat|cher", "Guard")
+    assert after["mission.L"] == PROGRAM.replace("Watcher", "Guard")
+    assert after["mission.dL"] == DEPLOYMENT.replace("Watcher", "Guard")
+
+
+def test_members_and_variables_are_renamed_where_they_mean_the_same(workspace: Workspace) -> None:
+    assert renamed(workspace, "first.ri|se(3)", "climb")["mission.L"] == PROGRAM.replace("rise", "climb")
+    after = renamed(workspace, "real hei|ght =", "above")["mission.L"]
+    assert after == PROGRAM.replace("real height = ", "real above = ").replace(
+        '"up", height', '"up", above'
+    ).replace("f2s(height", "f2s(above")
+    after = renamed(workspace, "note.te|xt", "all")
+    assert after["shared.L"] == SHARED.replace("text()", "all()")
+    assert after["mission.L"] == PROGRAM.replace("note.text", "note.all")
+    assert renamed(workspace, "new No|te", "Memo")["shared.L"] == SHARED.replace("Note", "Memo")
+
+
+@pytest.mark.parametrize(
+    ("marked", "name", "reason"),
+    [
+        ("Watcher fi|rst", "1st", "not a name"),
+        ("Watcher fi|rst", "while", "not a name"),
+        ("Watcher fi|rst", "note", "in use"),
+        ("resource Wat|cher", "Boss", "in use"),
+        ("resource Wat|cher", "Mavlink", "in use"),
+        ("first.ri|se(3)", "name", "in use"),
+        ("fc.take|off", "up", "not declared in this program"),
+        ("Mavlink f|c", "pilot", "mission.devices.yaml may name 'fc' too"),
+        ("with|in", "x", "no unit, member or variable"),
+    ],
+)
+def test_a_renaming_that_could_change_the_program_is_refused(
+    marked: str, name: str, reason: str, environment: InstalledEnvironment
+) -> None:
+    workspace = Workspace(MemoryFiles(FILES), environment)
+    workspace.put(MISSION, PROGRAM)
+    with pytest.raises(UsageError, match=reason):
+        workspace.rename(MISSION, offset(PROGRAM, marked), name)
+
+
+def test_references(workspace: Workspace) -> None:
+    found = workspace.references(MISSION, offset(PROGRAM, "resource Wat|cher"))
+    assert [(one.path.name, FILES[one.path.name][one.start : one.end]) for one in found] == [
+        *[("mission.L", "Watcher")] * 4,
+        ("mission.dL", "Watcher"),
+    ]
+
+
+# --- outline and layout -------------------------------------------------------------------------------------
+
+
+def test_outline(workspace: Workspace) -> None:
+    watcher, boss = workspace.outline(MISSION)
+    assert (watcher.name, [one.name for one in watcher.children]) == (
+        "Watcher",
+        ["fc", "name", "init", "rise", "rise"],
+    )
+    assert PROGRAM[boss.name_start : boss.name_end] == "Boss"
+    assert watcher.end < boss.start
+    workspace.put(DEPLOYED, DEPLOYMENT)
+    outline = [(one.name, one.detail) for one in workspace.outline(DEPLOYED)]
+    assert outline == [("eye", "Watcher on sky"), ("boss", "Boss on sky"), ("desk", "witness")]
+
+
+def test_format(workspace: Workspace) -> None:
+    workspace.put(MISSION, PROGRAM.replace("    ", "\t").replace(" = ", "="))
+    assert workspace.format(MISSION) == PROGRAM.replace("fc;     //", "fc;  //")
+    workspace.put(MISSION, "class A {")
+    with pytest.raises(ProgramError):
+        workspace.format(MISSION)
+    workspace.put(DEPLOYED, f"\n{DEPLOYMENT}\n\n")
+    assert workspace.format(DEPLOYED) == DEPLOYMENT
+
+
+def test_positions_are_counted_in_utf16_or_characters() -> None:
+    text = "a\U0001f916b\n\n\U0001f916\U0001f916x"
+    for is_utf16, columns in ((True, (3, 4)), (False, (2, 2))):
+        index = LineIndex(text, is_utf16=is_utf16)
+        assert index.position(text.index("b")) == (0, columns[0])
+        assert index.position(text.index("x")) == (2, columns[1])
+        for at in range(len(text) + 1):
+            assert index.offset(*index.position(at)) == at
+        assert index.offset(0, 99) == 3
+        assert index.offset(99, 0) == len(text)
+    assert DEVICES.isascii()
