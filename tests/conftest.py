@@ -141,13 +141,32 @@ def _named(config: pytest.Config) -> bool:
     return bool(config.option.keyword) or any("::" in word for word in config.args)
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
-    """Take a sample of the cases, and check in one item what needs no fixture of its own."""
-    yield
-    if not (metafunc.config.option.every_case or _named(metafunc.config)):
-        parametrized_cases.take_sample(metafunc)
-        parametrized_cases.merge(metafunc)
+class EveryTest:
+    """Hooks for the tests of the examples too: those of a conftest are for its own folder."""
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Iterator[None]:
+        """Take a sample of the cases, and check in one item what needs no fixture of its own."""
+        yield
+        if not (metafunc.config.option.every_case or _named(metafunc.config)):
+            parametrized_cases.take_sample(metafunc)
+            parametrized_cases.merge(metafunc)
+
+    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
+        """Check all cases of an item that has several, and run coroutine functions."""
+        merged = getattr(pyfuncitem, "callspec", None)
+        check = coroutine_tests.synchronous(pyfuncitem)
+        if isinstance(merged, parametrized_cases.MergedCases):
+            parametrized_cases.check_all(pyfuncitem, merged, check)
+            return True
+        if check is pyfuncitem.obj:
+            return None
+        check(**{name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames})
+        return True
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(EveryTest())
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -155,19 +174,6 @@ def pytest_pycollect_makeitem(name: str, obj: object) -> None:
     """A coroutine function is run by the fixture `runner`."""
     if name.startswith("test_") and inspect.iscoroutinefunction(obj):
         pytest.mark.usefixtures("runner")(obj)
-
-
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Check all cases of an item that has several, and run coroutine functions."""
-    merged = getattr(pyfuncitem, "callspec", None)
-    check = coroutine_tests.synchronous(pyfuncitem)
-    if isinstance(merged, parametrized_cases.MergedCases):
-        parametrized_cases.check_all(pyfuncitem, merged, check)
-        return True
-    if check is pyfuncitem.obj:
-        return None
-    check(**{name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames})
-    return True
 
 
 def _make_fewer_examples(function: Any) -> None:

@@ -40,14 +40,15 @@ def on_bench(
     """Run a test `async def test(bench, *devices, /, ...)` as the scenario of a `DriverBench`.
 
     `maker` creates the bench: a function, or the name of the fixture that is one. It gets `arguments`,
-    `options`, and the parameters of the test that `given` names.
+    `options`, and the parameters of the test that `given` names: `speed`, or `option=speed`.
     """
+    passed = [word.split("=") for word in given.split()]
 
     def decorate(test: Coroutines) -> Callable[..., None]:
         @functools.wraps(test)
         def run(**fixtures: Any) -> None:
             make = fixtures.pop(maker) if isinstance(maker, str) else maker
-            bench = make(*arguments, **options, **{name: fixtures[name] for name in given.split()})
+            bench = make(*arguments, **options, **{words[0]: fixtures[words[-1]] for words in passed})
             bench.run(lambda *devices: test(bench, *devices, **fixtures), opened=opened)
 
         own = [p for p in inspect.signature(test).parameters.values() if p.kind is not p.POSITIONAL_ONLY]

@@ -73,6 +73,21 @@ exit 0
 """
 
 
+#: Prints why a service that does not run has ended; nothing if it does, or without systemd. The unit starts
+#: it again 2 s after each end, so a single look may find it running.
+_SERVICE = """
+[ -d /run/systemd/system ] || exit 0
+for look in 1 2 3 4 5 6; do
+  if ! systemctl is-active lfield.service >/dev/null; then
+    echo "it does not run"
+    journalctl --unit lfield.service --lines 20 --output cat 2>/dev/null | grep '^lfield:' | tail -n 1
+    exit 0
+  fi
+  sleep 0.5
+done
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Robot:
     """A host of the inventory as provisioning needs it."""
@@ -156,8 +171,8 @@ class ProvisionRun:
     replaces_keys: Callable[[str], tuple[RobotFile, ...]] | None = None
     is_dry: bool = False
     only_prepares: bool = False
-    #: Whether keys of another authority are replaced.
-    replaces_authority: bool = False
+    #: Whether a robot with keys of another authority or host is taken over.
+    takes_over: bool = False
     gate: UpdateGate = field(default_factory=lambda: UpdateGate(()))
     desk_time: Callable[[], float] = time.time
 
@@ -270,7 +285,7 @@ class HostProvisioning:
             unit_file(deployment_file("lfield.service")),
             self._run.keys.get(name, ()),
             keys_folder(name),
-            self._run.replaces_authority,
+            self._run.takes_over,
         )
 
     async def _installation(self, facts: RobotFacts) -> Installation:
@@ -326,7 +341,16 @@ class HostProvisioning:
         problems = sum(finding.get("state") == "problem" for finding in findings)
         text = f"{len(findings)} findings, {problems or 'no'} problem{'s' if problems > 1 else ''}"
         self._report("doctor", "failed" if problems else "done", text, findings=findings)
-        return not problems
+        return not problems and await self._service_runs()
+
+    async def _service_runs(self) -> bool:
+        """Whether the service has not ended since its start, as with a full disk; reports it if it has."""
+        script = f"sh -c {shlex.quote(_SERVICE)}"
+        output = await self._connection.run_as_root(script, "service")
+        reason = ": ".join(output.splitlines())
+        if reason:
+            self._report("service", "failed", reason, "'journalctl -u lfield' on the robot shows more")
+        return not reason
 
 
 def _refused_from(steps: list[Step], first: Step, why: str, advice: str) -> list[Step]:

@@ -85,8 +85,8 @@ class Installation:
     #: Empty where the authority is not on this desk; then those of the robot stay.
     keys: tuple[RobotFile, ...]
     keys_folder: str
-    #: Whether keys of another authority are replaced.
-    replaces_authority: bool = False
+    #: Whether a robot with keys of another authority or host is taken over.
+    takes_over: bool = False
 
     @property
     def configuration(self) -> str:

@@ -254,13 +254,17 @@ def needs_new_key(facts: RobotFacts, keys: Sequence[RobotFile]) -> bool:
 
 
 def _keys_step(facts: RobotFacts, installation: Installation) -> Step:
+    if facts.host not in ("", installation.host) and not installation.takes_over:
+        text = f"this robot is {facts.host}: it has its keys, and its service runs as {facts.host}"
+        advice = f"correct the addresses in the inventory, or make it {installation.host}: --replace-keys"
+        return Step("keys", "refused", text, advice)
     if not installation.keys:
         text = "there is no authority on this desk"
         if f"{KEYS}/{installation.keys_folder}/host.key" not in facts.files:
             advice = "lfield keys init --person NAME; or name its directory with --authority"
             return Step("keys", "refused", text, advice)
         return Step("keys", "note", f"{text}; the keys of the robot stay")
-    if _has_other_authority(facts, installation) and not installation.replaces_authority:
+    if _has_other_authority(facts, installation) and not installation.takes_over:
         text = f"the keys of {installation.host} on the robot are of another authority, of another team"
         advice = "use the authority of that team, or take the robot over: --replace-keys"
         return Step("keys", "refused", text, advice)

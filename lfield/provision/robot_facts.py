@@ -30,8 +30,8 @@ ACCESS_SCRIPT = r"""
 printf 'user\t%s\t%s\n' "$(id -un)" "$(id -u)"
 if [ "$(id -u)" = 0 ]; then printf 'sudo\tyes\n'
 elif ! command -v sudo >/dev/null; then printf 'sudo\tmissing\n'
-elif sudo -n true 2>/dev/null; then printf 'sudo\tyes\n'
-elif sudo -n true 2>&1 | grep -q 'have a tty'; then printf 'sudo\ttty\n'
+elif sudo -n sh -c true 2>/dev/null; then printf 'sudo\tyes\n'
+elif sudo -n sh -c true 2>&1 | grep -q 'have a tty'; then printf 'sudo\ttty\n'
 else printf 'sudo\tpassword\n'; fi
 """
 
@@ -71,6 +71,8 @@ for file in /etc/systemd/system/lfield.service /etc/lfield/* /etc/lfield/keys/{k
   digest "$file" file
   printf 'mode\t%s\t%s\n' "$file" "$(stat -c '%a:%U:%G' "$file")"
 done
+name=$(sed -n 's/^LFIELD_HOST=//p' /etc/lfield/service.env 2>/dev/null)
+[ -n "$name" ] && [ -d "/etc/lfield/keys/$name" ] && value host "$name"
 [ "$(stat -c '%a:%U:%G' /etc/lfield/keys/{keys} 2>/dev/null)" = 700:lfield:lfield ] && value keys private
 if command -v systemctl >/dev/null; then
   value enabled "$(systemctl is-enabled lfield.service 2>/dev/null)"
@@ -134,6 +136,8 @@ class RobotFacts:
     has_private_keys_folder: bool = False
     is_enabled: bool = False
     is_active: bool = False
+    #: The host whose keys it has and as which its service runs; '' for none.
+    host: str = ""
 
 
 def facts_script(user: str, groups: Iterable[str], host: str) -> str:
@@ -186,6 +190,7 @@ def parse_facts(output: str) -> RobotFacts:
         has_private_keys_folder=one("keys") == "private",
         is_enabled=one("enabled") == "enabled",
         is_active=one("active") == "active",
+        host=one("host"),
     )
 
 

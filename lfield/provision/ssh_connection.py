@@ -13,10 +13,12 @@ import os
 import shlex
 import tarfile
 import time
-from asyncio.subprocess import DEVNULL, PIPE, Process
+from asyncio.subprocess import PIPE, Process
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
+from typing import BinaryIO
 
 from lfield.errors import ProvisionError
 from lfield.provision.plan import RobotUpload, RootCommand
@@ -75,18 +77,21 @@ class SshConnection:
         command = f"echo; echo {_READY.decode()}; exec cat"
         self._master = master = await self._ssh("ControlMaster=yes", command, PIPE)
         assert master.stdout is not None
+        printed = b""
         try:
             async with asyncio.timeout(LOGIN_TIMEOUT):
                 while line := await master.stdout.readline():
                     if line.strip() == _READY:
                         return ""
+                    printed = line.strip() or printed
                 _, errors = await master.communicate()
         except TimeoutError:
             await self.close()
             return f"Connection timed out after {LOGIN_TIMEOUT:.0f} s"
-        return errors.decode(errors="replace") or "Connection closed"
+        # The shell of a user who may not log in says so on its standard output.
+        return (errors or printed).decode(errors="replace") or "Connection closed"
 
-    async def _ssh(self, role: str, command: str, stdin: int) -> Process:
+    async def _ssh(self, role: str, command: str, stdin: int | BinaryIO) -> Process:
         options = [argument for option in (*_OPTIONS, role) for argument in ("-o", option)]
         target = self.destination
         arguments = [
@@ -116,7 +121,13 @@ class SshConnection:
 
     async def read_access(self) -> LoginAccess:
         """Find out who has logged in, and whether that user may become root. Raises ProvisionError."""
-        output = await self.run(f"sh -c {shlex.quote(ACCESS_SCRIPT)}", "access")
+        try:
+            async with asyncio.timeout(LOGIN_TIMEOUT):
+                output = await self.run(f"sh -c {shlex.quote(ACCESS_SCRIPT)}", "access")
+        except TimeoutError:
+            reason = f"sudo does not answer within {LOGIN_TIMEOUT:.0f} s"
+            advice = f"try '{self.destination.command()} sudo -n true'"
+            raise ProvisionError(self.host, reason, advice) from None
         try:
             self.access = parse_access(output)
         except ValueError as error:
@@ -127,13 +138,17 @@ class SshConnection:
     async def run(self, command: str, step: str, data: bytes | None = None) -> str:
         """Run a command line of the login shell; returns its output. Raises ProvisionError if it fails."""
         command = f"echo {_OUTPUT}; {command}"
-        process = await self._ssh("ControlMaster=no", command, DEVNULL if data is None else PIPE)
-        try:
-            output, errors = await process.communicate(data)
-        finally:
-            if process.returncode is None:
-                process.kill()
-                await process.wait()
+        # A file, not a pipe: uvloop raises RuntimeError when a pipe is written whose process has ended.
+        with TemporaryFile() as file:
+            file.write(data or b"")
+            file.seek(0)
+            process = await self._ssh("ControlMaster=no", command, file)
+            try:
+                output, errors = await process.communicate()
+            finally:
+                if process.returncode is None:
+                    process.kill()
+                    await process.wait()
         message = errors.decode(errors="replace")
         if process.returncode == _FAILED and is_unreachable(message or "Connection closed"):
             raise connection_error(self.host, self.destination, message or "Connection closed")

@@ -106,5 +106,9 @@ class SegmentReader:
         return None
 
     def _has_data(self) -> bool:
-        """Whether any other byte than zero follows."""
-        return any(piece.count(0) < len(piece) for piece in iter(lambda: self._stream.read(_PIECE), b""))
+        """Whether any other byte than zero follows, or more of them than a record has."""
+        for _ in range(MAX_RECORD // _PIECE):
+            piece = self._stream.read(_PIECE)
+            if not piece or piece.count(0) < len(piece):
+                return bool(piece)
+        return True

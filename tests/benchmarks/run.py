@@ -30,7 +30,6 @@ FIGURES = {
     "compiler": "machine.compiler",
     "compile": "machine.compile",
     "mavlink": "guards.mavlink",
-    "cancels": "guards.cancels",
     "deaths": "deaths.deaths",
     "query": "capability.query",
     "rankings": "capability.rankings",

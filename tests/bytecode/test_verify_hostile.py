@@ -181,4 +181,4 @@ def _seconds(count: int) -> float:
 
 def test_the_time_is_in_proportion_to_the_size() -> None:
     """Eight times the records take far less than the 64 times of a quadratic check."""
-    assert min(_seconds(24_000) for _ in range(3)) < 30 * _seconds(3_000)
+    assert min(_seconds(12_000) for _ in range(3)) < 30 * _seconds(1_500)

@@ -135,6 +135,12 @@ PRODUCTIONS: dict[str, list[str]] = {
     "STATEMENT_X_CATCH_LIST": [statements("try { } catch (Node x) { } catch (Exception e) { }")],
     "STATEMENT_CATCH": [statements("try { f(); } catch (Node x) { n = x.n; }")],
 }
+#: What object-based languages of chapter III lack, and L too, with the code of the error.
+ABSENT = {
+    "inheritance": "class K extends M { } class M { }",
+    "interfaces": "interface K { }",
+    "packages": f"package p; {RESOURCE}",
+}
 #: What the printed grammar permits and L does not, with the code of the error.
 REFUSED: dict[str, tuple[str, str]] = {
     "an assignment as a condition": (statements("if (b = true) n = 1;"), "L412"),
@@ -181,6 +187,15 @@ def test_production(production: str) -> None:
 def test_what_is_refused(what: str) -> None:
     text, code = REFUSED[what]
     assert errors(text)[0] == code
+
+
+def test_a_program_without_units_is_permitted() -> None:
+    assert errors("// nothing yet\n") == []
+
+
+@pytest.mark.parametrize("what", ABSENT)
+def test_what_is_absent(what: str) -> None:
+    assert errors(ABSENT[what])[0] == "L217"
 
 
 @pytest.mark.parametrize("word", [*WORDS, *ADDED])

@@ -175,13 +175,26 @@ def test_without_an_authority_the_keys_of_the_robot_stay():
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
+def test_a_robot_that_is_another_host_is_taken_over_only_by_command():
+    """The inventory has its address under a wrong name."""
+    made = installation()
+    assert states(plan(replace(ROBOT, host="alpha"), "pi", made))["keys"] == "todo"
+    for other in (replace(ROBOT, host="bravo"), replace(provisioned(ROBOT, made), host="bravo")):
+        (refused,) = plan(other, "pi", made)
+        assert (refused.name, refused.state) == ("keys", "refused")
+        assert "bravo" in refused.text
+        # Nor are its settings overwritten where there is no authority.
+        assert {step.state for step in plan(other, "pi", replace(made, keys=()))} == {"refused"}
+        assert states(plan(other, "pi", replace(made, takes_over=True)))["keys"] != "refused"
+
+
 def test_keys_of_another_authority_are_replaced_only_by_command():
     made = installation()
     own = replace(made, keys=(*made.keys, *key_files("alpha", [("authority.pem", b"of this team", False)])))
     facts = provisioned(ROBOT, own)
     other = replace(facts, files={**facts.files, own.keys[-1].path: "of another team"})
     assert states(plan(other, "pi", own)) == {"keys": "refused"}
-    steps = states(plan(other, "pi", replace(own, replaces_authority=True)))
+    steps = states(plan(other, "pi", replace(own, takes_over=True)))
     assert {name for name, state in steps.items() if state == "todo"} == {"keys", "service"}
     assert set(states(plan(facts, "pi", own)).values()) == {"done"}
 

@@ -30,6 +30,10 @@ STEPS = ["user", "wheels", "environment", "keys", "settings", "unit", "version",
 #: The login shell of the user prints something before each command.
 TALKATIVE = "printf 'echo WELCOME; printf hi\\n' >/home/pi/.bashrc"
 SERVICE_ENV = "/etc/lfield/service.env"
+#: A user who may run one command as root.
+PARTIAL_SUDO = "echo 'pi ALL=(root) NOPASSWD: /bin/true, /usr/bin/true' >/etc/sudoers.d/pi"
+#: The service cannot store its state.
+FULL_STATE = "mount -t tmpfs -o size=64k tmpfs /var/lib; head -c 1000000 /dev/zero >/var/lib/x || true"
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +115,7 @@ def test_what_was_changed_by_hand_is_repaired_but_not_while_a_mission_runs(trial
 
 REFUSALS = {
     "password": (RobotKind(sudo="password"), "failed", "NOPASSWD: ALL"),
+    "partial": (RobotKind(sudo="password", setup=PARTIAL_SUDO), "failed", "NOPASSWD: ALL"),
     "stranger": (RobotKind(authorized="other"), "failed", "ssh-copy-id"),
     "unknown": (RobotKind(), "failed", "ssh 10.77.0."),
     "full": (RobotKind(opt_size="20m"), "disk", "free disk space"),
@@ -202,6 +207,18 @@ def test_a_disk_that_fills_up_meanwhile_is_reported(trial):
     )
     assert "free disk space" in str(full["hint"])
     robot.path("/opt/ballast").unlink()
+    assert trial.provision().status == exit_status.DONE
+
+
+@pytest.mark.few(0)
+def test_a_service_that_ends_at_once_is_reported(trial):
+    """Doctor does not need it, and the unit starts it again and again."""
+    robot = trial.bench.add("crashing", RobotKind(setup=FULL_STATE))
+    trial.write_inventory(robot)
+    done = trial.provision()
+    assert done.status == exit_status.UNAVAILABLE
+    assert (done.last("crashing")["step"], done.last("crashing")["state"]) == ("service", "failed")
+    robot.run("rm /var/lib/x; systemctl restart lfield.service")
     assert trial.provision().status == exit_status.DONE
 
 

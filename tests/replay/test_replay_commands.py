@@ -154,6 +154,7 @@ def test_another_bundle_is_refused(command: str, recorded: Path, tmp_path: Path)
 
 
 @pytest.mark.process
+@pytest.mark.few(2)
 @pytest.mark.parametrize("seconds", ["0.001", "0.05", "1.0", "20.0"])
 def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -> None:
     for place in ('sum = sum + findPost("two")', "fc.takeoff(height);", 'print("climbed'):

@@ -111,7 +111,7 @@ FOREIGN = {
 }
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", FOREIGN)
 def test_a_configuration_that_pytest_refuses_is_ignored(project, name):
     file, text = FOREIGN[name]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections import OrderedDict
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from _pytest.python import CallSpec
-from coroutine_tests import on_bench
+from coroutine_tests import on_bench, synchronous
 from parametrized_cases import failures_of, sample
 
 
@@ -137,8 +138,18 @@ def test_a_test_on_a_bench_that_fails_fails():
         test()
 
 
-@pytest.mark.xfail(raises=(ZeroDivisionError, BaseExceptionGroup), strict=True)
-@pytest.mark.parametrize("divisor", [0, -0])
-async def test_a_coroutine_function_is_run_for_each_of_its_cases(divisor):
+def test_a_coroutine_function_gets_what_its_runner_passes_and_fails_as_others_do():
+    async def test(team, /, number):
+        await asyncio.sleep(0)
+        assert (team, number) == ("alpha", 1)
+
+    item = SimpleNamespace(obj=test, funcargs={"runner": lambda test: asyncio.run(test("alpha"))})
+    synchronous(item)(number=1)
+    with pytest.raises(AssertionError):
+        synchronous(item)(number=2)
+
+
+@pytest.mark.parametrize("divisor", [1, 2])
+async def test_cases_of_a_coroutine_function_are_checked_in_one_item(divisor):
     await asyncio.sleep(0)
-    assert 1 / divisor
+    assert 2 % divisor == 0

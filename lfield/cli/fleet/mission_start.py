@@ -63,7 +63,7 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     mission = found[0]
     # The other robots of the inventory have no part in it.
     if failed := {host: error for host, error in silent.items() if host in mission.hosts}:
-        return _report_silent(args, failed)
+        return _report_silent(args, failed, [host for host in mission.hosts if host in statuses])
     without = [host for host in args.without if host in mission.hosts]
     if others := _runs_of_other_bundles(desk, without, mission.digest):
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
@@ -96,17 +96,18 @@ def _report_no_mission(
         text = f"the active bundles differ ({listed(active)}): 'lfield push' activates one on all of them"
         return _report(args, {}, {}, f"nothing was started: {text}")
     if silent:
-        return _report_silent(args, silent)
+        return _report_silent(args, silent, list(statuses))
     text = (
         f"nothing was started: no bundle is active on {listed(list(statuses))}: 'lfield push' activates one"
     )
     return _report(args, {}, {}, text)
 
 
-def _report_silent(args: argparse.Namespace, failed: Mapping[str, LfieldError]) -> int:
+def _report_silent(args: argparse.Namespace, failed: Mapping[str, LfieldError], others: list[str]) -> int:
     report_unreached(failed, "")
     hint = "".join(f" --without {host}" for host in failed)
-    return _report(args, {}, failed, f"nothing was started; to start without them:{hint}")
+    text = f"; to start without them:{hint}" if others else ""
+    return _report(args, {}, failed, f"nothing was started{text}")
 
 
 def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> list[str]:

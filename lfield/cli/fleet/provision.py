@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--replace-keys",
         action="store_true",
-        help="take robots over that have keys of another authority: only this team can use them then",
+        help="take robots over that have keys of another authority or of another host",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per step")
 
@@ -110,7 +110,7 @@ async def _provision_all(
             replaces_keys=None if args.dry_run else _replacement(args),
             is_dry=args.dry_run,
             only_prepares=args.prepare,
-            replaces_authority=args.replace_keys,
+            takes_over=args.replace_keys,
             gate=UpdateGate(robot.name for robot in robots),
         )
         async with asyncio.TaskGroup() as group:

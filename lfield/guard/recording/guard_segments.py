@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import msgspec
 from lfield.errors import RecordingError
 from lfield.guard.recording.guard_records import (
     GuardRecord,
+    Pulses,
     SegmentStart,
     TelemetryRecord,
     decode_record,
@@ -97,9 +99,7 @@ def read_segment(path: Path) -> GuardSegment:
     start = records[0] if records else None
     if start is not None and not isinstance(start, SegmentStart):
         raise RecordingError("it is not the recording of a guard")
-    if start is not None and not all(
-        _has_quantities(start, record) for record in (*_values_at(start), *records)
-    ):
+    if start is not None and not all(_is_valid(start, record) for record in (*_values_at(start), *records)):
         raise RecordingError(_DAMAGED)
     return GuardSegment(path, start, records[1:], reader.end)
 
@@ -111,8 +111,10 @@ def _decoded(record: bytes) -> GuardRecord:
         raise RecordingError(_DAMAGED) from None
 
 
-def _has_quantities(start: SegmentStart, record: GuardRecord) -> bool:
-    """Whether the telemetry of a record is that of a device of the guard."""
+def _is_valid(start: SegmentStart, record: GuardRecord) -> bool:
+    """Whether pulses can be decoded, and telemetry is that of a device of the guard."""
+    if isinstance(record, Pulses):
+        return math.isfinite(record.start) and len(record.steps) % 2 == 0
     if not isinstance(record, TelemetryRecord):
         return True
     devices = start.state.devices

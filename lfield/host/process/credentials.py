@@ -119,11 +119,13 @@ def _require_valid(
         raise KeysError(
             f"the keys of {own} are revoked (list {revoked.number}): make new ones with 'lfield keys {own}'"
         )
-    if own.valid_until <= now and (at := signed()):
+    if own.valid_until <= now:
+        at = signed()
+        bundle = f", and the bundle was signed {format_time(at)}" if at else ""
         raise KeysError(
             f"the certificate of {own} expired {format_time(own.valid_until)}: the clock here shows "
-            f"{format_time(now)}, and the bundle was signed {format_time(at)}; set the clock if it is "
-            f"wrong, else renew the keys with 'lfield keys renew {own}'"
+            f"{format_time(now)}{bundle}; set the clock if it is wrong, else renew the keys with "
+            f"'lfield keys renew {own}', and copy them here ('lfield provision' does both)"
         )
     if own.valid_until < now + lasts:
         raise KeysError(

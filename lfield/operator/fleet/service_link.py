@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError, NoListener
 from lfield.net.handshake import Handshake
 from lfield.operator.observer_link import ObserverLink, PresentedCrl
-from lfield.wire.messages import HandshakeRefused, Hello, Message, RevocationUpdate
+from lfield.wire.messages import HandshakeRefused, Hello, Message, Ping, Pong, RevocationUpdate
 from lfield.wire.service_messages import ServiceMessage
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ A = TypeVar("A", bound=ServiceMessage)
 HANDSHAKE_TIMEOUT, SILENCE = 8.0, 8.0
 #: Seconds between two links, and seconds in which a service that is restarted by its unit listens again.
 RETRY_DELAY, RESTART_TIME = 0.2, 10.0
+#: Seconds without a link after which a request fails, however long its answer may take.
+CONTACT = 30.0
 
 
 class ServiceLink(ObserverLink):
@@ -33,6 +35,8 @@ class ServiceLink(ObserverLink):
         self._answers: asyncio.Queue[ServiceMessage | LfieldError] = asyncio.Queue()
         self._greeted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._link: Link | None = None
+        #: Whether a Ping has no answer yet.
+        self._is_tested = False
         self.is_closed = False
 
     def greet(self, link: Link) -> Handshake:
@@ -56,6 +60,8 @@ class ServiceLink(ObserverLink):
         elif isinstance(message, HandshakeRefused):
             # Reports begin with the name of the host.
             raise HandshakeError(message.reason)
+        elif isinstance(message, Pong):
+            self._is_tested = False
         elif isinstance(message, ServiceMessage):
             self._answers.put_nowait(message)
 
@@ -93,7 +99,7 @@ class ServiceLink(ObserverLink):
         try:
             async with asyncio.timeout(within):
                 while True:
-                    answer = await self._answers.get()
+                    answer = await self._next_answer(self._link)
                     if isinstance(answer, LfieldError):
                         # For every later call too.
                         self._answers.put_nowait(answer)
@@ -102,6 +108,18 @@ class ServiceLink(ObserverLink):
                         return answer
         except TimeoutError:
             raise AddressError(self._link.peer, f"no answer within {within:g} s") from None
+
+    async def _next_answer(self, link: Link) -> ServiceMessage | LfieldError:
+        """The next answer. Meanwhile the link is tested: the robot may have left the network."""
+        while True:
+            try:
+                async with asyncio.timeout(SILENCE):
+                    return await self._answers.get()
+            except TimeoutError:
+                if self._is_tested:
+                    return AddressError(link.peer, f"no message within {2 * SILENCE:g} s")
+                self._is_tested = True
+                link.send(Ping(0))
 
     async def ask(self, message: ServiceMessage, kind: type[A], within: float = SILENCE) -> A:
         """The answer to one request. Raises LfieldError."""
@@ -177,19 +195,25 @@ class ServiceLinks:
         """The answer to a request that may be repeated: again after broken links, for `within` seconds.
 
         Each answer may take `answered` seconds. A service that does not listen may be restarting: it is asked
-        again for `restart` seconds. Raises AddressError, HandshakeError, KeysError.
+        again for `restart` seconds. One without a link for `CONTACT` seconds is not waited for. Raises
+        AddressError, HandshakeError, KeysError.
         """
         now = asyncio.get_running_loop().time
         last: AddressError | None = None
-        started = now()
+        linked = started = now()
         try:
             async with asyncio.timeout(within):
                 while True:
                     try:
                         async with self.link(host) as link:
-                            return await link.ask(message, kind, answered)
+                            try:
+                                return await link.ask(message, kind, answered)
+                            finally:
+                                linked = now()
                     except AddressError as error:
                         if isinstance(error, NoListener) and now() - started >= restart:
+                            raise
+                        if now() - linked >= CONTACT:
                             raise
                         last = error
                     await asyncio.sleep(RETRY_DELAY)

@@ -133,21 +133,18 @@ def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without)
     b.run(mission)
 
 
-def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
+@on_bench("rig")
+async def test_an_axis_that_does_not_halt_is_an_exception(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.HALT_TIMEOUT", 0.3)
-    b = rig()
 
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [3.0])
-        await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
-        b.drive.deaf_to_halt = True
-        with pytest.raises(
-            DeviceError, match=r"halt: it is still moving after 0.3 s \(operation enabled, 3 rad/s\)"
-        ):
-            await axis.execute("halt", [])
-
-    b.run(mission)
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [3.0])
+    await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
+    b.drive.deaf_to_halt = True
+    with pytest.raises(
+        DeviceError, match=r"halt: it is still moving after 0.3 s \(operation enabled, 3 rad/s\)"
+    ):
+        await axis.execute("halt", [])
 
 
 @on_bench("rig")
@@ -197,35 +194,28 @@ async def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(b, axis, /):
     ("state", "control", "status"),
     [("brake", 0x02, 0x0217), ("torque_hold", 0x02, 0x0217), ("torque_off", 0x00, 0x0240)],
 )
-def test_safe_states_are_seen(rig, state, control, status):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [5.0])
-        await b.until(lambda: b.values["velocity"] > 4.0)
-        await axis.make_safe()
-        assert b.drive.state == status
-        assert b.drive.controls[-1] == control
-        with pytest.raises(DeviceError, match=r"not enabled .* call enable\(\) first"):
-            await axis.execute("setVelocity", [1.0])
-
-    b.run(mission)
+@on_bench("rig", given="safe_state=state")
+async def test_safe_states_are_seen(b, axis, /, state, control, status):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [5.0])
+    await b.until(lambda: b.values["velocity"] > 4.0)
+    await axis.make_safe()
+    assert b.drive.state == status
+    assert b.drive.controls[-1] == control
+    with pytest.raises(DeviceError, match=r"not enabled .* call enable\(\) first"):
+        await axis.execute("setVelocity", [1.0])
     assert (b.drive.get(0x605A) == 6) is (state == "torque_hold")
 
 
-def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
+@on_bench("rig")
+async def test_a_safe_state_that_does_not_come_is_told(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.SAFE_TIMEOUT", 0.5)
-    b = rig()
 
-    async def mission(axis):
-        await axis.execute("enable", [])
-        b.drive.on_control = lambda word: None
-        with pytest.raises(DeviceError, match=r"the safe state brake is not confirmed \(operation enabled"):
-            async with asyncio.timeout(8.0):
-                await axis.make_safe()
-
-    b.run(mission)
+    await axis.execute("enable", [])
+    b.drive.on_control = lambda word: None
+    with pytest.raises(DeviceError, match=r"the safe state brake is not confirmed \(operation enabled"):
+        async with asyncio.timeout(8.0):
+            await axis.make_safe()
 
 
 @on_bench("rig")
@@ -244,19 +234,14 @@ async def test_a_fault_is_told_in_words_and_reset(b, axis, /):
     await axis.execute("enable", [])
 
 
-def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
+@on_bench("rig")
+async def test_a_travel_that_is_stuck_ends(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.STUCK_TIME", 0.4)
-    b = rig()
 
-    async def mission(axis):
-        await axis.execute("enable", [])
-        b.drive.stuck = True
-        with pytest.raises(
-            DeviceError, match=r"moveTo failed: no progress for 0.4 s, 3.000 rad from its goal"
-        ):
-            await axis.execute("moveTo", [3.0, 5.0])
-
-    b.run(mission)
+    await axis.execute("enable", [])
+    b.drive.stuck = True
+    with pytest.raises(DeviceError, match=r"moveTo failed: no progress for 0.4 s, 3.000 rad from its goal"):
+        await axis.execute("moveTo", [3.0, 5.0])
 
 
 @on_bench("rig", waivers=[], options={"homing_method": 37, "homing_speed": 1.0})

@@ -279,23 +279,20 @@ async def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_a
     assert b.wire.drives[0].velocity > 0.0
 
 
-def test_a_drive_that_ignores_what_it_does_not_have_is_asked_at_its_set_up_alone(rig):
+@on_bench("rig", opened=False)
+async def test_a_drive_that_ignores_what_it_does_not_have_is_asked_at_its_set_up_alone(b, axis, /):
     """Each such question takes a second without an answer, and commands would wait for that."""
-    b = rig()
 
     def is_asked_in_vain(frame):
         return frame.id == 0x600 + NODE and frame.data[1:3] == b"\x18\x10" and frame.data[3] >= 0x60
 
-    async def mission(axis):
-        heard = b.wire.on_frame
-        b.bus.device = b.wire.on_frame = lambda frame: None if is_asked_in_vain(frame) else heard(frame)
-        await axis.open()
-        before = len(b.bus.sent)
-        await asyncio.sleep(5.0)
-        asked = [f for f in b.bus.sent[before:] if is_asked_in_vain(f) and f.data[0] != 0x80]
-        assert asked == []
-
-    b.run(mission, opened=False)
+    heard = b.wire.on_frame
+    b.bus.device = b.wire.on_frame = lambda frame: None if is_asked_in_vain(frame) else heard(frame)
+    await axis.open()
+    before = len(b.bus.sent)
+    await asyncio.sleep(5.0)
+    asked = [f for f in b.bus.sent[before:] if is_asked_in_vain(f) and f.data[0] != 0x80]
+    assert asked == []
 
 
 def test_a_request_of_another_client_is_no_sign_of_life(rig):

@@ -177,19 +177,15 @@ async def test_a_setpoint_is_sent_once_with_its_value_before_its_mode(b, axis, /
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold", "torque_off"])
-def test_safe_states_are_seen(rig, state):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        await axis.execute("setVelocity", [6.0])
-        await asyncio.sleep(0.5)
-        await axis.make_safe()
-        at = b.axis.position
-        await asyncio.sleep(1.0)
-        assert abs(b.axis.position - at) < 0.02
-
-    b.run(mission)
+@on_bench("rig", given="safe_state=state")
+async def test_safe_states_are_seen(b, axis, /, state):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [6.0])
+    await asyncio.sleep(0.5)
+    await axis.make_safe()
+    at = b.axis.position
+    await asyncio.sleep(1.0)
+    assert abs(b.axis.position - at) < 0.02
     assert (b.axis.state, b.axis.mode[0]) == {
         "brake": (8, 2),
         "torque_hold": (8, 3),
@@ -284,20 +280,16 @@ async def test_a_halt_ends_a_homing(b, axis, /, after):
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
-def test_a_safe_state_ends_a_homing(rig, state):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
-        await axis.execute("enable", [])
-        homing = asyncio.ensure_future(axis.execute("home", []))
-        await b.until(lambda: b.values["state"] == "homing")
-        homing.cancel()
-        await axis.make_safe()
-        assert b.axis.state == 8
-        await asyncio.sleep(2.0)
-        assert (b.axis.state, b.axis.velocity) == (8, 0.0)
-
-    b.run(mission)
+@on_bench("rig", given="safe_state=state")
+async def test_a_safe_state_ends_a_homing(b, axis, /, state):
+    await axis.execute("enable", [])
+    homing = asyncio.ensure_future(axis.execute("home", []))
+    await b.until(lambda: b.values["state"] == "homing")
+    homing.cancel()
+    await axis.make_safe()
+    assert b.axis.state == 8
+    await asyncio.sleep(2.0)
+    assert (b.axis.state, b.axis.velocity) == (8, 0.0)
 
 
 @on_bench("rig")

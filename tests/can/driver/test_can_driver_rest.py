@@ -205,16 +205,12 @@ async def test_a_load_that_turns_an_axis_without_torque_is_no_rest(b, axis, /):
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
-def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(rig, state):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
-        await turning(axis)
-        assert axis.moving() == "turning at 20 rad/s"
-        await axis.make_safe()
-        assert axis.moving() == ""
-
-    b.run(mission)
+@on_bench("rig", given="safe_state=state")
+async def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(b, axis, /, state):
+    await turning(axis)
+    assert axis.moving() == "turning at 20 rad/s"
+    await axis.make_safe()
+    assert axis.moving() == ""
 
 
 @on_bench("rig", safe_state="torque_off")
@@ -272,29 +268,21 @@ def test_a_drive_that_coasts(bench, binding, bus):
 
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold", "brake"])
-def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(rig, state):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
+@on_bench("rig", given="safe_state=state")
+async def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(b, axis, /, state):
+    await axis.make_safe()
+    b.world.faults.apply(["silence=true"])
+    await asyncio.sleep(0.3)
+    with pytest.raises(DeviceError, match="no message for"):
         await axis.make_safe()
-        b.world.faults.apply(["silence=true"])
-        await asyncio.sleep(0.3)
-        with pytest.raises(DeviceError, match="no message for"):
-            await axis.make_safe()
-
-    b.run(mission)
 
 
 @pytest.mark.parametrize("state", ["torque_off", "brake"])
-def test_an_axis_that_began_to_turn_since_it_was_heard_last_is_not_at_rest(rig, state):
-    b = rig(safe_state=state)
-
-    async def mission(axis):
-        await turning(axis)
-        await axis.make_safe()
-        axis.protocol.state.velocity = 0.0  # as it was told before it began to turn
-        await axis.make_safe()
-        words, _ = await rests(axis, 60.0)
-        assert words or state == "brake"
-
-    b.run(mission)
+@on_bench("rig", given="safe_state=state")
+async def test_an_axis_that_began_to_turn_since_it_was_heard_last_is_not_at_rest(b, axis, /, state):
+    await turning(axis)
+    await axis.make_safe()
+    axis.protocol.state.velocity = 0.0  # as it was told before it began to turn
+    await axis.make_safe()
+    words, _ = await rests(axis, 60.0)
+    assert words or state == "brake"

@@ -56,6 +56,7 @@ def started(lfield, deployment: Path, inventory: Path, *options: object):
     return [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
 
 
+@pytest.mark.few(0)
 def test_two_sites_fly_example_01(lfield, routers) -> None:
     shutil.copytree(EXAMPLE, lfield.folder / "01")
     near, far = (each.endpoint for each in routers)

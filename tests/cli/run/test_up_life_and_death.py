@@ -142,6 +142,7 @@ def test_ctrl_c_ends_all_hosts_in_order(lfield, number):
     assert lfield.left() == []
 
 
+@pytest.mark.few(0)
 def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")

@@ -99,26 +99,22 @@ async def test_one_that_lies_is_missing(bench, group, /, fault):
 
 
 @pytest.mark.parametrize(("state", "item"), [("torque_off", "torque_enable"), ("torque_hold", None)])
-def test_the_safe_state_reaches_all_and_names_the_dead(state, item):
-    bench = Bench(1, 2, 3, safe_state=state)
-
-    async def story(group):
-        await stiff(group)
-        moving = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5, 1.5]))
-        await asyncio.sleep(0.4)
-        moving.cancel()
-        bench.fault("dead@1=true")
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"^joint: servo 1 does not answer$"):
-            await group.make_safe()
-        assert asyncio.get_running_loop().time() - start < 1.0
-        for number in (2, 3):
-            if item:
-                assert bench.servos[number].table[item] == 0
-            else:
-                assert abs(bench.servos[number].motion.motor.speed) < 0.1
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, 3, given="safe_state=state")
+async def test_the_safe_state_reaches_all_and_names_the_dead(bench, group, /, state, item):
+    await stiff(group)
+    moving = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5, 1.5]))
+    await asyncio.sleep(0.4)
+    moving.cancel()
+    bench.fault("dead@1=true")
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"^joint: servo 1 does not answer$"):
+        await group.make_safe()
+    assert asyncio.get_running_loop().time() - start < 1.0
+    for number in (2, 3):
+        if item:
+            assert bench.servos[number].table[item] == 0
+        else:
+            assert abs(bench.servos[number].motion.motor.speed) < 0.1
 
 
 @on_bench(Bench, 1, 2, 3, safe_state="torque_off")

@@ -53,24 +53,20 @@ async def test_a_limp_servo_that_is_turned_from_outside_is_not_at_rest(bench, se
 
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold"])
-def test_a_member_that_does_not_answer_is_named(state):
-    bench = Bench(1, 2, 3, safe_state=state)
-
-    async def story(group):
-        await under_way(group, 1.5, 1.5, 1.5)
+@on_bench(Bench, 1, 2, 3, given="safe_state=state")
+async def test_a_member_that_does_not_answer_is_named(bench, group, /, state):
+    await under_way(group, 1.5, 1.5, 1.5)
+    await group.make_safe()
+    await asyncio.sleep(0.3)
+    assert group.moving() == ""
+    bench.fault("dead@2=true")
+    await asyncio.sleep(3.0)
+    assert re.fullmatch(r"servo 2 no message for [23]\.\d s", group.moving()), group.moving()
+    with pytest.raises(DeviceError, match="servo 2 does not answer"):
         await group.make_safe()
-        await asyncio.sleep(0.3)
-        assert group.moving() == ""
-        bench.fault("dead@2=true")
-        await asyncio.sleep(3.0)
-        assert re.fullmatch(r"servo 2 no message for [23]\.\d s", group.moving()), group.moving()
-        with pytest.raises(DeviceError, match="servo 2 does not answer"):
-            await group.make_safe()
-        bench.fault("dead@2=false")
-        await asyncio.sleep(1.0)
-        assert group.moving() == ""
-
-    bench.run(story)
+    bench.fault("dead@2=false")
+    await asyncio.sleep(1.0)
+    assert group.moving() == ""
 
 
 @on_bench(Bench, 1, 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from io import BytesIO
 
@@ -157,6 +158,17 @@ def test_a_changed_record_below_a_valid_checksum_is_refused_or_differs(tmp_path,
     result = replay_guard([path])
     assert result.digests or result.missing
     assert [value.device for value in telemetry_in([path])].count("") == 0
+
+
+@pytest.mark.parametrize("pulses", [Pulses(math.nan, []), Pulses(math.inf, [0, 0]), Pulses(1.0, [0])])
+def test_pulses_that_cannot_be_decoded_are_refused(tmp_path, pulses):
+    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    path.write_bytes(path.read_bytes() + framed(pulses))
+    with pytest.raises(RecordingError):
+        read_segment(path)
+    assert replay_guard([path]).missing == [path]
 
 
 @pytest.mark.parametrize(

@@ -327,26 +327,20 @@ async def test_a_board_without_an_id_is_compared_by_what_there_is(b, fc, /):
     assert any("it has no unique id (uid 0); its autopilot, type and firmware" in n for n in b.notes)
 
 
-def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_command(bench):
-    b = bench(board=BOARD)
-
+@on_bench("bench", board=BOARD)
+async def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_command(b, fc, /):
     def mute(link, packet):
         if not any(m.get_type() == "AUTOPILOT_VERSION" for m in Reader().feed(packet)):
             link.on_data(packet)
 
-    async def mission(fc):
-        b.cut = True
-        await asyncio.sleep(5.0)
-        b.filter, b.cut = mute, False
-        await b.until(lambda: fc.silence < 1.0)
-        with pytest.raises(
-            DeviceError, match=r"its unique id is not confirmed since .* s of silence"
-        ) as error:
-            await fc.execute("arm", [])
-        assert error.value.kind == "DeviceTimeoutException"
-        assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
-
-    b.run(mission)
+    b.cut = True
+    await asyncio.sleep(5.0)
+    b.filter, b.cut = mute, False
+    await b.until(lambda: fc.silence < 1.0)
+    with pytest.raises(DeviceError, match=r"its unique id is not confirmed since .* s of silence") as error:
+        await fc.execute("arm", [])
+    assert error.value.kind == "DeviceTimeoutException"
+    assert not commands(b.sent, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
 @pytest.mark.few(4)

@@ -235,17 +235,13 @@ async def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordere
 @pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("state", ["hold", "return", "land"])
-def test_a_safe_state_without_a_position_is_a_landing(bench, flavour, state):
-    b = bench(flavour=flavour, safe_state=state)
-
-    async def mission(fc):
-        await up(fc)
-        b.faults.apply(["gps_loss=true"])
-        await asyncio.sleep(1.5)
-        await fc.make_safe()
-        assert b.autopilot.mode in ("LAND", "AUTO.LAND")
-
-    b.run(mission)
+@on_bench("bench", given="flavour safe_state=state")
+async def test_a_safe_state_without_a_position_is_a_landing(b, fc, /, flavour, state):
+    await up(fc)
+    b.faults.apply(["gps_loss=true"])
+    await asyncio.sleep(1.5)
+    await fc.make_safe()
+    assert b.autopilot.mode in ("LAND", "AUTO.LAND")
 
 
 @pytest.mark.parametrize("fault", ["gps_glitch=33", "compass_failure=true"])

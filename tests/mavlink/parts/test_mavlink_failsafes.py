@@ -87,27 +87,24 @@ async def test_words_that_come_after_the_mode_are_waited_for(b, fc, /):
 
 
 @pytest.mark.parametrize("kept", ["texts", "heartbeats"])
-def test_a_hold_that_was_to_hold_is_told_by_words_and_by_the_heartbeat(bench, kept):
+@on_bench("bench", flavour="px4", safe_state="hold")
+async def test_a_hold_that_was_to_hold_is_told_by_words_and_by_the_heartbeat(b, fc, /, kept):
     """Nothing is intended otherwise: PX4 has lost its station while it stays where it was told to."""
     lost = dialect.MAVLINK_MSG_ID_STATUSTEXT
-    b = bench(flavour="px4", safe_state="hold")
 
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("goTo", [3.0, 0.0, -6.0])
-        if kept == "heartbeats":
-            b.filter = lambda link, packet: None if says(packet, lost) else link.on_data(packet)
-        b.driver.quiet()
-        await asyncio.sleep(9.0)
-        b.driver.resume()
-        await asyncio.sleep(1.2)
-        with pytest.raises(DeviceError, match=r"its failsafe.* has it"):
-            await fc.execute("goTo", [0.0, 0.0, -6.0])
-        await fc.execute("release", [])
-        await asyncio.sleep(2.0)
+    await up(fc)
+    await fc.execute("goTo", [3.0, 0.0, -6.0])
+    if kept == "heartbeats":
+        b.filter = lambda link, packet: None if says(packet, lost) else link.on_data(packet)
+    b.driver.quiet()
+    await asyncio.sleep(9.0)
+    b.driver.resume()
+    await asyncio.sleep(1.2)
+    with pytest.raises(DeviceError, match=r"its failsafe.* has it"):
         await fc.execute("goTo", [0.0, 0.0, -6.0])
-
-    b.run(mission)
+    await fc.execute("release", [])
+    await asyncio.sleep(2.0)
+    await fc.execute("goTo", [0.0, 0.0, -6.0])
 
 
 @pytest.mark.parametrize(("action", "own"), [("hold", "hold"), ("return", "returnHome"), ("land", "land")])

@@ -249,18 +249,14 @@ async def test_a_stuck_vehicle_gives_up(b, fc, /):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
-def test_safe_states_in_the_air(bench, state):
-    b = bench(safe_state=state)
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("setVelocity", [3.0, 0.0, 0.0])
-        await asyncio.sleep(0.5)
-        await fc.make_safe()
-        assert b.autopilot.mode == {"land": "LAND", "hold": "BRAKE", "return": "RTL"}[state]
-        await asyncio.sleep(60.0)
-
-    b.run(mission)
+@on_bench("bench", given="safe_state=state")
+async def test_safe_states_in_the_air(b, fc, /, state):
+    await up(fc)
+    await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+    await asyncio.sleep(0.5)
+    await fc.make_safe()
+    assert b.autopilot.mode == {"land": "LAND", "hold": "BRAKE", "return": "RTL"}[state]
+    await asyncio.sleep(60.0)
     assert b.autopilot.vehicle.airborne == (state == "hold")
 
 
@@ -322,32 +318,29 @@ async def test_return_home_lands_there(b, fc, /):
     assert math.hypot(*b.autopilot.vehicle.place[:2]) < 1.0
 
 
-def test_orbit_goes_round_and_holds(bench):
-    b = bench(limits={"radius": 30.0, "speed": 4.0})
+@on_bench("bench", limits={"radius": 30.0, "speed": 4.0})
+async def test_orbit_goes_round_and_holds(b, fc, /):
     quarters = set()
 
-    async def mission(fc):
-        await up(fc)
-        flight = asyncio.create_task(fc.execute("orbit", [5.0, 0.0, -6.0, 8.0, 3.0, -1.0]))
-        courses = []
-        while not flight.done():
-            await asyncio.sleep(0.2)
-            north, east, _ = b.values["position"]
-            quarters.add((north > 5.0, east > 0.0))
-            courses.append(math.hypot(north - 5.0, east))
-        await flight
-        assert b.values["mode"] == "BRAKE"
-        assert max(courses) < 10.5
-        for arguments, words in (
-            ([28.0, 0.0, -6.0, 8.0, 3.0, 1.0], "beyond the limit of 30 m"),
-            ([0.0, 0.0, -6.0, 8.0, 5.0, 1.0], "above the limit of 4 m/s"),
-            ([0.0, 0.0, -6.0, 0.0, 3.0, 1.0], "requires a radius"),
-            ([0.0, 0.0, -6.0, 8.0, 3.0, 0.0], "turns other than 0"),
-        ):
-            with pytest.raises(DeviceError, match=words):
-                await fc.execute("orbit", arguments)
-
-    b.run(mission)
+    await up(fc)
+    flight = asyncio.create_task(fc.execute("orbit", [5.0, 0.0, -6.0, 8.0, 3.0, -1.0]))
+    courses = []
+    while not flight.done():
+        await asyncio.sleep(0.2)
+        north, east, _ = b.values["position"]
+        quarters.add((north > 5.0, east > 0.0))
+        courses.append(math.hypot(north - 5.0, east))
+    await flight
+    assert b.values["mode"] == "BRAKE"
+    assert max(courses) < 10.5
+    for arguments, words in (
+        ([28.0, 0.0, -6.0, 8.0, 3.0, 1.0], "beyond the limit of 30 m"),
+        ([0.0, 0.0, -6.0, 8.0, 5.0, 1.0], "above the limit of 4 m/s"),
+        ([0.0, 0.0, -6.0, 0.0, 3.0, 1.0], "requires a radius"),
+        ([0.0, 0.0, -6.0, 8.0, 3.0, 0.0], "turns other than 0"),
+    ):
+        with pytest.raises(DeviceError, match=words):
+            await fc.execute("orbit", arguments)
     assert len(quarters) == 4
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -173,23 +174,19 @@ SOUTH = Placement(Origin(47.395044, 8.545594, 468.0))
 
 
 @pytest.mark.parametrize("stack", ["ardupilot", "px4"])
-def test_it_flies_to_places_of_the_team(bench, stack):
-    flight = bench(flavour=stack, frame=SOUTH, limits={"radius": 60.0, "altitude": 20.0})
-
-    async def story(device):
-        await flight.until(lambda: "position" in flight.values)
-        assert flight.values["position"] == pytest.approx([300.0, 0.0, -20.0], abs=0.5)
-        assert flight.values["altitude"] == pytest.approx(0.0, abs=0.1)
-        await device.execute("arm", [])
-        await device.execute("takeoff", [5.0])
-        await device.execute("goTo", [310.0, 12.0, -28.0])
-        assert flight.autopilot.vehicle.place == pytest.approx((10.0, 12.0, -8.0), abs=0.7)
-        assert flight.values["position"] == pytest.approx([310.0, 12.0, -28.0], abs=0.7)
-        # Its limits are about home all the same.
-        with pytest.raises(DeviceError, match="from home is beyond the limit of 60 m"):
-            await device.execute("goTo", [0.0, 0.0, -28.0])
-
-    flight.run(story)
+@on_bench("bench", frame=SOUTH, limits={"radius": 60.0, "altitude": 20.0}, given="flavour=stack")
+async def test_it_flies_to_places_of_the_team(flight, device, /, stack):
+    await flight.until(lambda: "position" in flight.values)
+    assert flight.values["position"] == pytest.approx([300.0, 0.0, -20.0], abs=0.5)
+    assert flight.values["altitude"] == pytest.approx(0.0, abs=0.1)
+    await device.execute("arm", [])
+    await device.execute("takeoff", [5.0])
+    await device.execute("goTo", [310.0, 12.0, -28.0])
+    assert flight.autopilot.vehicle.place == pytest.approx((10.0, 12.0, -8.0), abs=0.7)
+    assert flight.values["position"] == pytest.approx([310.0, 12.0, -28.0], abs=0.7)
+    # Its limits are about home all the same.
+    with pytest.raises(DeviceError, match="from home is beyond the limit of 60 m"):
+        await device.execute("goTo", [0.0, 0.0, -28.0])
 
 
 def test_a_vehicle_without_an_origin_is_nowhere_until_it_tells_one(bench):

@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 
@@ -89,20 +90,17 @@ def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_return_that_would_climb_too_high_is_refused_before_it_begins(bench, flavour):
-    b = bench(flavour=flavour, limits=LIMITS)
+@on_bench("bench", limits=LIMITS, given="flavour")
+async def test_a_return_that_would_climb_too_high_is_refused_before_it_begins(b, fc, /, flavour):
     name, height = RETURNS[flavour]
     mode = {"ardupilot": "RTL", "px4": "AUTO.RTL"}[flavour]
 
-    async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [4.0])
-        words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; reduce {name}"
-        for order in (["returnHome", []], ["setMode", [mode]]):
-            with pytest.raises(DeviceError, match=words):
-                await fc.execute(*order)
-            assert b.autopilot.mode != mode
-        await fc.execute("setParameter", [name, height])
-        await fc.execute("setMode", [mode])
-
-    b.run(mission)
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [4.0])
+    words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; reduce {name}"
+    for order in (["returnHome", []], ["setMode", [mode]]):
+        with pytest.raises(DeviceError, match=words):
+            await fc.execute(*order)
+        assert b.autopilot.mode != mode
+    await fc.execute("setParameter", [name, height])
+    await fc.execute("setMode", [mode])

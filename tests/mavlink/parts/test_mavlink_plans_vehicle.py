@@ -119,19 +119,16 @@ async def test_a_mission_that_others_made_is_held_to_the_limits(b, fc, /, flavou
 
 
 @BOTH
-def test_a_mission_survives_a_bad_radio(bench, flavour):
-    b = bench(flavour=flavour, faults=("loss=0.2", "delay=0.05"))
+@on_bench("bench", faults=("loss=0.2", "delay=0.05"), given="flavour")
+async def test_a_mission_survives_a_bad_radio(b, fc, /, flavour):
     places = [(float(number), 0.0, 5.0) for number in range(1, 20)]
 
-    async def mission(fc):
-        await fc.execute("uploadMission", [route(b, *places)])
-        await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
-        assert len(await fc.execute("missionWaypoints", [])) == 57
-        await until(lambda: "linkQuality" in b.values, 5.0)
-        await asyncio.sleep(3.0)
-        assert 0.6 < b.values["linkQuality"] < 0.95
-
-    b.run(mission)
+    await fc.execute("uploadMission", [route(b, *places)])
+    await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
+    assert len(await fc.execute("missionWaypoints", [])) == 57
+    await until(lambda: "linkQuality" in b.values, 5.0)
+    await asyncio.sleep(3.0)
+    assert 0.6 < b.values["linkQuality"] < 0.95
 
 
 @BOTH

@@ -76,24 +76,20 @@ def test_the_longer_number_of_a_board_wins(bench, monkeypatch, uid, uid2, serial
 
 
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
-def test_a_stock_vehicle_is_refused_set_up_and_then_opened(bench, flavour, kind, state):
-    b = bench(flavour=flavour, kind=kind, safe_state=state, limits={"speed": 1.5}, set_up=False)
-
-    async def story(fc):
-        with pytest.raises(DeviceNotSetUp, match="it is not set up for its binding: ") as refused:
-            await fc.open()
-        assert written(b) == []
-        named = [setting.name for setting in mismatched(await fc.settings())]
-        assert f"{named[0]} is " in refused.value.reason
-        told = [note for note in b.notes if note.code == "setting-mismatch"]
-        assert all(any(f" {name} is " in note for note in told) for name in named)
-        await set_up(fc)
-        assert sorted(written(b)) == sorted(named)
+@on_bench("bench", limits={"speed": 1.5}, set_up=False, given="flavour kind safe_state=state", opened=False)
+async def test_a_stock_vehicle_is_refused_set_up_and_then_opened(b, fc, /, flavour, kind, state):
+    with pytest.raises(DeviceNotSetUp, match="it is not set up for its binding: ") as refused:
         await fc.open()
-        assert b.values["gcsFailsafe"] is True
-        return dict.fromkeys(named)
-
-    assert b.run(story, opened=False)
+    assert written(b) == []
+    named = [setting.name for setting in mismatched(await fc.settings())]
+    assert f"{named[0]} is " in refused.value.reason
+    told = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert all(any(f" {name} is " in note for note in told) for name in named)
+    await set_up(fc)
+    assert sorted(written(b)) == sorted(named)
+    await fc.open()
+    assert b.values["gcsFailsafe"] is True
+    assert dict.fromkeys(named)
     assert written(b).count("NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE") == 1
 
 

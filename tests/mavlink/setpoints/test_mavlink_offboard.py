@@ -228,15 +228,11 @@ async def test_a_pilots_mode_is_entered_where_that_is_waived(b, fc, /):
 
 
 @pytest.mark.parametrize(("state", "kind"), [("hold", "copter"), ("land", "rover")])
-def test_the_mode_for_staying_is_entered_where_it_is_safe(px4, state, kind):
-    b = px4(safe_state=state, kind=kind)
-
-    async def story(fc):
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        await fc.execute("arm", [])
-        if kind == "copter":
-            await fc.execute("takeoff", [8.0])
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        assert b.autopilot.mode == "AUTO.LOITER"
-
-    b.run(story)
+@on_bench("px4", given="safe_state=state kind")
+async def test_the_mode_for_staying_is_entered_where_it_is_safe(b, fc, /, state, kind):
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    await fc.execute("arm", [])
+    if kind == "copter":
+        await fc.execute("takeoff", [8.0])
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    assert b.autopilot.mode == "AUTO.LOITER"

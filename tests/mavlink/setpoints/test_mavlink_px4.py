@@ -156,20 +156,16 @@ async def test_a_refused_arming_has_the_reason(b, fc, /):
 @pytest.mark.parametrize(
     ("state", "mode"), [("land", "AUTO.LAND"), ("hold", "AUTO.LOITER"), ("return", "AUTO.RTL")]
 )
-def test_safe_states_in_the_air(px4, state, mode):
-    b = px4(safe_state=state)
-
-    async def mission(fc):
-        await up(fc)
-        await fc.execute("setVelocity", [3.0, 0.0, 0.0])
-        await asyncio.sleep(0.3)
-        before = len(b.sent)
-        await fc.make_safe()
-        assert b.autopilot.mode == mode
-        assert sent(b, TARGET, before) == []
-        await asyncio.sleep(60.0)
-
-    b.run(mission)
+@on_bench("px4", given="safe_state=state")
+async def test_safe_states_in_the_air(b, fc, /, state, mode):
+    await up(fc)
+    await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+    await asyncio.sleep(0.3)
+    before = len(b.sent)
+    await fc.make_safe()
+    assert b.autopilot.mode == mode
+    assert sent(b, TARGET, before) == []
+    await asyncio.sleep(60.0)
     assert b.autopilot.vehicle.airborne == (state == "hold")
 
 
@@ -253,8 +249,8 @@ async def test_a_setpoint_that_is_called_off_is_not_streamed_on(b, fc, /):
     assert sent(b, TARGET, before) == []
 
 
-def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
-    b = px4()
+@on_bench("px4")
+async def test_a_refusal_counts_only_for_the_mode_that_it_is_about(b, fc, /, monkeypatch):
     command_mode, waits = Autopilot.command_mode, []
 
     def late(autopilot, name):
@@ -265,17 +261,14 @@ def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
             return MavResult.ACCEPTED
         return command_mode(autopilot, name)
 
-    async def mission(fc):
-        await up(fc)
-        monkeypatch.setattr(Autopilot, "command_mode", late)
-        await fc.make_safe()
-        assert b.values["mode"] == "AUTO.LAND"
-        start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"AUTO.MISSION refused, .*Mission is currently not available"):
-            await fc.motion.set_mode("AUTO.MISSION")
-        assert asyncio.get_running_loop().time() - start < 1.5
-
-    b.run(mission)
+    await up(fc)
+    monkeypatch.setattr(Autopilot, "command_mode", late)
+    await fc.make_safe()
+    assert b.values["mode"] == "AUTO.LAND"
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match=r"AUTO.MISSION refused, .*Mission is currently not available"):
+        await fc.motion.set_mode("AUTO.MISSION")
+    assert asyncio.get_running_loop().time() - start < 1.5
 
 
 @pytest.mark.few(2)
@@ -338,20 +331,16 @@ async def test_a_mission_that_is_paused_stops(b, fc, /):
 
 
 @pytest.mark.parametrize("state", ["hold", "land"])
-def test_a_rover_that_lands_stops_on_its_way(px4, state):
+@on_bench("px4", kind="rover", given="safe_state=state")
+async def test_a_rover_that_lands_stops_on_its_way(b, fc, /, state):
     """A rover has no landing: it stays, in the very mode in which it drives to a goal."""
-    b = px4(kind="rover", safe_state=state)
-
-    async def mission(fc):
-        await fc.execute("arm", [])
-        drive = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, 0.0]))
-        await asyncio.sleep(4.0)
-        drive.cancel()
-        await (fc.make_safe() if state == "hold" else fc.execute("land", []))
-        await asyncio.sleep(6.0)
-        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
-
-    b.run(mission)
+    await fc.execute("arm", [])
+    drive = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, 0.0]))
+    await asyncio.sleep(4.0)
+    drive.cancel()
+    await (fc.make_safe() if state == "hold" else fc.execute("land", []))
+    await asyncio.sleep(6.0)
+    assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
 
 
 @on_bench("px4")

@@ -122,23 +122,19 @@ async def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(b, 
 
 @pytest.mark.parametrize("way", ["hold", "pause"])
 @pytest.mark.parametrize("state", ["land", "return"])
-def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(bench, way, state):
+@on_bench("bench", given="safe_state=state")
+async def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(b, fc, /, way, state):
     """In BRAKE its failsafe would not act: with FS_OPTIONS bit 4, the default, that is a mode of a pilot."""
-    b = bench(safe_state=state)
-
-    async def story(fc):
-        await go(b, fc, way, flies=True)
-        assert b.autopilot.mode == "GUIDED"
-        assert b.autopilot.parameters["FS_OPTIONS"] == 24
-        place = b.autopilot.vehicle.place
-        await asyncio.sleep(3.0)
-        assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.3)
-        b.cut, died = True, b.autopilot.now
-        while b.autopilot.mode != SAFE["ardupilot", "copter"][state]:
-            assert b.autopilot.now - died < BOUNDS["ardupilot", "copter"]
-            await asyncio.sleep(0.02)
-
-    b.run(story)
+    await go(b, fc, way, flies=True)
+    assert b.autopilot.mode == "GUIDED"
+    assert b.autopilot.parameters["FS_OPTIONS"] == 24
+    place = b.autopilot.vehicle.place
+    await asyncio.sleep(3.0)
+    assert b.autopilot.vehicle.place == pytest.approx(place, abs=0.3)
+    b.cut, died = True, b.autopilot.now
+    while b.autopilot.mode != SAFE["ardupilot", "copter"][state]:
+        assert b.autopilot.now - died < BOUNDS["ardupilot", "copter"]
+        await asyncio.sleep(0.02)
 
 
 @on_bench("bench")
@@ -153,30 +149,27 @@ async def test_a_pilot_flies_on_when_the_station_is_gone(b, fc, /):
 
 
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
-def test_a_guard_that_comes_back_does_not_hold_up_the_failsafe(bench, flavour, kind):
+@on_bench("bench", waivers=("device_watchdog",), given="flavour kind")
+async def test_a_guard_that_comes_back_does_not_hold_up_the_failsafe(b, fc, /, flavour, kind):
     """It is heard as a station only once the vehicle is in its safe state: finding all out takes a while."""
-    b = bench(flavour=flavour, kind=kind, waivers=("device_watchdog",))
     bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind]["land"]
 
-    async def story(fc):
-        other = asyncio.create_task(beats(b, *QGC))
-        under_way = await go(b, fc, "goTo", kind == "copter")
-        await asyncio.sleep(4.0)
-        b.cut, died = True, b.autopilot.now
-        under_way.cancel()
-        await asyncio.gather(under_way, return_exceptions=True)
-        await asyncio.sleep(0.8)
-        again = fc.__class__(fc.binding, fc.manifest, fc.clock, b.driver.reports, lambda message: None)
-        assert not again.may_send_heartbeat
-        for armed in (True, False):
-            again.state.heartbeat_at, again.state.armed = 1.0, armed
-            assert again.may_send_heartbeat is not armed
-        while b.autopilot.mode != mode:
-            assert b.autopilot.now - died < bound
-            await asyncio.sleep(0.02)
-        other.cancel()
-
-    b.run(story)
+    other = asyncio.create_task(beats(b, *QGC))
+    under_way = await go(b, fc, "goTo", kind == "copter")
+    await asyncio.sleep(4.0)
+    b.cut, died = True, b.autopilot.now
+    under_way.cancel()
+    await asyncio.gather(under_way, return_exceptions=True)
+    await asyncio.sleep(0.8)
+    again = fc.__class__(fc.binding, fc.manifest, fc.clock, b.driver.reports, lambda message: None)
+    assert not again.may_send_heartbeat
+    for armed in (True, False):
+        again.state.heartbeat_at, again.state.armed = 1.0, armed
+        assert again.may_send_heartbeat is not armed
+    while b.autopilot.mode != mode:
+        assert b.autopilot.now - died < bound
+        await asyncio.sleep(0.02)
+    other.cancel()
 
 
 def test_what_is_armed_when_it_is_found_hears_its_station_once_somebody_here_has_it(bench):

@@ -44,6 +44,8 @@ class Desk:
             "HOME": str(folder),
             "PIP_NO_INDEX": "1",
             "COLUMNS": "200",
+            # Missions of other tests on this computer are none of this desk.
+            "LFIELD_RUNS": "here",
         }
 
     def make_keys(self) -> None:

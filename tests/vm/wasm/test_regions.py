@@ -147,6 +147,7 @@ def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: py
     assert arena.allocate_region((1 << 24) - 2 * PAGE) == PAGE
 
 
+@pytest.mark.few(0)
 def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:
     """Doubled again and again, each time with the one that it was copied to beside it."""
     arena = Arena()
