@@ -67,6 +67,8 @@ class ProgramModel:
         self._generated = _Generated(None, [], frozenset(), [])
         self._declared: list[tuple[ProgramPart, DeclaredUnit]] = []
         self._declarations: object = None
+        #: Counts the changes of the declarations.
+        self._version = 0
         self._program: CheckedProgram | None = None
         self.symbols = self._new_symbols(is_incomplete=True)
 
@@ -145,12 +147,14 @@ class ProgramModel:
         owners = {part.source: part for part in parts}
         declared = declare_units(self.symbols, [unit for part in parts for unit in part.file.units])
         self._declared = [(owners[one.unit.span.source], one) for one in declared]  # type: ignore[index]
-        self._declarations = (
+        declarations = (
             is_incomplete,
             self._generated.names,
             tuple(_fingerprint(one.unit) for one in declared),
             frozenset(self.symbols.broken_units),
         )
+        if declarations != self._declarations:
+            self._declarations, self._version = declarations, self._version + 1
 
     def _generate(self) -> bool:
         """Create the classes of the capabilities that the program names; whether they are other ones."""
@@ -190,13 +194,15 @@ class ProgramModel:
     # --- findings ---------------------------------------------------------------------------------------
 
     def step(self, first: Path | None = None) -> bool:
-        """Check one part whose findings are out of date, one of the file `first` before others; False if
-        there is none."""
-        stale = [part for part in self.parts() if part.checked_for != self._declarations]
+        """Check one part whose findings are out of date; False if there is none.
+
+        An edited part comes first, then the others of the file `first`.
+        """
+        stale = [part for part in self.parts() if part.checked_for != self._version]
         if not stale:
             return False
         name = str(first)
-        self._check(next((part for part in stale if part.source.name == name), stale[0]))
+        self._check(min(stale, key=lambda part: (part.checked_for > 0, part.source.name != name)))
         return True
 
     def _check(self, part: ProgramPart) -> None:
@@ -205,7 +211,7 @@ class ProgramModel:
         for owner, declared in self._declared:
             if owner is part:
                 check_bodies(symbols, declared)
-        part.store(found.found, self._declarations)
+        part.store(found.found, self._version)
 
     def findings(self) -> list[Diagnostic]:
         """All findings so far, sorted by file and position."""

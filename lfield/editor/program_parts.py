@@ -61,13 +61,13 @@ def file_offsets(span: Span) -> tuple[int, int]:
 
 @dataclass(eq=False)
 class ProgramPart:
-    """A parsed part. `findings` are those of its bodies, for the declarations `checked_for`."""
+    """A parsed part. `findings` are those of its bodies, for a version of the declarations; 0: none."""
 
     source: PartSource
     file: ParsedFile
     syntax_findings: list[Diagnostic]
     findings: list[Diagnostic] = field(default_factory=list)
-    checked_for: object = None
+    checked_for: int = 0
 
     @cached_property
     def tokens(self) -> Sequence[Token]:
@@ -79,7 +79,7 @@ class ProgramPart:
         """The offset in the file behind its last character."""
         return self.source.place.offset + len(self.source.text)
 
-    def store(self, findings: list[Diagnostic], checked_for: object) -> None:
+    def store(self, findings: list[Diagnostic], checked_for: int) -> None:
         """Remember the findings of its bodies."""
         self.findings, self.checked_for = findings, checked_for
 

@@ -52,6 +52,8 @@ class Workspace:
         self._roots: dict[Path, Path] = {}
         #: The programs and deployments whose findings are out of date; the latest edit is last.
         self._stale: dict[Path, Path] = {}
+        #: Of those, the ones of which no part was checked since the last edit.
+        self._edited: set[Path] = set()
         self._published: dict[Path, list[Diagnostic]] = {}
 
     # --- texts ------------------------------------------------------------------------------------------
@@ -94,6 +96,7 @@ class Workspace:
     def _mark(self, root: Path, edited: Path) -> None:
         self._stale.pop(root, None)
         self._stale[root] = edited
+        self._edited.add(root)
 
     def _root(self, path: Path) -> Path:
         """The first file of the program that a file belongs to: one with a deployment, or one that includes
@@ -126,7 +129,8 @@ class Workspace:
     def step(self) -> Mapping[Path, list[Diagnostic]] | None:
         """Check one part of what is out of date, the text edited last first.
 
-        Returns the findings of files that have changed; None if nothing is out of date.
+        Returns the findings that have changed, after the first and the last part after an edit; after the
+        last one also those of the edited file. None if nothing is out of date.
         """
         if not self._stale:
             return None
@@ -134,23 +138,30 @@ class Workspace:
         if root.suffix == DEPLOYMENT:
             del self._stale[root]
             found = deployment_text.deployment_findings(self.text(root), str(root), self._program_of(root))
-            return self._changed({root: found})
+            return self._changed({root: found}, root)
         model = self.model(edited)
-        if not model.step(edited):
+        is_last = not model.step(edited)
+        if is_last:
             del self._stale[root]
+        elif root not in self._edited:
+            return {}
+        self._edited.discard(root)
         by_path: dict[Path, list[Diagnostic]] = {path: [] for path in model.files}
         for finding in model.findings():
             path = model.path_of(finding.span.source.name)
             if path is not None:
                 by_path[path].append(finding)
-        return self._changed(by_path)
+        return self._changed(by_path, edited if is_last else None)
 
-    def _changed(self, found: Mapping[Path, list[Diagnostic]]) -> dict[Path, list[Diagnostic]]:
+    def _changed(
+        self, found: Mapping[Path, list[Diagnostic]], checked: Path | None
+    ) -> dict[Path, list[Diagnostic]]:
+        """The findings that differ from those of the last time, and those of a file that is checked."""
         changed = {
             path: findings
             for path, findings in found.items()
             if (findings or path in self._published or path in self._texts)
-            and findings != self._published.get(path)
+            and (path == checked or findings != self._published.get(path))
         }
         self._published.update(changed)
         return changed

@@ -11,7 +11,7 @@ from harness.picture import Pictured
 # The emulated radio, the network in memory and the world of stops in virtual time are tools of the tests.
 sys.path += [
     str(Path(__file__).parents[1] / folder)
-    for folder in ("radio", "net/memory", "host/orders", "operator/orders")
+    for folder in ("radio", "net/memory", "host/orders", "operator/orders", "editor")
 ]
 
 FIGURES = {
@@ -42,6 +42,7 @@ FIGURES = {
     "missions": "team.tested_missions",
     "watch": "page.watched",
     "exports": "page.exports",
+    "lsp": "page.language_server",
     "radio": "radio.poor_radio",
     "zenoh": "radio.zenoh_hops",
     "push": "radio.pushes",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -55,6 +56,13 @@ class LspSession:
     def wait(self) -> int:
         """The exit status of the server."""
         return self._process.wait(30)
+
+    def processor_time(self) -> float:
+        """Seconds of processor time that the server has used."""
+        fields = (
+            Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        )
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def notify(self, method: str, params: Any) -> None:
         self._send({"method": method, "params": params})
