@@ -72,7 +72,7 @@ class ProgramTables:
         self.pool = ConstantPool()
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCallRecord] = []
-        written = [method for unit in units for method in unit.methods]
+        written = [method for unit in units for method in (*unit.methods, *unit.library_methods)]
         self._async_variants = async_variants_of(written)
         self._tickets = {twin.method: twin.ticket for twin in self._async_variants.values()}
         self.methods = [*written, *self._tickets]

@@ -79,6 +79,7 @@ class Unit:
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
     thrown: bool = False
+    library_methods: list[Method] = field(default_factory=list)
     _fields: dict[str, Field] = field(default_factory=dict)
     _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
 
@@ -93,7 +94,7 @@ class Unit:
 
     def add_library_method(self, made: Method) -> None:
         """Add a method of the library for arrays, which no name of the program leads to."""
-        self.methods.append(made)
+        self.library_methods.append(made)
 
     def mark_thrown(self) -> None:
         """Objects of this class become exceptions."""
