@@ -26,8 +26,8 @@ from simulation_testing.scenarios.scenario import Scenario, doubted, parted
 from simulation_testing.scenarios.scenario_drawing import draw_scenario, split
 from simulation_testing.seed_runner import DrawScenario
 
-#: The seed of `parted` that found `the_fence_is_not_on_disk` before idle links had rare heartbeats: at 7.5 s the
-#: former holder of a coordinator met a host that had promised it to another one, and was restarted since.
+#: The seed of `parted` that found `the_fence_is_not_on_disk` before idle links had rare heartbeats: at 7.5 s
+#: the former holder of a coordinator met a host that had promised it to another one, and was restarted since.
 MEETING = 12
 #: By which breaches they may be found.
 TWO_ACT = frozenset({"I1", "I4", "start"})
