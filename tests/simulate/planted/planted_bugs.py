@@ -228,7 +228,7 @@ BUGS = [
         two_starts_on_one_host,
         "an earlier start is admitted on a host that runs a later one: two copies run",
         frozenset({"I1", "I4"}),
-        29,
+        618,
         draws=forgotten_walkers,
     ),
     Bug(
@@ -259,7 +259,7 @@ BUGS = [
         a_restart_is_taken_for_a_proof,
         "the restart of a receiver counts as proof that the coordinator did not run there before",
         frozenset({"I1", "I4"}),
-        7,
+        652,
     ),
     Bug(
         what_is_sent_is_not_on_disk,
@@ -277,7 +277,7 @@ BUGS = [
         an_answer_overtakes_its_page,
         "an admission is acknowledged before its record is on disk",
         frozenset({"I5", "I1", "I4", "I2", "stuck"}),
-        6,
+        7,
     ),
     Bug(
         a_call_overtakes_its_page,
@@ -295,7 +295,7 @@ BUGS = [
         a_journal_is_no_memory,
         "senders do not accept answers from the journal of a restarted receiver",
         frozenset({"stuck"}),
-        12,
+        19,
     ),
     Bug(
         generations_from_the_wall_clock,
@@ -308,7 +308,7 @@ BUGS = [
         nobody_asks_over_other_hosts,
         "queries are not relayed: two hosts with a common neighbour leave a coordinator in doubt",
         frozenset({"doubt"}),
-        8,
+        4,
         draws=apart,
     ),
 ]

@@ -111,7 +111,7 @@ ORDER_BUGS = [
         a_stop_is_forgotten_by_a_restart,
         "a restarted host forgets the emergency stop, and programs can release",
         "stop",
-        343,
+        269,
     ),
     _bug(
         a_pause_is_forgotten_by_a_restart,
@@ -139,7 +139,7 @@ ORDER_BUGS = [
         only_neighbours_are_called,
         "transfers are not relayed: a coordinator never reaches a host without a direct link",
         "reach",
-        1,
+        0,
         crowd,
     ),
 ]

@@ -93,20 +93,20 @@ RESERVE_BUGS = [
         no_wait_after_a_restart,
         "a restarted host grants a resource without waiting for the lease of its holder",
         "reserved robbed",
-        19,
+        23,
     ),
     _bug(
         a_stale_holder_renews,
         "an expired holder can renew its reservation although another one holds it",
         "reserved robbed stale",
-        13,
+        151,
     ),
     _bug(numbers_begin_again, "reservation numbers restart at 1 after a restart", "number robbed", 1),
     _bug(
         any_number_will_do,
         "the reservation number of a call is not checked: a former holder can call",
         "stale reserved",
-        28,
+        20,
     ),
     _bug(
         it_is_given_while_others_are_at_work,

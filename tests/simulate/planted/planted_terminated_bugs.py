@@ -84,6 +84,6 @@ TERMINATED_BUGS = [
     _bug(
         an_end_is_written_down_in_spite_of_a_promise,
         "a termination is stored although a failover has been promised",
-        31,
+        41,
     ),
 ]

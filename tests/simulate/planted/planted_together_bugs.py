@@ -73,24 +73,24 @@ TOGETHER_BUGS = [
         a_fence_cancels_nothing,
         "a fence does not cancel the calls of the fenced start",
         "outlives",
-        4,
+        17,
     ),
     _bug(
         a_result_goes_before_its_coordinators_page,
         "a result is deleted before the checkpoint of its coordinator is on disk",
         "result",
-        6,
+        2,
     ),
     _bug(
         who_may_have_begun_begins_again,
         "a call that was running when its host failed is started again",
         "I4",
-        12,
+        2,
     ),
     _bug(
         a_begun_call_knows_no_time_limit,
         "a started call has no time limit: it continues on an unreachable host after its 'within' has ended",
         "outlives",
-        83,
+        91,
     ),
 ]

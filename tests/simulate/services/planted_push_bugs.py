@@ -214,7 +214,7 @@ PUSH_BUGS = (
         a_query_that_closes_a_ballot_changes_the_vote,
         "a query with `closes` replaces a vote that was stored",
         frozenset({"vote changed", "outcome changed", "two outcomes", "activated without a yes"}),
-        8,
+        45,
     ),
     PushBug(
         a_majority_activates,
@@ -250,19 +250,19 @@ PUSH_BUGS = (
         a_host_votes_without_a_check_after_its_hold,
         "a vehicle takes off between the check and the hold of a vote",
         frozenset({"yes without rest"}),
-        108,
+        51,
     ),
     PushBug(
         a_crashed_host_counts_as_at_rest,
         "a host without a process votes yes while its vehicle is in the air",
         frozenset({"yes without rest", "yes without hold"}),
-        68,
+        220,
     ),
     PushBug(
         an_old_bundle_is_restarted_after_an_activation,
         "a restart after a crash runs a bundle that is not active any more",
         frozenset({"start of another bundle"}),
-        9,
+        233,
     ),
     PushBug(
         a_host_whose_number_was_not_stored_is_forgotten,
@@ -274,7 +274,7 @@ PUSH_BUGS = (
         an_open_ballot_is_never_closed,
         "hosts that have not voted are never asked to vote no",
         frozenset({"no decision"}),
-        8,
+        2,
     ),
     PushBug(
         a_result_is_not_carried_out_after_a_restart,
@@ -293,7 +293,7 @@ PUSH_BUGS = (
         a_resume_of_a_person_ends_the_hold_of_a_vote,
         "a person resumes a mission, and its host can arm although it has voted",
         frozenset({"acts while bound", "yes without hold"}),
-        40,
+        58,
         within=600,
     ),
     PushBug(
