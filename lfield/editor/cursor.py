@@ -12,9 +12,11 @@ from pathlib import Path
 from lfield.editor.program_model import ProgramModel
 from lfield.editor.program_parts import ProgramPart
 from lfield.lang import syntax
-from lfield.lang.parser.token_stream import PRIMITIVES
-from lfield.lang.scanner import Token, TokenKind
+from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
+from lfield.lang.parser.type_names import MAP, result_type
+from lfield.lang.scanner import Token, TokenKind, scan
 from lfield.lang.syntax import TypeName
+from lfield.text.source_text import Diagnostics, Source
 
 _OPENING = {")": "(", "]": "["}
 #: What follows the name in a declaration of a local variable, a parameter or a caught exception.
@@ -177,11 +179,28 @@ def _declaration(tokens: Sequence[Token], at: int) -> DeclaredLocal | None:
         return None
     if at > 0 and tokens[at - 1].text in (".", "new"):
         return None
-    after, dimensions = at + 1, 0
+    after, dimensions = _end_of_name(tokens, at), 0
     while after + 1 < len(tokens) and tokens[after].text == "[" and tokens[after + 1].text == "]":
         after, dimensions = after + 2, dimensions + 1
     if after + 1 >= len(tokens) or tokens[after].kind is not TokenKind.NAME:
         return None
     if tokens[after + 1].text not in _AFTER_NAME:
         return None
-    return DeclaredLocal(TypeName(first.span, first.text, dimensions), tokens[after])
+    if after == at + 1 + 2 * dimensions:
+        return DeclaredLocal(TypeName(first.span, first.text, dimensions), tokens[after])
+    written = first.span.source.text[first.span.start : tokens[after - 1].span.end]
+    stream = TokenStream(scan(Source("", written), Diagnostics()), Diagnostics())
+    return DeclaredLocal(result_type(stream), tokens[after])
+
+
+def _end_of_name(tokens: Sequence[Token], at: int) -> int:
+    """The token after the name of a type; those of a map are in `<>`."""
+    after, depth = at + 1, 0
+    if tokens[at].text != MAP or after >= len(tokens) or tokens[after].text != "<":
+        return after
+    while after < len(tokens) and tokens[after].text not in (";", "(", "{", "}"):
+        depth += {"<": 1, ">": -1, ">>": -2}.get(tokens[after].text, 0)
+        after += 1
+        if depth <= 0:
+            return after
+    return at + 1
