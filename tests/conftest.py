@@ -115,11 +115,15 @@ def needs_namespaces(report: pytest.TestReport) -> bool:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What was not tried here, and why; with -s also how many uses of others' software were tried."""
+    """Notes of tests, what was not tried here and why; with -s also the uses of others' software."""
     for why in sorted(
         {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if needs_namespaces(skip)}
     ):
         terminalreporter.write_line(f"NOT TESTED: {why.removeprefix('Skipped: ')}")
+    for report in terminalreporter.stats.get("passed", []):
+        for name, note in report.user_properties:
+            if name == "note":
+                terminalreporter.write_line(note)
     if terminalreporter.config.option.capture != "no":
         return
     for file, client in FOREIGN.items():

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from lfield.bytecode.opcodes import BY_CODE, Operand
 from lfield.bytecode.program import (
-    ARRAY,
+    ARRAYS,
     CATCH,
     FINALLY,
     LANDING,
@@ -63,9 +63,10 @@ def type_name(program: Program, index: int) -> str:
     """The name of a type in L."""
     dimensions = 0
     record = program.core.types[index]
-    while record.kind == ARRAY:
+    while record.kind in ARRAYS:
         dimensions += 1
-        record = program.core.types[record.of]
+        index = program.core.element(index)
+        record = program.core.types[index]
     return _plain_name(program, record) + "[]" * dimensions
 
 

@@ -169,6 +169,18 @@ TABLE: tuple[Opcode, ...] = (
         823, "substring", "string int int->string", "Characters from 2 to before 3; IndexException outside."
     ),
     _head(824, "index_of", "string string->int", "The index of the second string in the first, or -1."),
+    _head(825, "str_hash", "string->int", "A number from 0 up to 2^62 - 1 that equal strings share."),
+    # library: arrays that grow; the type is that of the array
+    _head(826, "append", "array any", "Adds an element at the end of an array; LimitException.", "T"),
+    _head(
+        827,
+        "insert",
+        "array int any",
+        "Adds an element before element 2 of an array, or at its end; IndexException, LimitException.",
+        "T",
+    ),
+    _head(828, "remove", "array int->any", "Removes element 2 of an array; IndexException.", "T"),
+    _head(829, "remove_last", "array->any", "Removes the last element of an array; IndexException.", "T"),
     # library: conversions
     _head(830, "i2f", "int->real", "int to real."),
     _head(831, "f2i", "real->int", "real to int, towards zero; ConversionException outside 64 bits."),

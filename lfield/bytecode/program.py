@@ -18,9 +18,13 @@ VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
 ARRAY, OBJECT, PROXY = 8, 9, 10
 #: A call of a `together`, or the sentinel of its calls: only in slots of coordinators.
 TICKET = 11
+#: An array that the program appends to or removes from; `of` is the type of an ARRAY, which has the elements.
+GROWABLE = 12
 
 #: Kinds whose values are references into the block.
-REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY, TICKET})
+REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY, TICKET, GROWABLE})
+#: Kinds of types that have elements.
+ARRAYS = frozenset({ARRAY, GROWABLE})
 
 #: The ninth type of every program: arrays of any objects, the result of `others()`.
 EXCEPTIONS = 8
@@ -69,6 +73,9 @@ OLDEST_FACTS = 8
 
 UnitKind = Literal["class", "resource", "coordinator"]
 
+#: The name of the sources of the library that is written in L; traces leave their lines out.
+LIBRARY_SOURCE = "<library>"
+
 _QUAD = struct.Struct("<4i")
 
 
@@ -82,7 +89,8 @@ class Quad(NamedTuple):
 
 
 class TypeRecord(msgspec.Struct, frozen=True, array_like=True):
-    """A type: its kind, and the element type of an ARRAY or the class of an OBJECT or PROXY."""
+    """A type: its kind, and the element type of an ARRAY, the ARRAY of a GROWABLE, or the class of an OBJECT
+    or PROXY."""
 
     kind: int
     of: int = 0
@@ -213,6 +221,23 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
     methods: tuple[MethodRecord, ...]
     device_calls: tuple[DeviceCallRecord, ...]
     code: bytes
+
+    def plain_array(self, index: int) -> int:
+        """The type of the ARRAY with the elements of an array type: of a GROWABLE its second one."""
+        record = self.types[index]
+        return record.of if record.kind == GROWABLE else index
+
+    def element(self, index: int) -> int:
+        """The type of the elements of an array type."""
+        return self.types[self.plain_array(index)].of
+
+    def created_arrays(self) -> dict[int, int]:
+        """By element type, the type of arrays that the machine creates: one that grows, if there is one."""
+        plain = {record.of: i for i, record in enumerate(self.types) if record.kind == ARRAY}
+        growing = {
+            self.types[record.of].of: i for i, record in enumerate(self.types) if record.kind == GROWABLE
+        }
+        return plain | growing
 
     @property
     def builtins(self) -> int:

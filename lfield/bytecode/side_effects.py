@@ -19,6 +19,8 @@ from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program, Quad
 _CALL, _MOVE, _PUSH, _DEVICE = (BY_NAME[name].code for name in ("call", "move", "push", "device"))
 _HEARTBEAT = BY_NAME["heartbeat_interval"].code
 _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
+#: Heads that change their first argument.
+_CHANGES = frozenset(BY_NAME[name].code for name in ("append", "insert", "remove", "remove_last"))
 #: Instructions whose result is a new object: no other thread can hold it.
 _ALLOCATIONS = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine without an effect, except on logs, time and random numbers.
@@ -106,6 +108,8 @@ def _read(program: Program, method: MethodRecord) -> _Body:
             continue
         if quad.op in _WRITES:
             body.changes |= held[quad.a]
+        elif quad.op in _CHANGES:
+            body.changes |= arguments[0]
         elif quad.op == _CALL:
             body.calls.append((quad.a, arguments))
         elif _has_effect(program, BY_CODE[quad.op], quad):

@@ -224,7 +224,7 @@ class CoordinationEmitter:
         resources."""
         frame, code = self._frame, self._frame.code
         resource = self._evaluator.operand(stmt.target)
-        held = frame.slots.temporary(frame.tables.type_index(array_of(types.INT)))
+        held = frame.slots.temporary(frame.tables.plain_array_type(types.INT))
         self._calls.push("hold", [resource])
         code.emit("pop", held)
         frame.slots.release(resource)

@@ -9,6 +9,7 @@ from pathlib import PurePath
 
 from lfield.bytecode.encoding import assemble
 from lfield.bytecode.program import (
+    LIBRARY_SOURCE,
     Core,
     Debug,
     MethodDebug,
@@ -25,6 +26,7 @@ from lfield.compiler.statements import StatementEmitter
 from lfield.compiler.tables import ProgramTables
 from lfield.errors import ProgramError
 from lfield.lang import types
+from lfield.lang.standard_library.instances import LIBRARY_FILE
 from lfield.lang.tree import CheckedProgram, Method
 from lfield.text.source_text import Diagnostic, Source
 from lfield.text.terminal_escape import printable_argument
@@ -35,7 +37,7 @@ def compile_program(checked: CheckedProgram) -> Program:
 
     Raises ProgramError (L499) for methods that exceed a limit of the machine.
     """
-    tables = ProgramTables(checked.units)
+    tables = ProgramTables(checked.units, checked.growing)
     frames: list[MethodFrame] = []
     problems: list[Diagnostic] = []
     quads: list[Quad] = []
@@ -109,5 +111,9 @@ def _debug(sources: list[Source], frames: list[MethodFrame]) -> Debug:
             )
             for frame in frames
         ),
-        tuple(SourceText(printable_argument(PurePath(source.name).name), source.text) for source in sources),
+        tuple(SourceText(_shown_name(source), source.text) for source in sources),
     )
+
+
+def _shown_name(source: Source) -> str:
+    return LIBRARY_SOURCE if source.name == LIBRARY_FILE else printable_argument(PurePath(source.name).name)

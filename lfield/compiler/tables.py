@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from lfield.bytecode.program import (
     ANY,
@@ -11,6 +11,7 @@ from lfield.bytecode.program import (
     BUILTIN_CLASSES,
     DEVICE,
     EXCEPTIONS,
+    GROWABLE,
     HELD_DEVICE,
     INT,
     OBJECT,
@@ -61,13 +62,17 @@ _DEVICE_TYPES = {
 
 
 class ProgramTables:
-    """The tables of a program, filled by the first pass and, for types and constants, on demand."""
+    """The tables of a program, filled by the first pass and, for types and constants, on demand.
 
-    def __init__(self, units: list[tree.Unit]) -> None:
+    `growing` are the types of arrays that the program makes longer or shorter.
+    """
+
+    def __init__(self, units: list[tree.Unit], growing: Collection[Type] = ()) -> None:
+        self._growing = growing
         self.pool = ConstantPool()
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCallRecord] = []
-        written = [method for unit in units for method in unit.methods]
+        written = [method for unit in units for method in (*unit.methods, *unit.library_methods)]
         self._async_variants = async_variants_of(written)
         self._tickets = {twin.method: twin.ticket for twin in self._async_variants.values()}
         self.methods = [*written, *self._tickets]
@@ -105,7 +110,8 @@ class ProgramTables:
             return _SIMPLE[kind]
         match kind:
             case ArrayType():
-                return self._type(TypeRecord(ARRAY, self.type_index(kind.element)))
+                plain = self.plain_array_type(kind.element)
+                return self._type(TypeRecord(GROWABLE, plain)) if kind in self._growing else plain
             case ClassType():
                 return self.object_type(kind.name)
             case ResourceType():
@@ -115,6 +121,10 @@ class ProgramTables:
             case Type(name=TICKET_TYPE.name):
                 return self._type(TypeRecord(TICKET))
         raise AssertionError(f"the checker let the type {kind} through")
+
+    def plain_array_type(self, element: Type) -> int:
+        """The type of an array that never grows."""
+        return self._type(TypeRecord(ARRAY, self.type_index(element)))
 
     def object_type(self, name: str) -> int:
         """The type of the objects of a class, or of an agent's own object."""

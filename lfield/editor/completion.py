@@ -119,7 +119,8 @@ def _queries(symbols: TextSymbols) -> Iterator[CompletionProposal]:
 def _types(symbols: TextSymbols, *, classes_only: bool = False) -> Iterator[CompletionProposal]:
     program = symbols.program
     for unit in program.units.values():
-        if unit.kind == "class" or not classes_only:
+        is_map = unit in program.library.units
+        if not is_map and (unit.kind == "class" or not classes_only):
             yield _proposal(symbols.of_unit(unit))
     yield from (CompletionProposal(name, "builtin") for name in BUILTIN_TYPES)
     if not classes_only:

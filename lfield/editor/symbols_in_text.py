@@ -16,14 +16,17 @@ from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
 from lfield.lang.language_library import (
     EXCEPTION_METHODS,
     FUNCTIONS,
+    LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_MAPS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
+    array_methods,
 )
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import TokenKind, scan
-from lfield.lang.types import INT, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
+from lfield.lang.types import UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
 from lfield.manifest import DeviceManifest, Instruction
 from lfield.text.source_text import Diagnostics, Source, Span
 
@@ -38,7 +41,6 @@ Meaning = (
     | DeviceManifest
     | Type
 )
-_ARRAY_LENGTH = LibraryFunction("length", (), INT, "array_len", meaning="number of elements")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +155,8 @@ class TextSymbols:
         owner = cursor.owner()
         kind = self.type_of(cursor, owner)
         unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
+        if isinstance(kind, MapType):
+            return [_of_library(one.name, [one]) for one in LIBRARY_OF_MAPS]
         if unit is not None:
             return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
         match kind:
@@ -170,7 +174,7 @@ class TextSymbols:
                     for one in device.instructions
                 ]
             case ArrayType():
-                return [_of_library("length", [_ARRAY_LENGTH])]
+                return [_of_library(name, _array_functions(kind, name)) for name in _array_names(kind)]
             case ClassType():
                 return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
         return [_of_library(one.name, [one]) for one in STRING_METHODS] if kind.name == "string" else []
@@ -254,3 +258,12 @@ class TextSymbols:
 
 def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
     return TextSymbol("library", name, ("library", name), None, tuple(functions))
+
+
+def _array_functions(kind: ArrayType, name: str) -> list[LibraryFunction]:
+    """The methods of arrays of that name."""
+    return [one for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS) if one.name == name]
+
+
+def _array_names(kind: ArrayType) -> list[str]:
+    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, STRING, VOID, Type, array_of
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, STRING, VOID, ArrayType, Type, array_of
 
 Scope = Literal["any", "resource", "coordinator"]
 
@@ -130,3 +130,45 @@ PROXY_METHODS: tuple[LibraryFunction, ...] = (
 
 #: `a.length()` of any array.
 ARRAY_LENGTH = "array_len"
+#: The operations that make an array longer or shorter.
+GROWTH = frozenset({"append", "insert", "remove", "remove_last"})
+
+_T, _K, _V = Type("T"), Type("K"), Type("V")
+#: The methods of arrays and maps that are in L (`lfield/lang/standard_library`), for the page of L.
+LIBRARY_OF_ARRAYS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("contains", (_T,), BOOLEAN, "", meaning="whether one element is equal (`==`)"),
+    LibraryFunction("indexOf", (_T,), INT, "", meaning="the first index of an equal element, or -1"),
+    LibraryFunction(
+        "slice", (INT, INT), array_of(_T), "", meaning="a new array of elements from..to-1; IndexException"
+    ),
+    LibraryFunction("sort", (), VOID, "", meaning="sorts int, real (NaN last) or string, from the smallest"),
+    LibraryFunction(
+        "sort", (Type("method"),), VOID, "", meaning="sorts by a method of this unit: a key or a comparison"
+    ),
+)
+LIBRARY_OF_MAPS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("length", (), INT, "", meaning="number of keys"),
+    LibraryFunction("contains", (_K,), BOOLEAN, "", meaning="whether the map has the key"),
+    LibraryFunction("remove", (_K,), _V, "", meaning="removes a key, returns its value; IndexException"),
+    LibraryFunction("keys", (), array_of(_K), "", meaning="the keys in the order of their insertion"),
+    LibraryFunction("values", (), array_of(_V), "", meaning="the values in the order of their keys"),
+)
+ARRAY_LIBRARY = tuple(dict.fromkeys(f.name for f in LIBRARY_OF_ARRAYS))
+
+
+def array_methods(array: ArrayType) -> tuple[LibraryFunction, ...]:
+    """The methods of an array that are instructions; the others are in ARRAY_LIBRARY."""
+    of = array.element
+    return (
+        LibraryFunction("length", (), INT, ARRAY_LENGTH, meaning="number of elements"),
+        LibraryFunction("append", (of,), VOID, "append", meaning="adds an element at the end"),
+        LibraryFunction(
+            "insert", (INT, of), VOID, "insert", meaning="adds an element before this index; IndexException"
+        ),
+        LibraryFunction(
+            "remove", (INT,), of, "remove", meaning="removes and returns the element; IndexException"
+        ),
+        LibraryFunction(
+            "pop", (), of, "remove_last", meaning="removes and returns the last element; IndexException"
+        ),
+    )

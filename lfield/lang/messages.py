@@ -181,7 +181,7 @@ OPERANDS = _message("L406", "{operator} does not work on {left} and {right}")
 OPERAND = _message("L407", "{operator} does not work on {given}")
 INCOMPARABLE = _message("L408", "{left} and {right} cannot be compared")
 VOID_VALUE = _message("L409", "{call} returns no value", "call it as a separate statement")
-NOT_AN_ARRAY = _message("L410", "only arrays are indexed, this is {given}")
+NOT_AN_ARRAY = _message("L410", "only arrays and maps are indexed, this is {given}")
 NOT_ASSIGNABLE = _message("L411", "this cannot be assigned to", "assign to a variable, a field or an element")
 ASSIGNMENT_HERE = _message(
     "L412", "an assignment is not allowed here", "did you mean == ? An assignment is a separate statement"
@@ -201,7 +201,7 @@ NO_MEMBERS = _message("L420", "{given} has no members", "only objects, arrays, s
 NEW_TYPE = _message(
     "L421", "{given} has no constructor", "new creates objects of classes, and arrays: new {given}[10]"
 )
-EACH_ARRAY = _message("L423", "for iterates over an array, this is {given}")
+EACH_ARRAY = _message("L423", "for iterates over an array or a map, this is {given}")
 EACH_ELEMENT = _message(
     "L424", "the elements are {given}, the variable is {expected}", "declare the variable with that type"
 )
@@ -219,6 +219,34 @@ EMPTY_ID = _message(
     "L428",
     "the id in {name} is empty",
     "write the id of an agent of the deployment; {name}() returns an array of all",
+)
+
+SORT_ORDER = _message(
+    "L429",
+    "sort() does not know the order of {type}",
+    "name a method of this unit that compares two elements or gives a key: a.sort(nearer), with boolean "
+    "nearer({element} a, {element} b) or real distance({element} a)",
+)
+SORT_ARGUMENT = _message(
+    "L430",
+    "sort takes nothing, or the name of a method",
+    "write a.sort(), or a.sort(nearer) with a method of this unit",
+)
+SORT_METHOD = _message(
+    "L431",
+    "sort cannot compare elements by '{name}': {found}",
+    "write boolean {name}({element} a, {element} b), whether a comes before b, or a key: int, real or string "
+    "{name}({element} a)",
+)
+MAP_TYPES = _message(
+    "L432",
+    "a map has two types, of its keys and of its values",
+    "write map<string, int>, or another value type",
+)
+MAP_KEY = _message(
+    "L433",
+    "the keys of a map are string or int, not {given}",
+    "use an id or a number of it as the key, and the object as the value",
 )
 
 # --- L5xx: scope rules ----------------------------------------------------------------------------------

@@ -17,14 +17,16 @@ BAD_TYPE = "?"
 
 @dataclass(slots=True, eq=False)
 class TypeName:
-    """`Server`, `int[]`: a name and how many `[]` follow it."""
+    """`Server`, `int[]`, `map<string, int>`: a name, the types in `<>`, and how many `[]` follow."""
 
     span: Span
     name: str
     dimensions: int = 0
+    arguments: tuple[TypeName, ...] = ()
 
     def __str__(self) -> str:
-        return self.name + "[]" * self.dimensions
+        arguments = f"<{', '.join(map(str, self.arguments))}>" if self.arguments else ""
+        return self.name + arguments + "[]" * self.dimensions
 
 
 # --- expressions --------------------------------------------------------------------------------------

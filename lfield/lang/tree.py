@@ -79,6 +79,7 @@ class Unit:
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
     thrown: bool = False
+    library_methods: list[Method] = field(default_factory=list)
     _fields: dict[str, Field] = field(default_factory=dict)
     _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
 
@@ -90,6 +91,10 @@ class Unit:
     def add_method(self, made: Method) -> None:
         self.methods.append(made)
         self._methods.setdefault((made.name, made.kind), []).append(made)
+
+    def add_library_method(self, made: Method) -> None:
+        """Add a method of the library for arrays, which no name of the program leads to."""
+        self.library_methods.append(made)
 
     def mark_thrown(self) -> None:
         """Objects of this class become exceptions."""
@@ -105,10 +110,14 @@ class Unit:
 
 @dataclass(slots=True, eq=False)
 class CheckedProgram:
-    """A whole program without errors. `units` in source order; `sources` are all files it was read from."""
+    """A whole program without errors. `units` in source order; `sources` are all files it was read from.
+
+    `growing` are the types of arrays that it makes longer or shorter.
+    """
 
     units: list[Unit]
     sources: list[Source]
+    growing: frozenset[Type] = frozenset()
 
 
 # --- expressions --------------------------------------------------------------------------------------

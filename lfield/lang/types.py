@@ -28,6 +28,14 @@ class ClassType(Type):
 
 
 @dataclass(frozen=True, slots=True)
+class MapType(ClassType):
+    """`map<K, V>`; write `map_of(K, V)`. Its class is of the library (standard_library/map.L)."""
+
+    key: Type
+    value: Type
+
+
+@dataclass(frozen=True, slots=True)
 class ResourceType(Type):
     """A proxy for a resource somewhere in the team."""
 
@@ -75,6 +83,11 @@ BUILTIN_EXCEPTIONS = {
 def array_of(element: Type) -> ArrayType:
     """`element[]`."""
     return ArrayType(f"{element.name}[]", element)
+
+
+def map_of(key: Type, value: Type) -> MapType:
+    """`map<key, value>`."""
+    return MapType(f"map<{key.name}, {value.name}>", key, value)
 
 
 def is_reference(kind: Type) -> bool:

@@ -87,7 +87,9 @@ class SshConnection:
                 _, errors = await master.communicate()
         except TimeoutError:
             await self.close()
-            return f"Connection timed out after {LOGIN_TIMEOUT:.0f} s"
+            return (
+                f"Connection timed out: no login within {LOGIN_TIMEOUT:.0f} s; its shell may wait for input"
+            )
         # The shell of a user who may not log in says so on its standard output.
         return (errors or printed).decode(errors="replace") or "Connection closed"
 

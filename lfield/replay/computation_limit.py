@@ -23,7 +23,7 @@ from lfield.vm.memory.layout import THREAD_ID, W_ID
 
 #: The instructions that a thread of another program may execute without a call or a pause on the reference
 #: engine; a faster one may execute more.
-MAX_INSTRUCTIONS = 4_000_000
+MAX_INSTRUCTIONS = 20_000_000
 #: How many times the longest computation of the recorded program that of another one may be.
 MAX_FACTOR = 2
 

@@ -83,8 +83,8 @@ class TeamRecording:
 def load_team(paths: Sequence[Path], bundle_file: Path | None = None) -> TeamRecording:
     """The recordings in some directories; of several runs the newest. Raises RecordingError, InputFileError.
 
-    A path is the folder of an incarnation, a directory of such folders, or a file in one. `bundle_file` is
-    used where a folder has no bundle.
+    A path is the folder of an incarnation, a file in one, or a directory of such folders or of directories of
+    such folders. `bundle_file` is used where a folder has no bundle.
     """
     loaded, problems = [], []
     for folder in _folders(paths):
@@ -133,7 +133,7 @@ def load_incarnation(folder: Path) -> Incarnation:
     if not parts[0].is_from_start:
         losses.append(f"the beginning is missing, it starts at a checkpoint in {segments[0].name}")
     if not early_end and parts[-1].gap and not losses:
-        early_end = f"{parts[-1].gap}: the host did not end in order"
+        early_end = f"{parts[-1].gap}: the host still runs, or did not end in order"
     problems = [*losses, *([early_end] if early_end else []), *guard_problems(folder)]
     return Incarnation(folder, tuple(parts), tuple(problems), tuple(losses))
 
@@ -159,6 +159,8 @@ def _read_segment(path: Path, frames: list[bytes]) -> _Gap:
     try:
         with path.open("rb") as stream:
             return _read_frames(path, SegmentReader(stream), frames)
+    except FileNotFoundError:
+        return _Gap("it was deleted meanwhile by the recorder")
     except OSError as error:
         raise InputFileError(str(path), error_reason(error)) from None
 
@@ -179,7 +181,11 @@ def _read_frames(path: Path, reader: SegmentReader, frames: list[bytes]) -> _Gap
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:
-    found: dict[Path, None] = {}
+    """The folders of incarnations in some directories, and in the directories in these.
+
+    Of copies of one folder the first is used.
+    """
+    found: dict[object, Path] = {}
     for path in paths:
         if not path.exists():
             raise InputFileError(str(path), "it does not exist")
@@ -187,13 +193,28 @@ def _folders(paths: Iterable[Path]) -> list[Path]:
         # Also the folder of a guard, and a file in it.
         place = place.parent if parse_folder(place.parent) is not None else place
         if parse_folder(place) is not None or any(place.glob(f"{CORE_STEM}-*{SUFFIX}")):
-            found[place] = None
-            continue
-        inner = sorted(each for each in place.iterdir() if each.is_dir() and parse_folder(each) is not None)
+            inner = [place]
+        else:
+            inner = [each for folder in _directories(place) for each in _incarnations_in(folder)]
         if not inner:
             raise RecordingError(f"{path} has no recording")
-        found.update(dict.fromkeys(inner))
-    return list(found)
+        for each in inner:
+            found.setdefault(each if parse_folder(each) is None else each.name, each)
+    return list(found.values())
+
+
+def _incarnations_in(folder: Path) -> list[Path]:
+    """A folder of an incarnation, or those in another directory."""
+    if parse_folder(folder) is not None:
+        return [folder]
+    try:
+        return [each for each in _directories(folder) if parse_folder(each) is not None]
+    except PermissionError:
+        return []
+
+
+def _directories(parent: Path) -> list[Path]:
+    return sorted(each for each in parent.iterdir() if each.is_dir())
 
 
 def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:

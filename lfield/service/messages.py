@@ -41,6 +41,9 @@ HOST_RESTART = _message(
 HOST_INTERRUPTED = _message(
     "service-host-interrupted", "mission interrupted: {reason}; 'lfield start' continues it", "warning"
 )
+MISSED_END = _message(
+    "service-missed-end", "the mission has ended on {host} while the host here did not run; it is stopped"
+)
 COMMAND = _message("service-command", "{action} requested by {operator}")
 DISCARDED = _message("service-discarded", "coordinators {agents} discarded by {operator}", "warning")
 STATE_ERROR = _message("service-state-error", "state of the service not stored: {reason}", "error")

@@ -336,7 +336,11 @@ class MissedEnd:
         self._next = now + min(LONGEST_PAUSE, now - self._first)
         answers = await ask_peers(ask, hosts, ServiceQuery())
         statuses = [answer for answer in answers if isinstance(answer, ServiceStatus)]
-        return next((one.host for one in statuses if one.run.has_completed and one.run.order == order), "")
+        ended = [one.host for one in statuses if one.run.has_completed and one.run.order == order]
+        if not ended:
+            return ""
+        runner.note(messages.MISSED_END.line(host=ended[0]))
+        return ended[0]
 
 
 def _not_restarted(end: str, refusal: str) -> str:

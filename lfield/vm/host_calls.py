@@ -12,7 +12,7 @@ from itertools import islice
 from msgspec import structs
 
 from lfield.bytecode.opcodes import BY_CODE
-from lfield.bytecode.program import ARRAY, HELD_DEVICE, PROXY, DeviceCallRecord
+from lfield.bytecode.program import HELD_DEVICE, PROXY, DeviceCallRecord
 from lfield.errors import ConstraintError, DeviceError
 from lfield.vm import portal_calls
 from lfield.vm.agent import Agent, MachineTeam, TeamMember
@@ -256,13 +256,14 @@ class HostCallDispatcher:
         of = next(
             i for i, t in enumerate(scheduler.program.core.types) if t.kind == PROXY and t.of == operand
         )
-        kind = next(i for i, t in enumerate(scheduler.program.core.types) if t.kind == ARRAY and t.of == of)
+        core = scheduler.program.core
+        kind = core.created_arrays()[of]
 
         def work() -> int:
             block = agent.block
-            block.require(1 + len(numbers) * (1 + layout.PROXY_WORDS))
-            array = block.allocate(layout.ARRAY, kind, 1 + len(numbers))
-            for i, number in enumerate(numbers, array + 1):
+            block.require(layout.GROWABLE_WORDS + 1 + len(numbers) * (1 + layout.PROXY_WORDS))
+            array = block.new_array(kind, core.plain_array(kind), len(numbers))
+            for i, number in enumerate(numbers, layout.elements(block.w, array)[0]):
                 block.w[i] = _proxy(agent, operand, number)
             return array
 

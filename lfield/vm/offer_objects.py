@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lfield.bytecode.program import ARRAY, FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
+from lfield.bytecode.program import FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import header
@@ -96,6 +96,8 @@ class OfferClasses:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
         self.of: dict[int, OfferClass] = {}
+        created = core.created_arrays()
+        self._plain = [core.plain_array(i) for i in range(len(core.types))]
         #: The type of an array of offers, and of an array of such arrays, if the program has them.
         self.arrays: dict[int, int] = {}
         self.teams: dict[int, int] = {}
@@ -103,15 +105,19 @@ class OfferClasses:
             if not record.capability:
                 continue
             self.of[index] = OfferClass(program, index)
-            array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
+            array = created.get(kinds.get(TypeRecord(OBJECT, index), -1))
             if array is not None:
                 self.arrays[index] = array
-                self.teams[index] = kinds.get(TypeRecord(ARRAY, array), -1)
+                self.teams[index] = created.get(array, -1)
             #: The class of descriptions, and its two array types.
             self.facts = core.types[record.fields[0].type].of
             #: Its number of fields: fewer in programs of an older lfield.
             self.fact_count = len(core.classes[self.facts].fields)
             self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
+
+    def plain_array(self, kind: int) -> int:
+        """The type of the ARRAY with the elements of an array type."""
+        return self._plain[kind]
 
 
 def ways(program: Program) -> dict[str, frozenset[str]]:
@@ -144,7 +150,7 @@ def write_teams(
     """An array of teams, each an array of offers. Raises what `write_offers` does."""
     writer = _Writer(offer_classes, block.top, now)
     teams = [writer.offers(capability, team) for team in found]
-    return _written(block, writer, writer.put(layout.ARRAY, offer_classes.teams[capability], teams))
+    return _written(block, writer, writer.array(offer_classes.teams[capability], teams))
 
 
 def _written(block: Block, writer: _Writer, place: int) -> int:
@@ -166,7 +172,7 @@ class _Writer:
     def offers(self, capability: int, found: Sequence[FoundOffer]) -> int:
         """An array of offers; returns its place."""
         offers = [self.offer(self._shapes.of[capability], one) for one in found]
-        return self.put(layout.ARRAY, self._shapes.arrays[capability], offers)
+        return self.array(self._shapes.arrays[capability], offers)
 
     def offer(self, shape: OfferClass, found: FoundOffer) -> int:
         """An offer with its components; returns its place."""
@@ -186,13 +192,24 @@ class _Writer:
         self.words.extend(words)
         return place
 
+    def array(self, kind: int, body: Iterable[int]) -> int:
+        """An array of a type with these elements; returns its place."""
+        plain = self._shapes.plain_array(kind)
+        words = array("q", body)
+        if plain == kind:
+            return self.put(layout.ARRAY, kind, words)
+        place = self._base + len(self.words)
+        self.put(layout.GROWABLE, kind, [len(words), place + layout.GROWABLE_WORDS])
+        self.put(layout.ARRAY, plain, words)
+        return place
+
     def _facts(self, found: FoundOffer) -> int:
         """The description of an offer, in the order of the fields of `Offer`."""
         strings, reals = self._shapes.strings, self._shapes.reals
         description = [self._text(found.agent), self._text(found.host), self._text(found.kind)]
         description += _bits([found.score])
         description.append(self._shared_array(strings, found.names, lambda: map(self._text, found.names)))
-        description.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
+        description.append(self.array(reals, _bits(found.numbers)))
         description.append(self._shared_array(strings, found.texts, lambda: map(self._text, found.texts)))
         ages = found.ages if self._shapes.fact_count > OLDEST_FACTS else tuple(map(_still, found.ages))
         description.append(self._shared_array(reals, _same(ages), lambda: _bits(ages)))
@@ -205,7 +222,7 @@ class _Writer:
         """The array of some values, shared by all offers with equal ones."""
         place = self._made.get((type, value))
         if place is None:
-            place = self._made[type, value] = self.put(layout.ARRAY, type, body())
+            place = self._made[type, value] = self.array(type, body())
         return place
 
     def _text(self, text: str | None) -> int:

@@ -21,7 +21,6 @@ from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import (
-    ARRAY,
     CALLING,
     DEAD,
     OBJECT,
@@ -128,8 +127,9 @@ class Scheduler:
             return
         texts = (agent.id, *agent.member.arguments)
         init = core.classes[record].init
-        array = block.allocate(ARRAY, core.methods[init].slots[1], 1 + len(texts))
-        for i, text in enumerate(texts, array + 1):
+        kind = core.methods[init].slots[1]
+        array = block.new_array(kind, core.plain_array(kind), len(texts))
+        for i, text in enumerate(texts, layout.elements(w, array)[0]):
             w[i] = block.new_string(text)
         identity = self.spawn(agent, init, [w[layout.W_SELF], array], 0)
         self.run_queue.push_back(agent, identity)

@@ -23,6 +23,7 @@ FIGURES = {
     "together": "hops.together",
     "journal": "hops.journal",
     "engine": "machine.engine",
+    "collections": "machine.collection_speed",
     "collector": "machine.collector",
     "start": "machine.start",
     "first": "machine.first_second",

@@ -92,6 +92,12 @@ FAULTS = (
     Fault("sin", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", "sin("),
     Fault("atan2", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", "atan2("),
     Fault("modf", "{a} (local.get $u)", "{a} (f64.add (local.get $u) (f64.const 0))", " % "),
+    # arrays that grow, and keys of maps
+    Fault("append", "(i64.const 1)", "(i64.const 2)", ".append("),
+    Fault("remove", "(i64.const 0))", "(i64.const 1))", ".remove("),
+    Fault("remove_last", "(i64.store (local.get $p) (i64.const 0))", "", ".pop("),
+    _runtime("$grow", "(i64.const 4)", "(i64.const 3)", ".append("),
+    _runtime("$str_hash", "0xCBF29CE484222325", "0xCBF29CE484222326", "m0"),
     # monitors across calls, and what is thrown through them, or through a finally
     Fault("frame", "i64.ne (local.get $x) (global.get $thread)", "i32.const 0", "synchronized"),
     Fault(PROGRAM, "i64.sub", "i64.add", "synchronized", "$unwind"),

@@ -54,6 +54,13 @@ def test_a_login_shell_that_refuses_is_quoted(connection) -> None:
         event_loop.run(session.open([SshDestination("10.77.0.11")]))
 
 
+def test_a_login_shell_that_waits_for_input_is_not_waited_for(connection, monkeypatch) -> None:
+    monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", 0.2)
+    session = connection("exec sleep 60")
+    with pytest.raises(ProvisionError, match="no login within"):
+        event_loop.run(session.open([SshDestination("10.77.0.11")]))
+
+
 def test_a_sudo_that_hangs_is_named(connection, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", 0.2)
     session = connection("exec sleep 60")

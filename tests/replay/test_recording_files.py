@@ -33,11 +33,12 @@ from lfield.mission import bundle
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.loader import load_mission
 from lfield.recording import folders
-from lfield.recording.folders import INCARNATIONS, create_folder, folders_in
+from lfield.recording.folders import INCARNATIONS, create_folder, folders_in, segments_of
 from lfield.recording.segments import MAGIC
+from lfield.replay import recording_files
 from lfield.replay.event_stream import event_stream
 from lfield.replay.host_replay import HostReplay
-from lfield.replay.recording_files import load_team
+from lfield.replay.recording_files import load_incarnation, load_team
 from lfield.replay.team_check import check_part, check_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 
@@ -85,6 +86,19 @@ def test_both_hosts_of_a_directory_are_replayed(team, tmp_path, capsys):
     assert {row["host"] for row in found["hosts"]} == {"north", "south"}
 
 
+def test_the_directories_of_several_robots_are_searched(team, tmp_path):
+    """As the copies of `recordings` of each robot; a folder that was copied twice is used once."""
+    both(tmp_path / "north", team)
+    for folder in (tmp_path / "north").iterdir():
+        (tmp_path / "south").mkdir(exist_ok=True)
+        shutil.copytree(folder, tmp_path / "south" / folder.name)
+    (tmp_path / "tables").mkdir()
+    found = load_team([tmp_path])
+    assert [each.host for each in found.incarnations] == ["north", "south"]
+    assert found.missing == ()
+    assert load_team([tmp_path / "north", tmp_path / "south"]).others == ()
+
+
 def test_the_missing_hosts_are_named(team, tmp_path, capsys):
     folder = write_folder(tmp_path, team, 0)
     found = result_of(capsys, folder)
@@ -101,6 +115,16 @@ def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path
     assert found["differences"] == 0
     assert 0 < found["digests"] < whole["digests"]
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
+
+
+def test_a_file_that_the_recorder_deletes_meanwhile_is_missing(team, tmp_path, monkeypatch):
+    folder = write_folder(tmp_path, team, 0, cuts=checkpoints_of(team)[:2])
+    files = segments_of(folder, "core")
+    files[0].unlink()
+    monkeypatch.setattr(recording_files, "segments_of", lambda *given: files)
+    found = load_incarnation(folder)
+    assert len(found.losses) == 2
+    assert not found.parts[0].is_from_start
 
 
 def test_hosts_without_their_first_files_are_still_of_one_run(teams, tmp_path, capsys):

@@ -68,6 +68,7 @@ def test_a_restarted_host_is_stopped_when_its_run_has_ended_on_another_host(stat
         assert robot.processes.terminated == [102]
         assert robot.runner.info.phase == "stopped"
         assert "bravo" in robot.runner.info.reason
+        assert "service-missed-end" in robot.codes
         # No coordinator of it forbids an activation, and nothing has to be checked.
         assert robot.files.record.run.open_run == b""
         assert (await robot.status()).refusal == ""

@@ -13,8 +13,7 @@ from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.key_material import Keys
 from lfield.authority.trusted_clock import TrustedClock
 from lfield.clock import ManualClock
-from lfield.errors import KeysError, SignatureError
-from lfield.host.process.credentials import HostCredentials, admission_for
+from lfield.errors import SignatureError
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 from lfield.service.bundle_receiver import BundleVerifier
@@ -56,11 +55,3 @@ def test_a_signer_without_the_right_is_refused_in_1970_too(tmp_path: Path) -> No
     other = Keyring(tmp_path / "other")
     with pytest.raises(SignatureError):
         verifier(other.made("host", "alpha"))(data)
-
-
-def test_keys_that_have_expired_are_refused_with_both_times(tmp_path: Path) -> None:
-    """A service has no mission whose duration could be shorter."""
-    keys = Keyring(tmp_path / "keys").made("host", "alpha")
-    late = ManualClock(time.time() + 40 * 365 * 86400.0)
-    with pytest.raises(KeysError, match=r"expired .* the clock here shows .* 'lfield keys renew host alpha'"):
-        admission_for(HostCredentials(keys, []), "alpha", late, ())

@@ -16,6 +16,7 @@ from lfield.bytecode.program import (
     BUILTIN_CLASSES,
     DEVICE,
     EXCEPTIONS,
+    GROWABLE,
     HELD_DEVICE,
     INT,
     NULL,
@@ -129,9 +130,10 @@ def _collect_call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     result = view.core.methods[quad.a].result
 
     def accepts_result(view: MethodView, index: int) -> bool:
-        record = view.types.record(index)
-        return record.kind == NULL or (
-            record.kind == ARRAY and result != VOID and view.types.fits(result, record.of)
+        return view.types.kind(index) == NULL or (
+            view.types.is_array(index)
+            and result != VOID
+            and view.types.fits(result, view.types.element(index))
         )
 
     return GroupSignature([_is_ticket, accepts_result, _accepts(INT), proxy, *arguments], None)
@@ -139,10 +141,10 @@ def _collect_call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 
 def _settle(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_coordinator(view, pc)
-    array = view.types.record(quad.a)
-    if array.kind != ARRAY:
+    if not view.types.is_array(quad.a):
         raise view.refused(pc, "the target of a result is an element of an array")
-    return GroupSignature([_is_ticket, _accepts(quad.a), _accepts(INT), _accepts(array.of)], None)
+    element = _accepts(view.types.element(quad.a))
+    return GroupSignature([_is_ticket, _accepts(quad.a), _accepts(INT), element], None)
 
 
 def _gather(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -173,9 +175,9 @@ def _hold(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_reserves(view, pc)
 
     def is_kept(view: MethodView, index: int) -> bool:
+        while view.types.is_array(index):
+            index = view.types.element(index)
         record = view.types.record(index)
-        while record.kind == ARRAY:
-            record = view.types.record(record.of)
         offer = record.kind == OBJECT and view.core.classes[record.of].capability
         return offer or record.kind == PROXY
 
@@ -197,7 +199,37 @@ def _is_numbers(view: MethodView, index: int) -> bool:
 
 
 def _others(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    return GroupSignature([_accepts(ANY)], _accepts(EXCEPTIONS))
+    def is_array_of_exceptions(view: MethodView, index: int) -> bool:
+        return view.core.plain_array(index) == EXCEPTIONS
+
+    return GroupSignature([_accepts(ANY)], is_array_of_exceptions)
+
+
+def _append(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    element = _growing_element(view, pc, quad)
+    return GroupSignature([_accepts(quad.a), _accepts(element)], None)
+
+
+def _insert(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    element = _growing_element(view, pc, quad)
+    return GroupSignature([_accepts(quad.a), _accepts(INT), _accepts(element)], None)
+
+
+def _remove(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    element = _growing_element(view, pc, quad)
+    return GroupSignature([_accepts(quad.a), _accepts(INT)], _result_test(element))
+
+
+def _remove_last(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    element = _growing_element(view, pc, quad)
+    return GroupSignature([_accepts(quad.a)], _result_test(element))
+
+
+def _growing_element(view: MethodView, pc: int, quad: Quad) -> int:
+    """The type of the elements of an array that grows."""
+    if view.types.kind(quad.a) != GROWABLE:
+        raise view.refused(pc, "only an array of a type that grows changes its length")
+    return view.types.element(quad.a)
 
 
 def _find(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -210,8 +242,7 @@ def _findall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     proxy = _proxy_of(quad.a)
 
     def is_array_of_proxies(view: MethodView, index: int) -> bool:
-        record = view.types.record(index)
-        return record.kind == ARRAY and proxy(view, record.of)
+        return view.types.is_created_array(index) and proxy(view, view.types.element(index))
 
     return GroupSignature([], is_array_of_proxies)
 
@@ -228,8 +259,8 @@ def _offers(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     offer = TypeRecord(OBJECT, quad.a)
 
     def is_array_of_offers(view: MethodView, index: int) -> bool:
-        record = view.types.record(index)
-        return record.kind == ARRAY and view.types.record(record.of) == offer
+        types = view.types
+        return types.is_created_array(index) and types.record(types.element(index)) == offer
 
     return GroupSignature([_accepts(STRING)], is_array_of_offers)
 
@@ -239,9 +270,10 @@ def _teams(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     offer = TypeRecord(OBJECT, quad.a)
 
     def is_array_of_teams(view: MethodView, index: int) -> bool:
-        record = view.types.record(index)
-        team = view.types.record(record.of) if record.kind == ARRAY else record
-        return record.kind == team.kind == ARRAY and view.types.record(team.of) == offer
+        types = view.types
+        if not (types.is_created_array(index) and types.is_created_array(team := types.element(index))):
+            return False
+        return types.record(types.element(team)) == offer
 
     return GroupSignature([_accepts(STRING), _accepts(INT)], is_array_of_teams)
 
@@ -284,6 +316,10 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
     "host": _about,
     "device": _device,
     "exc_others": _others,
+    "append": _append,
+    "insert": _insert,
+    "remove": _remove,
+    "remove_last": _remove_last,
     "gather": _gather,
     "begin": _collect_call,
     "start": _waits,
@@ -311,7 +347,7 @@ def _proxy_of(resource: int) -> TypeTest:
 def _kind_test(kind: str) -> TypeTest:
     """The test for a kind of the table; `ref` is the exception whose details are read."""
     if kind == "array":
-        return lambda view, index: view.types.kind(index) == ARRAY
+        return lambda view, index: view.types.is_array(index)
     if kind == "ref":
         return lambda view, index: view.types.fits(index, ANY)
     return _accepts(_EXACT[kind])

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
+    ARRAYS,
     DEVICE,
     OBJECT,
     PROXY,
@@ -82,7 +83,7 @@ def _check_inits(core: Core) -> None:
             continue
         if core.classes[method.owner].init != index:
             raise _refused(method, "it is not the init that its class names")
-        arguments = [core.types[slot] for slot in method.slots[1 : method.parameters + 1]]
+        arguments = [core.types[core.plain_array(slot)] for slot in method.slots[1 : method.parameters + 1]]
         if arguments != [TypeRecord(ARRAY, STRING)] or method.result != VOID:
             raise _refused(method, "it is an init and does not take string[] to nothing")
     for record in core.classes[core.builtins :]:
@@ -121,7 +122,7 @@ def _may_cross(core: Core, record: TypeRecord) -> bool:
 
 
 def _parts(core: Core, record: TypeRecord, suppressed_fields: Mapping[int, int]) -> list[int]:
-    if record.kind == ARRAY:
+    if record.kind in ARRAYS:
         return [record.of]
     if record.kind != OBJECT:
         return []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lfield.bytecode.program import ANY, ARRAY, DEVICE, NULL, OBJECT, PROXY, VOID, Quad, TypeRecord
+from lfield.bytecode.program import ANY, DEVICE, NULL, OBJECT, PROXY, VOID, Quad, TypeRecord
 from lfield.bytecode.verifier.operands import MethodView
 
 Rule = Callable[[MethodView, int, Quad], bool]
@@ -26,11 +26,11 @@ def _putf(view: MethodView, pc: int, quad: Quad) -> bool:
 
 
 def _gete(view: MethodView, pc: int, quad: Quad) -> bool:
-    return view.types.fits(view.types.record(view.slot(quad.b, pc)).of, view.slot(quad.a, pc))
+    return view.types.fits(view.types.element(view.slot(quad.b, pc)), view.slot(quad.a, pc))
 
 
 def _pute(view: MethodView, pc: int, quad: Quad) -> bool:
-    return view.types.fits(view.source(quad.c, pc), view.types.record(view.slot(quad.a, pc)).of)
+    return view.types.fits(view.source(quad.c, pc), view.types.element(view.slot(quad.a, pc)))
 
 
 def _lds(view: MethodView, pc: int, quad: Quad) -> bool:
@@ -45,7 +45,7 @@ def _new(view: MethodView, pc: int, quad: Quad) -> bool:
 
 
 def _newarray(view: MethodView, pc: int, quad: Quad) -> bool:
-    return view.types.kind(quad.b) == ARRAY and view.slot(quad.a, pc) == quad.b
+    return view.types.is_array(quad.b) and view.slot(quad.a, pc) == quad.b
 
 
 def _return(view: MethodView, pc: int, quad: Quad) -> bool:

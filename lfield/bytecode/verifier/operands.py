@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from lfield.bytecode.opcodes import BY_CODE, Opcode, Operand
 from lfield.bytecode.program import (
-    ARRAY,
     BOOLEAN,
     DEVICE,
     INT,
@@ -121,7 +120,7 @@ class MethodView:
             return self.types.is_reference(given)
         if operand.role == "D" or operand.kind in ("same", "any"):
             return True  # decided by the rule of the instruction
-        return self.types.kind(given) == (OBJECT if operand.kind == "object" else ARRAY)
+        return self.types.kind(given) == OBJECT if operand.kind == "object" else self.types.is_array(given)
 
     def field_type(self, pc: int, holder: int, number: int) -> int:
         """The type of a field of the object in a slot."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
+    ARRAYS,
     BUILTIN_CLASSES,
     DEVICE,
     EXCEPTIONS,
     FACT_FIELDS,
     FACTS,
+    GROWABLE,
     HELD_DEVICE,
     INT,
     OBJECT,
@@ -53,6 +56,8 @@ _FACT_TYPES = (
 )
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
+#: The name of a class of maps is its type.
+_MAP_NAME = re.compile(r"map<[\w<>, \[\]]+>")
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
 _KINDS = frozenset({"class", "resource", "coordinator"})
 _USAGES = frozenset({"global", "resource", "coordinator"})
@@ -82,6 +87,9 @@ def _check_type(core: Core, table: TypeTable, index: int) -> None:
             raise ProgramFileError(
                 f"type {index} is an array whose element type is not an earlier type of values"
             )
+    elif record.kind == GROWABLE:
+        if not (0 <= record.of < index and core.types[record.of].kind == ARRAY):
+            raise ProgramFileError(f"type {index} is an array that grows, and its elements are in no array")
     elif record.kind in (OBJECT, PROXY):
         if not 0 <= record.of < len(core.classes):
             raise ProgramFileError(f"type {index} is of class {record.of}, which does not exist")
@@ -99,7 +107,7 @@ def check_classes(core: Core) -> None:
     table = TypeTable(core)
     others = core.others
     for index, record in enumerate(core.classes[core.builtins :], core.builtins):
-        if not record.name.isidentifier():
+        if not (record.name.isidentifier() or _MAP_NAME.fullmatch(record.name)):
             raise ProgramFileError(f"a class has the name {record.name!r}, which is not an identifier")
         if record.kind not in _KINDS or record.usage not in _USAGES:
             raise ProgramFileError(f"{record.name} is of unknown kind {record.kind!r}, {record.usage!r}")
@@ -135,9 +143,15 @@ def _check_capability(record: ClassRecord, table: TypeTable) -> None:
     if (record.kind, record.usage) != ("class", "coordinator"):
         raise ProgramFileError(f"the capability {record.name} is not a coordinator specific class")
     facts = table.fields(record.fields[0].type) if record.fields else ()
-    fields = [(field.name, table.record(field.type)) for field in facts]
+    fields = [(field.name, _plain(table, field.type)) for field in facts]
     if fields not in (_FACT_SHAPE, _FACT_SHAPE[:OLDEST_FACTS]) or record.fields[0].name != FACTS:
         raise ProgramFileError(f"the capability {record.name} does not start with the fields of offers")
+
+
+def _plain(table: TypeTable, index: int) -> TypeRecord:
+    """A type; of an array that grows that of its elements."""
+    record = table.record(index)
+    return table.record(record.of) if record.kind == GROWABLE else record
 
 
 def check_constants(core: Core) -> None:
@@ -149,7 +163,7 @@ def check_constants(core: Core) -> None:
 
 def check_device_calls(core: Core) -> None:
     """Each names a device of a resource, and only values that may cross to a driver."""
-    values = {i for i, record in enumerate(core.types) if _is_device_value(record)}
+    values = {i for i in range(len(core.types)) if _is_device_value(core, i)}
     results = {VOID, *values}
     devices = {(i, device) for i, record in enumerate(core.classes) for device in record.devices}
     for number, call in enumerate(core.device_calls):
@@ -166,7 +180,7 @@ def check_device_calls(core: Core) -> None:
             )
 
 
-def _is_device_value(record: TypeRecord) -> bool:
+def _is_device_value(core: Core, index: int) -> bool:
     """Whether it is a type of manifest.DEVICE_VALUE_TYPES."""
-    simple = range(1, STRING + 1)
-    return record.kind in simple or (record.kind == ARRAY and record.of in (INT, REAL))
+    kind = core.types[index].kind
+    return kind in range(1, STRING + 1) or (kind in ARRAYS and core.element(index) in (INT, REAL))

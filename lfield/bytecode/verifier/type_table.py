@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 from lfield.bytecode.program import (
     ANY,
-    ARRAY,
+    ARRAYS,
     BOOLEAN,
     BUILTIN_PARENTS,
     INT,
@@ -21,7 +23,7 @@ from lfield.bytecode.program import (
 )
 
 #: Kinds of values that a slot, a field or an element of an array may hold.
-_VALUES = frozenset({BOOLEAN, INT, REAL, STRING, ANY, ARRAY, OBJECT, PROXY})
+_VALUES = frozenset({BOOLEAN, INT, REAL, STRING, ANY, OBJECT, PROXY}) | ARRAYS
 
 
 def scope_of(record: ClassRecord) -> str:
@@ -33,6 +35,7 @@ class TypeTable:
     """Queries on the types of a program, by type index."""
 
     def __init__(self, core: Core) -> None:
+        self._core = core
         self._records = core.types
         self._classes = core.classes
 
@@ -44,6 +47,23 @@ class TypeTable:
 
     def kind(self, index: int) -> int:
         return self._records[index].kind
+
+    def is_array(self, index: int) -> bool:
+        """Whether values of the type are arrays, which may grow or not."""
+        return self._records[index].kind in ARRAYS
+
+    def element(self, index: int) -> int:
+        """The type of the elements of an array type."""
+        return self._core.element(index)
+
+    @cached_property
+    def created_arrays(self) -> dict[int, int]:
+        """By element type, the type of the arrays that the machine creates."""
+        return self._core.created_arrays()
+
+    def is_created_array(self, index: int) -> bool:
+        """Whether the machine creates arrays of the type."""
+        return self.is_array(index) and self.created_arrays[self.element(index)] == index
 
     def fields(self, index: int) -> tuple[FieldRecord, ...]:
         """The fields of the objects of a type; () for other types."""

@@ -164,7 +164,8 @@ def _start(
             else "but not all coordinators run there"
         )
         return _report(args, waits, {}, f"bundle {bundle} is up on {listed(hosts)}, {rest}", continues)
-    text = f"bundle {bundle} runs on {listed(hosts)}"
+    is_over = all(one.run.has_completed for one in statuses.values())
+    text = f"bundle {bundle} {'has run to its end' if is_over else 'runs'} on {listed(hosts)}"
     return _report(args, waits, {}, text, continues, done=True)
 
 

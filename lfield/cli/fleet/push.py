@@ -116,11 +116,18 @@ async def _push(
 
 
 async def service_states(
-    links: ServiceLinks, hosts: list[str] | None = None, *, restart: float = FIRST_LISTENER
+    links: ServiceLinks, hosts: list[str] | None = None, *, is_known: bool = False
 ) -> dict[str, ServiceStatus | LfieldError]:
-    """The states of services. One that does not listen is asked again for `restart` seconds."""
+    """The states of services. One that is known to run may be restarting, and is asked again for some time.
+
+    In a Zenoh fabric it may also have lost its router.
+    """
+    from lfield.net.transport import has_zenoh
+    from lfield.operator.fleet.service_link import RESTART_TIME
     from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
+    is_waited_for = is_known or any(map(has_zenoh, links.addresses.values()))
+    restart = RESTART_TIME if is_waited_for else FIRST_LISTENER
     return await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts, restart=restart)
 
 
@@ -136,15 +143,13 @@ async def vote(
     `statuses` are those of a moment ago.
     """
     from lfield.operator.fleet.activation import activate, new_ballot
-    from lfield.operator.fleet.service_link import RESTART_TIME
 
     hosts = list(statuses)
     if all(status.active == digest for status in statuses.values()):
         report.finish("activated", {}, f"already active on {listed(hosts)}")
         return exit_status.DONE
     # A vote holds the missions of all hosts: not for one that a host would refuse.
-    # All have answered before, so one that does not listen is restarting.
-    now, silent = split_answers(await service_states(links, hosts, restart=RESTART_TIME))
+    now, silent = split_answers(await service_states(links, hosts, is_known=True))
     reasons = {host: one.refusal for host, one in now.items() if one.refusal and one.active != digest}
     if silent or reasons:
         report_unreached(silent, "")

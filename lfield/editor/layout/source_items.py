@@ -13,6 +13,7 @@ from lfield.text.source_text import Diagnostics, Source
 INDENT = 4
 #: What is between two tokens is white space and these.
 _COMMENT = re.compile(r"//[^\n]*|/\*(?s:.*?)\*/")
+_SPACE = re.compile(r"\s+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,9 @@ def source_items(source: Source) -> list[SourceItem]:
         elif written.startswith("<") and len(written) > 2:
             # The path of an include.
             written = f"<{written[1:-1].strip()}>"
+        elif kind is TokenKind.NAME and written.endswith(">"):
+            # The type of a map.
+            written = _SPACE.sub("", written).replace(",", ", ")
         indent = width(line[: len(line) - len(line.lstrip())])
         pad = 0 if breaks else column - width(text[first:end])
         found.append(SourceItem(written, kind, breaks, column, indent, pad))
@@ -83,8 +87,24 @@ def _pieces(text: str, tokens: Sequence[Token]) -> Iterator[tuple[int, int, Toke
         if at and tokens[at].text == "<" and tokens[at - 1].text == "include":
             at = next(n for n in range(at, len(tokens)) if tokens[n].text == ">")
             stop, kind = tokens[at].span.end, TokenKind.STRING
+        if tokens[at].text == "map" and (last := _end_of_map(text, tokens, at)):
+            at, stop = last, tokens[last].span.end
         yield start, stop, kind
         end, at = stop, at + 1
+
+
+def _end_of_map(text: str, tokens: Sequence[Token], at: int) -> int:
+    """The last token of a type `map<string, int>` that begins at a token; 0 for any other name."""
+    if tokens[at + 1].text != "<" or tokens[at + 2].text not in ("string", "int"):
+        return 0
+    depth, last = 0, at
+    while depth or last == at:
+        last += 1
+        if tokens[last].kind is TokenKind.END or tokens[last].text in (";", "{", "}", "("):
+            return 0
+        depth += {"<": 1, ">": -1, ">>": -2}.get(tokens[last].text, 0)
+    commented = _COMMENT.search(text, tokens[at].span.start, tokens[last].span.end)
+    return 0 if commented else last
 
 
 def same_content(before: Sequence[SourceItem], after: Sequence[SourceItem]) -> bool:

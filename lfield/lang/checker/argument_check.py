@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from lfield.lang import messages, tree
 from lfield.lang.checker.together.block_rules import constant_number
 from lfield.lang.deployment import DeployedAgent, Deployment
-from lfield.lang.language_library import ARRAY_LENGTH
+from lfield.lang.language_library import ARRAY_LENGTH, GROWTH
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.text.source_text import Diagnostic, Span
 from lfield.text.suggestions import did_you_mean, listed
@@ -101,8 +101,8 @@ def argument_uses(unit: tree.Unit) -> ArgumentUses:
     nodes = [node for statement in init.body for node in _evaluated(statement)]
     for node in nodes:
         match node:
-            case tree.LibraryCall(operation=operation, arguments=[tree.LocalGet(local=local)]):
-                if operation == ARRAY_LENGTH and local is argument:
+            case tree.LibraryCall(operation=operation, arguments=[tree.LocalGet(local=local), *_]):
+                if operation in (ARRAY_LENGTH, *GROWTH) and local is argument:
                     return ArgumentUses()
             case tree.Element():
                 if (index := _argument_index(node, argument)) is not None:

@@ -13,19 +13,23 @@ from lfield.lang.checker.conversions import (
     unknown,
     with_article,
 )
+from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.language_library import (
-    ARRAY_LENGTH,
+    ARRAY_LIBRARY,
     EXCEPTION_METHODS,
     FUNCTIONS,
+    GROWTH,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
+    array_methods,
 )
 from lfield.lang.parser import foreign_words
+from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
     BOOLEAN,
     INT,
@@ -35,6 +39,7 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    MapType,
     ResourceType,
     Type,
     array_of,
@@ -77,8 +82,14 @@ def check_member_call(
         return _device(body, raw, function, owner, given)
     if unit is not None:
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
+        if isinstance(kind, MapType):
+            methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
+    if name == "hash" and kind == STRING and body.symbols.library.parameters:
+        return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
+    if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
+        return check_library_call(body, raw, owner, given)
     functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
     if functions:
         return _operation(body, raw, place, functions, given, owner)
@@ -105,6 +116,8 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
             unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
         )
     kind = visible_type(body.symbols, body.unit, raw.type)
+    if isinstance(kind, MapType):
+        unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
         if kind is not UNKNOWN:
             body.report(messages.NEW_TYPE, place, given=name)
@@ -171,6 +184,8 @@ def _operation(
         return unknown(raw.span)
     function, arguments = chosen
     everything = arguments if receiver is None else [receiver, *arguments]
+    if function.operation in GROWTH:
+        body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)
 
 
@@ -191,7 +206,7 @@ def _output_hint(name: str, given: Sequence[tree.Expr]) -> str | None:
 def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:
     """The built-in methods of that name."""
     if isinstance(kind, ArrayType):
-        methods: tuple[LibraryFunction, ...] = (LibraryFunction("length", (), INT, ARRAY_LENGTH),)
+        methods = array_methods(kind)
     elif kind == STRING:
         methods = STRING_METHODS
     elif isinstance(kind, ResourceType):
@@ -262,6 +277,8 @@ def _foreign_method(kind: Type, name: str) -> str | None:
     """What to write instead of a method that text and arrays have in other languages."""
     if kind == STRING:
         return foreign_words.STRING_METHODS.get(name)
+    if isinstance(kind, MapType):
+        return foreign_words.MAP_METHODS.get(name)
     return foreign_words.ARRAY_METHODS.get(name) if isinstance(kind, ArrayType) else None
 
 

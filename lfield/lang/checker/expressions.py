@@ -6,6 +6,12 @@ from lfield.lang import messages, syntax, tree
 from lfield.lang.checker import call_resolution, name_resolution, operators
 from lfield.lang.checker.conversions import require_type, unknown, with_article
 from lfield.lang.checker.declaration_pass import first_instruction
+from lfield.lang.checker.library.collection_calls import (
+    assigned_element,
+    check_sort,
+    map_element,
+    set_element,
+)
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.parser.foreign_words import FOREIGN_NAMES
@@ -20,6 +26,7 @@ from lfield.lang.types import (
     VOID,
     ArrayType,
     DeviceType,
+    MapType,
     Type,
 )
 
@@ -101,6 +108,9 @@ def condition(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
 
 def assignment(body: BodyContext, raw: syntax.Assign) -> tree.Expr:
     """`target = value`, where a statement or another assignment allows it."""
+    if (element := map_target(body, raw.target)) is not None:
+        given = assigned(body, raw.value, element.type)
+        return set_element(body, raw.span, element, given)
     place = target(body, raw.target)
     given = assigned(body, raw.value, UNKNOWN if place is None else place.type)
     return unknown(raw.span) if place is None else tree.Assign(raw.span, place.type, place, given)
@@ -131,6 +141,17 @@ def _element(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
     if isinstance(raw, syntax.Elements) and raw.type is None:
         return elements(body, raw, expected)
     return require_type(body.symbols, value(body, raw), expected)
+
+
+def map_target(body: BodyContext, raw: syntax.Expr) -> tree.Call | None:
+    """The element of a map on the left side of an assignment; None for any other target."""
+    if not isinstance(raw, syntax.Index):
+        return None
+    found = body.checked[raw] = evaluated(body, raw)
+    element = assigned_element(raw, found)
+    if element is not None:
+        del body.checked[raw]
+    return element
 
 
 def target(body: BodyContext, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
@@ -172,6 +193,8 @@ def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
     owner = evaluated(body, function.object)
     if owner.type is UNKNOWN and function.object.span.text in FOREIGN_NAMES:
         return unknown(raw.span)  # `rclpy.spin(node)`: the arguments are foreign too.
+    if function.name == "sort" and isinstance(owner.type, ArrayType):
+        return check_sort(body, raw, owner)
     given = _arguments(body, raw)
     if given is None:
         return unknown(raw.span)
@@ -188,6 +211,8 @@ def _arguments(body: BodyContext, raw: syntax.Call) -> list[tree.Expr] | None:
 
 def _index(body: BodyContext, raw: syntax.Index) -> tree.Expr:
     array = value(body, raw.array)
+    if isinstance(array.type, MapType):
+        return map_element(body, raw, array, value(body, raw.index))
     index = require_type(body.symbols, value(body, raw.index), INT)
     if isinstance(array.type, ArrayType):
         return tree.Element(raw.span, array.type.element, array, index)

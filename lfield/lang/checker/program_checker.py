@@ -36,8 +36,17 @@ def check_program(
     units = declare_units(symbols, [unit for file in files for unit in file.units])
     for declared in units:
         check_bodies(symbols, declared)
-    sources = [file.source for file in files]
-    return CheckedProgram([declared.unit for declared in units], sources)
+    check_library(symbols)
+    sources = [*(file.source for file in files), *symbols.library.sources.values()]
+    all_units = [*(declared.unit for declared in units), *symbols.library.units]
+    return CheckedProgram(all_units, sources, frozenset(symbols.growing))
+
+
+def check_library(symbols: Symbols) -> None:
+    """Check and fill the bodies of what the program uses of the library in L."""
+    for body in symbols.library.unchecked():
+        with symbols.library.bound(body.parameters):
+            _check_body(symbols, body.method, body.written, [])
 
 
 def check_bodies(symbols: Symbols, declared: DeclaredUnit) -> None:

@@ -7,14 +7,23 @@ from copy import copy
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import conversion_cost, require_type, unknown, widened, with_article
-from lfield.lang.checker.expressions import assigned, assignment, condition, evaluated, target, value
+from lfield.lang.checker.expressions import (
+    assigned,
+    assignment,
+    condition,
+    evaluated,
+    map_target,
+    target,
+    value,
+)
+from lfield.lang.checker.library.collection_calls import map_keys, set_element
 from lfield.lang.checker.operators import binary
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.together import check_coordinator_block, check_reserve_operand, check_within_seconds
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.language_library import ARRAY_LENGTH
 from lfield.lang.tree_traversal import left_spine
-from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType, MapType
 from lfield.text.source_text import Span
 
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
@@ -124,17 +133,24 @@ def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
 
 def _update(body: BodyContext, raw: syntax.Assign) -> tree.Stmt:
     """`target += value`: `target = target + value`, with the expressions in the target evaluated once."""
+    held: list[tree.Stmt] = []
+    written = syntax.Binary(raw.span, raw.height, raw.operator[0], raw.sign, raw.target, raw.value)
+    if (element := map_target(body, raw.target)) is not None:
+        given = value(body, raw.value)
+        element.object = _reusable(held, element.object)
+        element.arguments = [_reusable(held, argument) for argument in element.arguments]
+        sum_of_both = require_type(body.symbols, binary(body, written, copy(element), given), element.type)
+        held.append(tree.Evaluate(raw.span, set_element(body, raw.span, element, sum_of_both)))
+        return tree.BlockStmt(raw.span, held)
     place = target(body, raw.target)
     given = value(body, raw.value)
     if place is None:
         return tree.Evaluate(raw.span, unknown(raw.span))
-    held: list[tree.Stmt] = []
     match place:
         case tree.FieldGet():
             place.object = _reusable(held, place.object)
         case tree.Element():
             place.array, place.index = _reusable(held, place.array), _reusable(held, place.index)
-    written = syntax.Binary(raw.span, raw.height, raw.operator[0], raw.sign, raw.target, raw.value)
     result = require_type(body.symbols, binary(body, written, copy(place), given), place.type)
     held.append(tree.Evaluate(raw.span, tree.Assign(raw.span, place.type, place, result)))
     return tree.BlockStmt(raw.span, held)
@@ -162,6 +178,8 @@ def _each(body: BodyContext, raw: syntax.Each) -> tree.Stmt:
     """
     span = raw.array.span
     array = value(body, raw.array)
+    if isinstance(array.type, MapType):
+        array = map_keys(body, array)
     kind = visible_type(body.symbols, body.unit, raw.type)
     of = array.type.element if isinstance(array.type, ArrayType) else UNKNOWN
     if of is UNKNOWN and array.type is not UNKNOWN:

@@ -9,6 +9,7 @@ from lfield.lang import messages, tree
 from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.language_library import FUNCTIONS
 from lfield.lang.parser.foreign_words import type_hint
+from lfield.lang.standard_library.instances import LibraryUses
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (
     BOOLEAN,
@@ -22,9 +23,11 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    MapType,
     ResourceType,
     Type,
     array_of,
+    map_of,
 )
 from lfield.manifest import DeviceManifest
 from lfield.text.message_tables import FindingKind
@@ -58,6 +61,9 @@ class Symbols:
     incomplete: bool = False
     capabilities: CapabilityTypes | None = None
     generated: frozenset[str] = frozenset()
+    #: The types of arrays that the program makes longer or shorter, and what it uses of the library in L.
+    growing: set[Type] = field(default_factory=set)
+    library: LibraryUses = field(default_factory=LibraryUses)
     _reported: set[tuple[str, str, int, str]] = field(default_factory=set)
 
     def report(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
@@ -96,6 +102,10 @@ class Symbols:
 
     def _element(self, written: TypeName) -> Type:
         name = written.name
+        if name in self.library.parameters:
+            return self.library.parameters[name]
+        if written.arguments:
+            return self._map(written)
         if name in BUILTIN_TYPES:
             return BUILTIN_TYPES[name]
         unit = self.units.get(name)
@@ -106,6 +116,35 @@ class Symbols:
         if type_hint(name) or (name != BAD_TYPE and not self.incomplete):
             self.report(messages.UNKNOWN_TYPE, written.span, hint=self._type_hint(name), name=name)
         return UNKNOWN
+
+    def _map(self, written: TypeName) -> Type:
+        """The type of a map; its class is made at the first use."""
+        if len(written.arguments) != 2:
+            self.report(messages.MAP_TYPES, written.span)
+            return UNKNOWN
+        key, value = map(self.resolve, written.arguments)
+        if key not in (STRING, INT, UNKNOWN):
+            self.report(messages.MAP_KEY, written.arguments[0].span, given=key)
+            return UNKNOWN
+        if isinstance(value, DeviceType):
+            self.report(messages.DEVICE_PLACE, written.arguments[1].span, name=value.name)
+            return UNKNOWN
+        if UNKNOWN in (key, innermost(value)):
+            return UNKNOWN
+        kind = map_of(key, value)
+        if kind.name not in self.units:
+            self.declare_map(kind)
+        return kind
+
+    def declare_map(self, kind: MapType) -> None:
+        """The class of a type of maps: from the text of the library, with its types for K and V."""
+        held = self.unit_of(innermost(kind.value))
+        usage: tree.Usage = "global"
+        if held is not None:
+            usage = "coordinator" if held.kind == "resource" else held.usage
+        with self.library.bound({"K": kind.key, "V": kind.value}):
+            unit = self.library.map_class(kind, usage, self.resolve)
+        self.units[kind.name] = unit
 
     def _type_hint(self, name: str) -> str | None:
         if foreign := type_hint(name):

@@ -38,13 +38,14 @@ def visible_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
     element = innermost(kind)
     if isinstance(element, DeviceType):
         return _device_type(symbols, viewer, written, place)
-    unit = symbols.units.get(written.name)
+    unit = None if written.name in symbols.library.parameters else symbols.units.get(written.name)
     if place == "portal":
         if not _may_pass(symbols, viewer, kind, written.span):
             return UNKNOWN
     elif unit is not None and not check_visibility(symbols, viewer, unit, written.span):
         return UNKNOWN
-    return kind
+    parts = [visible_type(symbols, viewer, one) for one in written.arguments] if place != "portal" else []
+    return UNKNOWN if UNKNOWN in parts else kind
 
 
 def check_visibility(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, span: Span) -> bool:

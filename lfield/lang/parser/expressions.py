@@ -109,7 +109,7 @@ def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
         while not s.at("}") and (not found or s.accept(",")):
             found.append(expression(s))
             if s.at(":"):
-                instead = "L has no maps: store keys and values in two arrays"
+                instead = "a map begins empty: new map<string, int>(), then m[key] = value;"
                 s.report(messages.FOREIGN_OPERATOR, s.current.span, operator=":", instead=instead)
                 while not (s.at_end() or s.at("}", ";")):
                     s.advance()
@@ -256,7 +256,7 @@ def _postfix(s: TokenStream) -> Expr:
             opening = s.advance()
             index = expression(s)
             if s.at(":"):
-                instead = "copy the elements in a loop; for text write s.substring(from, to)"
+                instead = "write a.slice(from, to); for text s.substring(from, to)"
                 raise s.fail(messages.FOREIGN_OPERATOR, operator=":", instead=instead)
             s.close("]", opening)
             height = max(found.height, 1 + index.height)

@@ -167,7 +167,7 @@ def at_floor_division(s: TokenStream) -> bool:
 # --- types ----------------------------------------------------------------------------------------------
 
 
-def _arguments_end(s: TokenStream, at: int) -> int:
+def type_arguments_end(s: TokenStream, at: int) -> int:
     """The index after `<...>` at an index ahead, if it contains only types; else 0."""
     depth, start = 0, at
     while True:
@@ -188,7 +188,7 @@ def at_foreign_type(s: TokenStream) -> bool:
         return False
     while s.ahead(at).text == "::" and s.ahead(at + 1).text.isidentifier():
         at += 2
-    if s.ahead(at).text == "<" and not (at := _arguments_end(s, at)):
+    if s.ahead(at).text == "<" and not (at := type_arguments_end(s, at)):
         return False
     if s.ahead(at).text in _POINTERS:
         at += 1
@@ -199,7 +199,7 @@ def at_foreign_type(s: TokenStream) -> bool:
 
 def at_cast(s: TokenStream) -> bool:
     """Whether `static_cast<int>(` begins at the name here."""
-    end = _arguments_end(s, 1) if s.ahead(1).text == "<" else 0
+    end = type_arguments_end(s, 1) if s.ahead(1).text == "<" else 0
     if not end or s.ahead(end).text != "(":
         return False
     return not any(s.ahead(n).text == "," for n in range(1, end)) or any(
@@ -229,7 +229,7 @@ def qualified(s: TokenStream, named: TypeName) -> None:
             _skip_arguments(s)
         s.report(messages.FOREIGN_OPERATOR, sign, operator="::", instead=qualified_hint(names))
         named.name = BAD_TYPE
-    elif s.at("<") and _arguments_end(s, 0):
+    elif s.at("<") and type_arguments_end(s, 0):
         instead = CONTAINERS.get(named.name, NO_GENERICS)
         _skip_arguments(s)
         text = named.span.to(s.previous.span).text
@@ -238,7 +238,7 @@ def qualified(s: TokenStream, named: TypeName) -> None:
 
 
 def _skip_arguments(s: TokenStream) -> None:
-    for _ in range(_arguments_end(s, 0) if s.at("<") else 0):
+    for _ in range(type_arguments_end(s, 0) if s.at("<") else 0):
         s.advance()
 
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from lfield.lang.language_library import FUNCTIONS
 
 _ONE_TYPE = "write the type: int x = 1;"
-_NO_LIST = "the length of an array is fixed: write int[] and make a longer array to add elements"
-_NO_MAP = "L has no maps: store keys and values in two arrays, or in an array of objects of a class"
+_NO_LIST = "arrays grow: write int[], and a.append(...), a.insert(...), a.remove(...) or a.pop()"
+_NO_MAP = "write map<string, int>, with keys of type string or int"
 _NO_MODULES = "L has no modules: call library functions by their name alone, as in sleep(1.0) or print(...)"
 _TOGETHER = "write together { ... } around the portal calls that should run at the same time"
 _METHOD = "write private void name(...) { ... } inside a resource, a coordinator or a class"
@@ -61,7 +61,9 @@ CONTAINERS = {
         _NO_LIST,
     ),
     **dict.fromkeys(("Map", "map", "HashMap", "unordered_map", "dict", "Dict", "Dictionary"), _NO_MAP),
-    **dict.fromkeys(("set", "Set", "HashSet", "frozenset"), "L has no sets: store the elements in an array"),
+    **dict.fromkeys(
+        ("set", "Set", "HashSet", "frozenset"), "write map<string, boolean>, or an array with contains(x)"
+    ),
     **dict.fromkeys(("tuple", "Tuple", "pair", "Pair"), "write a class with a field for each element"),
     **dict.fromkeys(
         ("Optional", "optional", "unique_ptr", "shared_ptr", "SharedPtr", "Ptr"),
@@ -153,7 +155,6 @@ FOREIGN_FUNCTIONS = {
     **dict.fromkeys(("repeat", "times"), "write for (int i = 0; i < n; i += 1) { ... }"),
 }
 
-_FIXED = "the length of an array is fixed: make a new array and copy the elements"
 #: Methods of text and of arrays in other languages, and what to write.
 STRING_METHODS = {
     **dict.fromkeys(("equals", "compare", "compareTo", "strcmp"), "write ==, which compares the characters"),
@@ -167,16 +168,28 @@ STRING_METHODS = {
 }
 ARRAY_METHODS = {
     **dict.fromkeys(("size", "len", "count"), "in L it is length()"),
-    **dict.fromkeys(
-        (
-            *("append", "push_back", "push", "add", "insert", "extend", "emplace_back"),
-            *("pop", "pop_back", "remove", "erase", "clear", "resize"),
-        ),
-        _FIXED,
-    ),
+    **dict.fromkeys(("push_back", "push", "add", "emplace_back"), "in L it is append(...)"),
+    **dict.fromkeys(("extend", "addAll"), "write a loop with append(...)"),
+    **dict.fromkeys(("pop_back", "removeLast"), "in L it is pop()"),
+    **dict.fromkeys(("erase", "delete", "removeAt"), "in L it is remove(index)"),
+    **dict.fromkeys(("clear", "resize"), "assign a new array: a = new int[0];"),
     **dict.fromkeys(("at", "get", "set"), "write a[i]"),
-    **dict.fromkeys(("contains", "index", "find", "sort", "map", "filter"), "write a loop over the array"),
+    **dict.fromkeys(("index", "find"), "in L it is indexOf(...), -1 if not found"),
+    **dict.fromkeys(("includes", "has"), "in L it is contains(...)"),
+    **dict.fromkeys(("subList", "substring", "copyOfRange"), "in L it is slice(from, to)"),
+    **dict.fromkeys(("sorted", "sort_by", "sortBy"), "in L it is sort(), or sort(method)"),
+    **dict.fromkeys(("map", "filter"), "write a loop over the array"),
     **dict.fromkeys(("empty", "isEmpty"), "compare a.length() with 0"),
+}
+
+MAP_METHODS = {
+    **dict.fromkeys(("size", "len", "count"), "in L it is length()"),
+    **dict.fromkeys(("put", "insert", "add", "update"), "write m[key] = value;"),
+    **dict.fromkeys(("containsKey", "has", "has_key", "find", "exists"), "in L it is contains(key)"),
+    **dict.fromkeys(("at", "getOrDefault"), "write m[key]; contains(key) says whether there is one"),
+    **dict.fromkeys(("erase", "pop", "delete"), "in L it is remove(key)"),
+    **dict.fromkeys(("keySet", "items", "entrySet"), "write for (string key : m) { ... }"),
+    **dict.fromkeys(("empty", "isEmpty"), "compare m.length() with 0"),
 }
 
 #: Words that begin a member in other languages, and the equivalent in L.
@@ -291,8 +304,8 @@ WORD_OPERATORS = {
     "mod": ("%", "write %"),
     "div": ("/", "write /: it divides whole numbers if both sides are int"),
     "xor": ("!=", "write !=, for two booleans"),
-    "in": ("", "search the array with a loop: for (int x : array) { ... }"),
-    "not": ("", "search the array with a loop: for (int x : array) { ... }"),
+    "in": ("", "write array.contains(x), or map.contains(key)"),
+    "not": ("", "write !array.contains(x), or !map.contains(key)"),
     "instanceof": ("", "every variable has one static type"),
     "as": ("", "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f"),
 }

@@ -7,6 +7,7 @@ next boundary. `ParsingAborted` ends the file: what follows could only repeat th
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from typing import Self
 
 from lfield.lang import messages
@@ -155,6 +156,19 @@ class TokenStream:
         )
         if not self.at(";", "{"):
             raise SyntaxRecovery
+
+    def close_angle(self) -> None:
+        """Take a `>`: of `>>` the first half, the other one remains."""
+        token = self.current
+        if not self.at(">>"):
+            self.expect(">")
+            return
+        middle = token.span.start + 1
+        source = token.span.source
+        halves = Span(source, token.span.start, middle), Span(source, middle, token.span.end)
+        self._tokens[self._at : self._at + 1] = [replace(token, text=">", span=half) for half in halves]
+        self.current = self._tokens[self._at]
+        self.advance()
 
     def after_previous(self) -> Span:
         """The place right after the previous token, where something is missing."""

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_syntax import SIZES, at_foreign_type, pointer, qualified, sized_name
+from lfield.lang.parser.foreign_syntax import (
+    SIZES,
+    at_foreign_type,
+    pointer,
+    qualified,
+    sized_name,
+    type_arguments_end,
+)
 from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.syntax import BAD_TYPE, TypeName
 
 #: How many `[]` a type may have.
 MAX_DIMENSIONS = 8
+#: The word of the types of maps; before anything but `<` it is an ordinary name.
+MAP = "map"
 #: The signs that may follow a name of a type, in L or in another language.
 AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
 
@@ -17,6 +26,8 @@ AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
 def at_declaration(s: TokenStream) -> bool:
     """Whether a declaration `T name` begins here, and not an expression."""
     if s.at(*PRIMITIVES, "void"):
+        return True
+    if at_map(s, declared=True):
         return True
     next_is_name = s.ahead(1).kind == s.current.kind
     is_array = (s.ahead(1).text, s.ahead(2).text) == ("[", "]")
@@ -31,9 +42,32 @@ def element_name(s: TokenStream, what: str = "a type") -> TypeName:
     else:
         token = s.expect_name(what)
     named = TypeName(token.span, token.text)
+    if token.text == MAP and s.at("<") and type_arguments_end(s, 0):
+        _map_arguments(s, named)
+        return named
     qualified(s, named)
     s.types.add(named.name)
     return named
+
+
+def at_map(s: TokenStream, *, declared: bool = False) -> bool:
+    """Whether `map<K, V>` begins here; with `declared`, in front of a name or `[]`."""
+    end = type_arguments_end(s, 1) if s.at(MAP) and s.ahead(1).text == "<" else 0
+    if not end or not declared:
+        return end > 0
+    return s.ahead(end).kind == s.current.kind or (s.ahead(end).text, s.ahead(end + 1).text) == ("[", "]")
+
+
+def _map_arguments(s: TokenStream, named: TypeName) -> None:
+    """`<K, V>`."""
+    s.expect("<")
+    with s.nested():
+        found = [type_name(s, "a map")]
+        while s.accept(","):
+            found.append(type_name(s, "a map"))
+    s.close_angle()
+    named.arguments = tuple(found)
+    named.span = named.span.to(s.previous.span)
 
 
 def type_name(s: TokenStream, use: str) -> TypeName:

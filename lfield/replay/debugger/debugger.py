@@ -269,8 +269,11 @@ class Debugger:
 
     def step_out(self, *, backward: bool = False) -> bool:
         """To a statement of the calling frame: backward to that of the call."""
-        top = self._top
-        return self.search(self._step(top.depth - 1 if top else None, by_line=False), backward=backward)
+        frames = self.stack() if self.focus is not None else []
+        if len(frames) == 1 and not frames[0].key.has_caller:
+            return False
+        deepest = frames[0].depth - 1 if frames else None
+        return self.search(self._step(deepest, by_line=False), backward=backward)
 
     def resume(self, *, backward: bool = False) -> bool:
         """To the next breakpoint."""

@@ -38,6 +38,11 @@ class ThreadKey(NamedTuple):
     agent: str
     thread: int
 
+    @property
+    def has_caller(self) -> bool:
+        """Whether it serves the portal call of a coordinator."""
+        return self.logical not in (self.agent, f"{self.agent}#{self.thread}")
+
 
 class ReplayState(NamedTuple):
     """The core of a host, what it knows of its environment, and the statements of its program.

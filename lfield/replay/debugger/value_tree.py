@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lfield.bytecode.program import (
     ANY,
-    ARRAY,
+    ARRAYS,
     BOOLEAN,
     DEVICE,
     INT,
@@ -22,7 +22,7 @@ from lfield.bytecode.program import (
     VOID,
     Program,
 )
-from lfield.vm.inspection.block_view import value_text
+from lfield.vm.inspection.block_view import entry_types, is_map, map_entries, value_text
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME_SLOTS
@@ -32,6 +32,9 @@ from lfield.vm.memory.word_codec import real_from_bits
 MAX_PARTS = 1000
 #: Levels of objects whose values are compared.
 CONTENT_LEVELS = 3
+#: Kinds of types whose values may have parts, and of the objects that have them.
+_COMPOSITE = (*ARRAYS, OBJECT, ANY)
+_WITH_PARTS = (*layout.ARRAYS_ON_HEAP, layout.OBJECT)
 _NAMES = {
     VOID: "void",
     BOOLEAN: "boolean",
@@ -74,8 +77,8 @@ class ValueReader:
         """The name of a type, by index."""
         core = self._program.core
         record = core.types[kind]
-        if record.kind == ARRAY:
-            return f"{self.type_name(record.of)}[]"
+        if record.kind in ARRAYS:
+            return f"{self.type_name(core.element(kind))}[]"
         if record.kind in (OBJECT, PROXY):
             return core.classes[record.of].name
         return _NAMES[record.kind]
@@ -83,9 +86,9 @@ class ValueReader:
     def variable(self, name: str, kind: int, word: int) -> Variable:
         """A value with a name."""
         record = self._program.core.types[kind]
-        is_object = record.kind in (ARRAY, OBJECT, ANY) and word != 0
-        text = value_text(self._block, self._program, kind, word, self._members)
-        has_parts = is_object and self._block.w[word] & 0xFF in (layout.ARRAY, layout.OBJECT)
+        is_object = record.kind in _COMPOSITE and word != 0
+        text = self._text(kind, word)
+        has_parts = is_object and self._block.w[word] & 0xFF in _WITH_PARTS
         return Variable(name, self.type_name(kind), text, word, kind, has_parts)
 
     def locals(self, frame: int) -> list[Variable]:
@@ -105,18 +108,26 @@ class ValueReader:
         w, place = self._block.w, variable.word
         if w[place] & 0xFF == layout.OBJECT:
             return self._object_parts(place)
-        of = self._program.core.types[w[place] >> 8 & 0xFFFFFF].of
-        size = min((w[place] >> 32) - 1, MAX_PARTS)
-        return [self.variable(f"[{number}]", of, w[place + 1 + number]) for number in range(size)]
+        of = self._program.core.element(w[place] >> 8 & 0xFFFFFF)
+        first, end = layout.elements(w, place)
+        size = min(end - first, MAX_PARTS)
+        return [self.variable(f"[{number}]", of, w[first + number]) for number in range(size)]
 
     def _object_parts(self, place: int) -> list[Variable]:
         w = self._block.w
+        if is_map(self._block, self._program, place):
+            key, value = entry_types(self._program, w[place] >> 8 & 0xFFFFFF)
+            entries = map_entries(self._block, place)[:MAX_PARTS]
+            return [self.variable(f"[{self._text(key, k)}]", value, v) for k, v in entries]
         fields = self._program.core.classes[w[place] >> 8 & 0xFFFFFF].fields
         return [
             self.variable(field.name, field.type, w[place + 1 + number])
             for number, field in enumerate(fields)
             if field.name != SUPPRESSED_FIELD
         ]
+
+    def _text(self, kind: int, word: int) -> str:
+        return value_text(self._block, self._program, kind, word, self._members)
 
     # --- without texts, for expressions ---------------------------------------------------------------
 
@@ -137,22 +148,35 @@ class ValueReader:
         """The field of an object, or the element `[NUMBER]` of an array; None if it has none."""
         kind, place = value
         w, core = self._block.w, self._program.core
-        if core.types[kind].kind not in (ARRAY, OBJECT, ANY) or not place:
+        if core.types[kind].kind not in _COMPOSITE or not place:
             return None
-        index, size = w[place] >> 8 & 0xFFFFFF, (w[place] >> 32) - 1
+        index = w[place] >> 8 & 0xFFFFFF
+        if is_map(self._block, self._program, place):
+            of = entry_types(self._program, index)
+            entries = map_entries(self._block, place)
+            # As it is shown, and as an expression of a debugger has it: `["a"]`, `[a]`.
+            shown = ((v, f"[{self._text(of[0], k)}]", f"[{self.plain((of[0], k))}]") for k, v in entries)
+            return next(((of[1], v) for v, *names in shown if name in names), None)
         if w[place] & 0xFF == layout.OBJECT:
             fields = enumerate(core.classes[index].fields)
             return next(((f.type, w[place + 1 + n]) for n, f in fields if f.name == name), None)
-        if w[place] & 0xFF == layout.ARRAY and name.startswith("[") and name[1:-1].isdigit():
-            number = int(name[1:-1])
-            return (core.types[index].of, w[place + 1 + number]) if number < size else None
+        if w[place] & 0xFF in layout.ARRAYS_ON_HEAP and name.startswith("[") and name[1:-1].isdigit():
+            first, end = layout.elements(w, place)
+            at = first + int(name[1:-1])
+            return (core.element(index), w[at]) if at < end else None
         return None
 
     def length(self, value: RawValue) -> int | None:
-        """The number of elements of an array; None for other values."""
+        """The number of elements of an array or map; None for other values."""
         kind, place = value
-        is_array = self._program.core.types[kind].kind == ARRAY and place
-        return (self._block.w[place] >> 32) - 1 if is_array else None
+        if (
+            place
+            and self._program.core.types[kind].kind == OBJECT
+            and is_map(self._block, self._program, place)
+        ):
+            return len(map_entries(self._block, place))
+        is_array = self._program.core.types[kind].kind in ARRAYS and place
+        return layout.length(self._block.w, place) if is_array else None
 
     def plain(self, value: RawValue) -> object:
         """The value for comparisons: a number, a text, None for null, or the place of an object."""
@@ -171,18 +195,20 @@ class ValueReader:
         """The value with its parts, to be compared with that at another time: places of objects change."""
         kind, word = value
         record = self._program.core.types[kind]
-        if record.kind not in (ARRAY, OBJECT, ANY) or not word:
+        if record.kind not in _COMPOSITE or not word:
             return self.plain(value)
         w = self._block.w
         what = w[word] & 0xFF
-        if what not in (layout.ARRAY, layout.OBJECT):
+        if what not in _WITH_PARTS:
             return self.plain(value)
-        index, size = w[word] >> 8 & 0xFFFFFF, (w[word] >> 32) - 1
+        index = w[word] >> 8 & 0xFFFFFF
+        first, end = layout.elements(w, word)
+        size = end - first
         if not levels:
             return index, size
         if what == layout.OBJECT:
             types = [field.type for field in self._program.core.classes[index].fields]
         else:
-            types = [self._program.core.types[index].of] * min(size, MAX_PARTS)
-        parts = (self.content((of, w[word + 1 + n]), levels - 1) for n, of in enumerate(types))
+            types = [self._program.core.element(index)] * min(size, MAX_PARTS)
+        parts = (self.content((of, w[first + n]), levels - 1) for n, of in enumerate(types))
         return index, size, tuple(parts)

@@ -4,6 +4,7 @@
     int, real, boolean      int, float, bool
     string                  str
     an array                a list
+    a map                   a dict
     an object               an LObject
     null, and nothing       None
 
@@ -16,7 +17,7 @@ from collections.abc import Sequence
 
 from lfield.bytecode.disassembler import type_name
 from lfield.bytecode.program import (
-    ARRAY,
+    ARRAYS,
     BOOLEAN,
     INT,
     OBJECT,
@@ -30,6 +31,7 @@ from lfield.bytecode.program import (
 )
 from lfield.testing.mission.double_answers import LObject
 from lfield.vm.inspection import traceback
+from lfield.vm.inspection.block_view import entry_types, is_map_class, map_entries
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.copier import deep_copy
@@ -76,7 +78,7 @@ class _Reader:
 
     def __init__(self, block: Block, program: Program) -> None:
         self._block, self._program = block, program
-        self._made: dict[int, LObject | list[object]] = {}
+        self._made: dict[int, LObject | list[object] | dict[object, object]] = {}
         self._empty: list[int] = []
 
     def values(self, kinds: Sequence[int], cells: Sequence[int]) -> list[object]:
@@ -100,18 +102,29 @@ class _Reader:
         if head & 0xFF == layout.STRING:
             return self._block.string(place)
         if place not in self._made:
-            is_array = head & 0xFF == layout.ARRAY
-            name = "" if is_array else self._program.core.classes[head >> 8 & 0xFFFFFF].name
-            self._made[place] = [] if is_array else LObject(name)
+            self._made[place] = self._new(head)
             self._empty.append(place)
         return self._made[place]
 
+    def _new(self, head: int) -> LObject | list[object] | dict[object, object]:
+        """What an array, a map or an object becomes, still empty."""
+        if head & 0xFF in layout.ARRAYS_ON_HEAP:
+            return []
+        index = head >> 8 & 0xFFFFFF
+        return {} if is_map_class(self._program, index) else LObject(self._program.core.classes[index].name)
+
     def _fill(self, place: int) -> None:
         w, made = self._block.w, self._made[place]
-        index, end = w[place] >> 8 & 0xFFFFFF, place + (w[place] >> 32)
+        index = w[place] >> 8 & 0xFFFFFF
+        if isinstance(made, dict):
+            key, value = entry_types(self._program, index)
+            for k, v in map_entries(self._block, place):
+                made[self._value(key, k)] = self._value(value, v)
+            return
         if isinstance(made, list):
-            of = self._program.core.types[index].of
-            made.extend(self._value(of, word) for word in w[place + 1 : end])
+            of = self._program.core.element(index)
+            first, end = layout.elements(w, place)
+            made.extend(self._value(of, word) for word in w[first:end])
             return
         fields = own_fields(self._program, index)
         found = {field.name: self._value(field.type, w[place + 1 + i]) for i, field in fields}
@@ -162,6 +175,8 @@ class _Writer:
         #: Places of created objects, by identity of the Python object and type.
         self._made: dict[tuple[int, int], int] = {}
         self._empty: list[tuple[int, list[tuple[int, int, object]]]] = []
+        #: Lists made here: an identity in `_made` must not be used again.
+        self._kept: list[object] = []
 
     def write(self, kind: int, value: object) -> int:
         word = self._cell(kind, value)
@@ -188,8 +203,10 @@ class _Writer:
                 return bits_of_real(float(value))
             case str() if of == STRING:
                 return self._block.new_string(value)
-            case list() | tuple() if of == ARRAY:
+            case list() | tuple() if of in ARRAYS:
                 return self._array(kind, value)
+            case dict() if of == OBJECT and is_map_class(self._program, self._program.core.types[kind].of):
+                return self._map(kind, value)
             case LObject() if of == OBJECT:
                 return self._object(kind, value)
         raise self._mismatch(kind, f"{type(value).__name__} {_clipped(value)}")
@@ -200,9 +217,27 @@ class _Writer:
     def _array(self, kind: int, values: Sequence[object]) -> int:
         key = id(values), kind
         if key not in self._made:
-            of = self._program.core.types[kind].of
-            self._made[key] = place = self._block.allocate(layout.ARRAY, kind, 1 + len(values))
-            self._empty.append((place, [(i, of, value) for i, value in enumerate(values, 1)]))
+            core = self._program.core
+            of, plain = core.element(kind), core.plain_array(kind)
+            self._made[key] = place = self._block.new_array(kind, plain, len(values))
+            first, _ = layout.elements(self._block.w, place)
+            self._empty.append((first, [(i, of, value) for i, value in enumerate(values)]))
+        return self._made[key]
+
+    def _map(self, kind: int, value: dict[object, object]) -> int:
+        """A map with keys and values only: L adds the rest when it first searches."""
+        key = id(value), kind
+        if key not in self._made:
+            index = self._program.core.types[kind].of
+            fields = self._program.core.classes[index].fields
+            place = self._block.allocate(layout.OBJECT, index, self._layouts.class_words[index])
+            self._made[key] = place
+            if None in value:
+                raise self._mismatch(kind, "a dict with a key None")
+            parts: list[object] = [list(value), list(value.values()), [], []]
+            self._kept += parts
+            found = [(1 + i, fields[i].type, part) for i, part in enumerate(parts)]
+            self._empty.append((place, [*found, (5, fields[4].type, len(value))]))
         return self._made[key]
 
     def _object(self, kind: int, value: LObject) -> int:

@@ -39,6 +39,9 @@ from lfield.vm.memory.word_codec import real_from_bits, real_text
 #: Maximum characters of a string, and elements or fields, that are shown.
 SHOWN_CHARACTERS = 60
 SHOWN_PARTS = 8
+#: The fields of a map (`lfield/lang/standard_library/map.L`), in their order.
+MAP_FIELDS = ("keys", "values", "next", "buckets", "count")
+_MAP_PREFIX = "map<"
 _TICKET_STATES = {
     layout.TICKET_COLLECTED: "not started",
     layout.TICKET_STARTED: "started",
@@ -112,6 +115,43 @@ def _field_types(program: Program, place: int, block: Block) -> list[int]:
     """Types of an object's fields, except those added by the machine."""
     fields = program.core.classes[block.w[place] >> 8 & 0xFFFFFF].fields
     return [field.type for field in fields if field.name != SUPPRESSED_FIELD]
+
+
+# --- maps ---------------------------------------------------------------------------------------------
+
+
+def is_map_class(program: Program, index: int) -> bool:
+    """Whether objects of a class are maps."""
+    record = program.core.classes[index]
+    return record.name.startswith(_MAP_PREFIX) and tuple(f.name for f in record.fields[:5]) == MAP_FIELDS
+
+
+def is_map(block: Block, program: Program, place: int) -> bool:
+    """Whether the object at a place is a map."""
+    head = block.w[place]
+    return head & 0xFF == layout.OBJECT and is_map_class(program, head >> 8 & 0xFFFFFF)
+
+
+def entry_types(program: Program, index: int) -> tuple[int, int]:
+    """The types of the keys and values of a class of maps."""
+    keys, values = program.core.classes[index].fields[:2]
+    return program.core.element(keys.type), program.core.element(values.type)
+
+
+def map_entries(block: Block, place: int) -> list[tuple[int, int]]:
+    """The words of the keys and values of a map, in the order of their insertion."""
+    w = block.w
+    keys, values, following, buckets = (w[place + 1 + field] for field in range(4))
+    if not (keys and values and following and buckets):
+        return []
+    # Without buckets it has keys and values alone: a test has made it.
+    links = (
+        w[slice(*layout.elements(w, following))]
+        if layout.length(w, buckets)
+        else [0] * layout.length(w, keys)
+    )
+    first_key, first_value = layout.elements(w, keys)[0], layout.elements(w, values)[0]
+    return [(w[first_key + i], w[first_value + i]) for i, link in enumerate(links) if link >= 0]
 
 
 class _Decoder:
@@ -233,23 +273,37 @@ class _Decoder:
     def composite(self, kind: int, word: int, inner: bool) -> str:
         w, core = self.block.w, self.program.core
         head = w[word]
-        index, size = head >> 8 & 0xFFFFFF, (head >> 32) - 1
-        if head & 0xFF == layout.ARRAY:
-            of = core.types[index].of
-            kinds = [of] * size
+        index = head >> 8 & 0xFFFFFF
+        if head & 0xFF in layout.ARRAYS_ON_HEAP:
+            size = layout.length(w, word)
+            kinds = [core.element(index)] * size
             name = f"[{size}]"
         else:
             kinds = _field_types(self.program, word, self.block)
             name = core.classes[index].name
+        if is_map(self.block, self.program, word):
+            return self.map(name, word, inner)
         if inner:
             return f"{name} @{word}"
         mark = f" ({core.classes[index].name})" if kind == ANY else ""
         return f"{name}{mark} @{word} {self.parts(kinds, word)}"
 
+    def map(self, name: str, word: int, inner: bool) -> str:
+        """A map with its number of entries, and the first ones."""
+        found = map_entries(self.block, word)
+        if inner:
+            return f"{name}[{len(found)}] @{word}"
+        key, value = entry_types(self.program, self.block.w[word] >> 8 & 0xFFFFFF)
+        parts = [f"{self.shown(key, k)}: {self.shown(value, v, True)}" for k, v in found[:SHOWN_PARTS]]
+        if len(found) > SHOWN_PARTS:
+            parts.append("…")
+        return f"{name}[{len(found)}] @{word} {{{', '.join(parts)}}}"
+
     def parts(self, kinds: Sequence[int], word: int) -> str:
         """The first elements or fields of an object, of these types."""
         w = self.block.w
-        parts = [self.shown(k, w[word + 1 + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
+        first, _ = layout.elements(w, word)
+        parts = [self.shown(k, w[first + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
         if len(kinds) > SHOWN_PARTS:
             parts.append("…")
         return f"{{{', '.join(parts)}}}"
@@ -274,6 +328,7 @@ class _Decoder:
             return f"activation record of {self.program.method_name(index)}"
         names = {
             layout.ARRAY: "array",
+            layout.GROWABLE: "growable array",
             layout.STRING: "string",
             layout.PROXY: "proxy",
             layout.THREAD: "thread",

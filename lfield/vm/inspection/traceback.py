@@ -8,7 +8,7 @@ from itertools import islice
 from typing import TypeVar
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import FINALLY, MESSAGE, TRACE, Program
+from lfield.bytecode.program import FINALLY, LIBRARY_SOURCE, MESSAGE, TRACE, Program
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import (
     FRAME_CALLER,
@@ -67,14 +67,20 @@ def lines_down_to(block: Block, program: Program, frame: int, pc: int, last: int
     """The lines of a trace from a frame at `pc` to the one at `last`; at most ten."""
     found = list(islice(_frames(block, program, frame, pc), INNERMOST))
     end = next((i for i, place in enumerate(found, 1) if place.frame == last), len(found))
-    return [_line(program, place) for place in _earlier_frames(trace, program, found[:end])]
+    return [_line(program, place) for place in _earlier_frames(trace, program, _own(found[:end]))]
 
 
 def lines(block: Block, program: Program, thread: int, trace: str = "") -> list[str]:
     """`at Server.fib (cs.L:52)` for each frame of a trace, innermost first; both ends of a deep stack."""
-    inner, between, outer = split_ends(_earlier_frames(trace, program, stack(block, program, thread)))
+    own = _own(stack(block, program, thread))
+    inner, between, outer = split_ends(_earlier_frames(trace, program, own))
     omitted = [f"... {between} more calls ..."] if between else []
     return [*(_line(program, p) for p in inner), *omitted, *(_line(program, p) for p in outer)]
+
+
+def _own(frames: list[FrameLocation]) -> list[FrameLocation]:
+    """The frames without those of the library in L, which say nothing to the author of a program."""
+    return [place for place in frames if place.file != LIBRARY_SOURCE]
 
 
 def _earlier_frames(trace: str, program: Program, frames: list[FrameLocation]) -> list[FrameLocation]:

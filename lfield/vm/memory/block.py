@@ -8,12 +8,24 @@ from contextlib import contextmanager
 
 from lfield.vm.memory import layout
 from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, BlockAllocator, Buffer
-from lfield.vm.memory.layout import HEADER_WORDS, STRING, header
+from lfield.vm.memory.layout import (
+    ARRAY,
+    GROWABLE,
+    GROWABLE_ARRAY,
+    GROWABLE_LENGTH,
+    GROWABLE_WORDS,
+    HEADER_WORDS,
+    STRING,
+    elements,
+    header,
+)
 
 #: Words of a new block; it grows with use.
 INITIAL_WORDS = 512
 #: Words above the limit, reserved for the exception that reports the limit.
 RESERVE_WORDS = 256
+#: Elements that a full array grows by at least.
+LEAST_GROWTH = 4
 
 _ZEROS = memoryview(bytes(8 * 4096)).cast("q")
 
@@ -178,6 +190,49 @@ class Block:
             places[identity] = place
             places.ids.append(identity)
         return identity
+
+    def new_array(self, kind: int, plain: int, length: int) -> int:
+        """A new array of a type (by index) with that many elements, all 0. Raises HeapFull before any write.
+
+        `plain` is the type of the ARRAY with its elements. If the type is another one, the array may grow: it
+        has its length and a reference to an ARRAY, whose size is the capacity.
+        """
+        if plain == kind:
+            return self.allocate(ARRAY, kind, 1 + length)
+        self.require(GROWABLE_WORDS + 1 + length)
+        place = self.allocate(GROWABLE, kind, GROWABLE_WORDS)
+        self.w[place + GROWABLE_LENGTH] = length
+        self.w[place + GROWABLE_ARRAY] = self.allocate(ARRAY, plain, 1 + length)
+        return place
+
+    def insert_element(self, place: int, at: int, word: int, most: int) -> None:
+        """Insert an element before the one at an index, which is at most the length, into a growable array.
+
+        If it is full, its elements move to an ARRAY with half as many more, at most `most`: an insertion at
+        the end costs a constant time on average. Raises HeapFull before any write.
+        """
+        w = self.w
+        array, length = w[place + GROWABLE_ARRAY], w[place + GROWABLE_LENGTH]
+        if length + 1 >= w[array] >> 32:
+            capacity = min(length + (length >> 1) + LEAST_GROWTH, most)
+            larger = self.allocate(ARRAY, w[array] >> 8 & 0xFFFFFF, 1 + capacity)
+            w[larger + 1 : larger + 1 + length] = w[array + 1 : array + 1 + length]
+            w[place + GROWABLE_ARRAY] = array = larger
+        first = array + 1
+        if at < length:
+            w[first + at + 1 : first + length + 1] = w[first + at : first + length]
+        w[first + at] = word
+        w[place + GROWABLE_LENGTH] = length + 1
+
+    def remove_element(self, place: int, at: int) -> int:
+        """Remove the element at a valid index of a growable array; returns it. Spare words are 0."""
+        w = self.w
+        first, end = elements(w, place)
+        word = w[first + at]
+        w[first + at : end - 1] = w[first + at + 1 : end]
+        w[end - 1] = 0
+        w[place + GROWABLE_LENGTH] -= 1
+        return word
 
     def new_string(self, text: str) -> int:
         """A string on the heap; invalid Unicode becomes '?'. Raises HeapFull."""

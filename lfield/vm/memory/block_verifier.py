@@ -25,6 +25,9 @@ from lfield.vm.memory.layout import (
     FRAME_DEPTH,
     FRAME_RETURN,
     FRAME_SLOTS,
+    GROWABLE,
+    GROWABLE_ARRAY,
+    GROWABLE_LENGTH,
     HEADER_WORDS,
     HEADERS,
     OBJECT,
@@ -118,7 +121,9 @@ class BlockVerifier:
         except BlockError:
             return False
         root = starts.get(block.w[layout.W_SELF], 0) & 0xFF
-        return root == OBJECT or (not thrown and root in (layout.ARRAY, layout.STRING, layout.PROXY))
+        return root == OBJECT or (
+            not thrown and root in (*layout.ARRAYS_ON_HEAP, layout.STRING, layout.PROXY)
+        )
 
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """Any agent's block from its bytes, valid enough to be read. Raises BlockError.
@@ -262,6 +267,10 @@ class BlockVerifier:
                 if expected == SENTINEL and w[target + TICKET_NUMBER]:
                     raise BlockError("the sentinel of a together is one of its calls", word=place + offset)
         for place, half in starts.items():
+            if half & 0xFF == GROWABLE:
+                array = w[place + GROWABLE_ARRAY]
+                if not array or not 0 <= w[place + GROWABLE_LENGTH] < w[array] >> 32:
+                    raise BlockError("an array is longer than its elements", word=place)
             if half & 0xFF == layout.TICKET:
                 if block.heap < HEADER_WORDS:
                     raise BlockError("its version has no tickets", word=place)

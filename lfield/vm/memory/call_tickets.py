@@ -140,7 +140,9 @@ def _check_element(w: memoryview[int], starts: Mapping[int, int], place: int) ->
         if array or index or w[place + TICKET_VALUE]:
             raise BlockError("a ticket has a result and no target", word=place)
         return
-    if not array or not 0 <= index < (w[array] >> 32) - 1:
+    # Elements of an array that grows may have been removed since; `fetch` checks the index again.
+    shrinks = array and w[array] & 0xFF == layout.GROWABLE
+    if not array or index < 0 or (not shrinks and index >= layout.length(w, array)):
         raise BlockError("the target of a ticket is not an element of its array", word=place)
 
 
@@ -150,7 +152,7 @@ def _check_result(program: Program, w: memoryview[int], starts: Mapping[int, int
     if not kind:
         return
     core = program.core
-    result_type, element_type = core.methods[w[place + TICKET_METHOD]].result, core.types[kind].of
+    result_type, element_type = core.methods[w[place + TICKET_METHOD]].result, core.element(kind)
     if result_type == element_type:
         return
     result, element = core.types[result_type], core.types[element_type]

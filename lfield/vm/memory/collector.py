@@ -1,13 +1,23 @@
 """Copying garbage collector (Cheney's algorithm), so that a hop transfers live data only.
 
-Precise: records give the positions of references. The cost grows with live data, not with garbage.
+Precise: records give the positions of references. The cost grows with live data, not with garbage. The spare
+words of growable arrays are dropped.
 """
 
 from __future__ import annotations
 
 from lfield.vm.memory.block import INITIAL_WORDS, RESERVE_WORDS, Block
 from lfield.vm.memory.block_allocator import Buffer
-from lfield.vm.memory.layout import HEADER_WORDS, MAGIC, ROOTS, VERSION, W_MAGIC, Layouts
+from lfield.vm.memory.layout import (
+    GROWABLE,
+    GROWABLE_LENGTH,
+    HEADER_WORDS,
+    MAGIC,
+    ROOTS,
+    VERSION,
+    W_MAGIC,
+    Layouts,
+)
 
 _NEW_WORDS = memoryview(bytes(8 * HEADER_WORDS)).cast("q")
 
@@ -70,6 +80,7 @@ def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
     references: tuple[int, ...] | range = ROOTS
     # The header is scanned like the first object on the heap, with the roots as its references.
     words = HEADER_WORDS
+    is_growable = False
     while True:
         for offset in references:
             place = new[scan + offset]
@@ -78,8 +89,14 @@ def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
             head = old[place]
             if head < 0:
                 new[scan + offset] = -head
+                if is_growable:
+                    # Only in a block that no engine made do two growable arrays share their elements.
+                    new[scan + GROWABLE_LENGTH] = min(new[scan + GROWABLE_LENGTH], (new[-head] >> 32) - 1)
                 continue
             size = head >> 32
+            if is_growable:
+                size = new[scan + GROWABLE_LENGTH] + 1
+                old[place] = head & 0xFFFFFFFF | size << 32
             new[top : top + size] = old[place : place + size]
             old[place] = -top
             new[scan + offset] = top
@@ -90,4 +107,5 @@ def _copy(old: memoryview[int], new: memoryview[int], layouts: Layouts) -> int:
         head = new[scan]
         words = head >> 32
         references = layouts.references(head)
+        is_growable = head & 0xFF == GROWABLE
     return top

@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from functools import cached_property
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import ANY, PROXY, REFERENCES, RESERVED, STRING, TICKET, Program
-from lfield.bytecode.program import ARRAY as ARRAY_TYPE
+from lfield.bytecode.program import ANY, ARRAYS, PROXY, REFERENCES, RESERVED, STRING, TICKET, Program
+from lfield.bytecode.program import GROWABLE as GROWABLE_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import (
     FRAME,
     FRAME_SLOTS,
+    GROWABLE,
+    GROWABLE_ARRAY,
+    GROWABLE_WORDS,
     OBJECT,
     PROXY_WORDS,
     THREAD,
@@ -60,12 +63,17 @@ class HeapSchema:
             self.sizes[FRAME | i << 8] = layouts.frame_words[i]
             self.expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
         for i, kind in enumerate(core.types):
-            if kind.kind == ARRAY_TYPE:
+            if kind.kind not in ARRAYS:
+                continue
+            if kind.kind == GROWABLE_TYPE:
+                self.sizes[GROWABLE | i << 8] = GROWABLE_WORDS
+                self.expects[GROWABLE | i << 8] = ((GROWABLE_ARRAY, layout.ARRAY | kind.of << 8),)
+            else:
                 self.sizes[layout.ARRAY | i << 8] = 0
                 if self.of_type[kind.of] is None:
                     self.expects[layout.ARRAY | i << 8] = ()
-                self.sizes[layout.TICKET | i << 8] = TICKET_WORDS
-                self.expects[layout.TICKET | i << 8] = self._of_ticket(i, kind.of)
+            self.sizes[layout.TICKET | i << 8] = TICKET_WORDS
+            self.expects[layout.TICKET | i << 8] = self._of_ticket(i, core.element(i))
 
     @cached_property
     def members(self) -> Sequence[int]:
@@ -106,8 +114,8 @@ class HeapSchema:
             return None
         if record.kind == STRING:
             return layout.STRING
-        if record.kind == ARRAY_TYPE:
-            return layout.ARRAY | kind << 8
+        if record.kind in ARRAYS:
+            return self._array(kind)
         if record.kind == OBJECT_TYPE:
             return layout.OBJECT | record.of << 8
         if record.kind == PROXY:
@@ -116,9 +124,14 @@ class HeapSchema:
             return SENTINEL
         return ANY_OBJECT if record.kind == ANY else 0
 
+    def _array(self, kind: int) -> int:
+        """The lower half of the header of an array of a type."""
+        is_growable = self.program.core.types[kind].kind == GROWABLE_TYPE
+        return (GROWABLE if is_growable else layout.ARRAY) | kind << 8
+
     def _of_ticket(self, array: int, element: int) -> Expected:
         """The targets of the references of a ticket whose array has a type (by index)."""
-        expects = {**_TICKET_EXPECTS, layout.TICKET_ARRAY: layout.ARRAY | array << 8}
+        expects = {**_TICKET_EXPECTS, layout.TICKET_ARRAY: self._array(array)}
         value = self.of_type[element]
         return tuple((expects if value is None else {**expects, TICKET_VALUE: value}).items())
 

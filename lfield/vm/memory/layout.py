@@ -12,12 +12,14 @@ collector works, a negative header is the negated new place of a moved object.
     FRAME    method index    caller, return pc, depth, slots
     THREAD   -               see THREAD_* below
     TICKET   type index      see TICKET_* below; the type of its target array, 0 for no target
+    GROWABLE type index      length, its ARRAY: the elements, then spare words, which are 0
 """
 
 from __future__ import annotations
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import REFERENCES, Program, TypeRecord
+from lfield.bytecode.program import ARRAYS, REFERENCES, Program, TypeRecord
+from lfield.bytecode.program import GROWABLE as GROWABLE_TYPE
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 3
@@ -56,13 +58,19 @@ MAX_INTERVAL = 86_400_000
 ROOTS = (W_SELF, W_ID, W_THREADS)
 
 # Kinds of heap objects.
-OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD, TICKET = 1, 2, 3, 4, 5, 6, 7
+OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD, TICKET, GROWABLE = 1, 2, 3, 4, 5, 6, 7, 8
+#: Kinds of the objects that have elements.
+ARRAYS_ON_HEAP = (ARRAY, GROWABLE)
 
 # A proxy. MEMBER is the number of the resource in the deployment, START the incarnation of its host at the
 # last call: 0 before the first call, else below START_LIMIT.
 PROXY_MEMBER, PROXY_START = 1, 2
 PROXY_WORDS = 3
 START_LIMIT = 1 << 62
+
+# A growable array. The size of its ARRAY is its capacity; a collection drops the spare words.
+GROWABLE_LENGTH, GROWABLE_ARRAY = 1, 2
+GROWABLE_WORDS = 3
 
 # A frame (activation record).
 FRAME_CALLER, FRAME_RETURN, FRAME_DEPTH, FRAME_SLOTS = 1, 2, 3, 4
@@ -96,6 +104,20 @@ def header(kind: int, index: int, words: int) -> int:
     return kind | index << 8 | words << 32
 
 
+def elements(w: memoryview[int], place: int) -> tuple[int, int]:
+    """The words of the elements of an array of either kind: the first, and the one after the last."""
+    if w[place] & 0xFF == GROWABLE:
+        first = w[place + GROWABLE_ARRAY] + 1
+        return first, first + w[place + GROWABLE_LENGTH]
+    return place + 1, place + (w[place] >> 32)
+
+
+def length(w: memoryview[int], place: int) -> int:
+    """The number of elements of an array of either kind."""
+    first, end = elements(w, place)
+    return end - first
+
+
 class Layouts:
     """Positions of references, for every record of one program; computed once when it is loaded."""
 
@@ -109,6 +131,8 @@ class Layouts:
         ]
         #: Per type: whether an ARRAY of that type holds references.
         self.array_references = [t.kind == ARRAY_TYPE and holds_reference[t.of] for t in core.types]
+        #: Per type: the type of the ARRAY with the elements of an array.
+        self.plain_arrays = [core.plain_array(i) for i in range(len(core.types))]
         #: Per method: words of a frame, and offsets of its reference slots.
         self.frame_words = [FRAME_SLOTS + len(m.slots) for m in core.methods]
         self.frame_references = [
@@ -134,11 +158,14 @@ class Layouts:
         for i, found in enumerate(self.frame_references):
             offsets[FRAME | i << 8] = found
         for i, record in enumerate(types):
-            if record.kind != ARRAY_TYPE:
+            if record.kind not in ARRAYS:
                 continue
-            if not self.array_references[i]:
+            holds_references = self.array_references[self.plain_arrays[i]]
+            if record.kind == GROWABLE_TYPE:
+                offsets[GROWABLE | i << 8] = (GROWABLE_ARRAY,)
+            elif not holds_references:
                 offsets[ARRAY | i << 8] = ()
-            value = (TICKET_VALUE,) if self.array_references[i] else ()
+            value = (TICKET_VALUE,) if holds_references else ()
             offsets[TICKET | i << 8] = (*TICKET_REFERENCES, *value)
         return offsets
 

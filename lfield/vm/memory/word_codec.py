@@ -6,8 +6,8 @@ import math
 import struct
 from collections.abc import Sequence
 
-from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import (
+    ARRAYS,
     BOOLEAN,
     BUILTIN_CLASSES,
     INT,
@@ -21,7 +21,7 @@ from lfield.bytecode.program import (
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import ARRAY, OBJECT, Layouts
+from lfield.vm.memory.layout import OBJECT, Layouts, elements
 
 #: Maximum length of the message of a built-in exception in characters, and its words.
 MESSAGE_LENGTH = 1000
@@ -68,14 +68,14 @@ def decode_value(block: Block, program: Program, kind: int, word: int) -> Device
         return real_from_bits(word)
     if record.kind == STRING:
         return block.string(word) if word else None
-    if record.kind != ARRAY_TYPE:
+    if record.kind not in ARRAYS:
         return word
     if not word:
         return None
-    end = word + (block.w[word] >> 32)
-    if program.core.types[record.of].kind == REAL:
-        return list(block.r[word + 1 : end])
-    return list(block.w[word + 1 : end])
+    first, end = elements(block.w, word)
+    if program.core.types[program.core.element(kind)].kind == REAL:
+        return list(block.r[first:end])
+    return list(block.w[first:end])
 
 
 def encode_device_value(block: Block, program: Program, kind: int, value: DeviceValue, device: str) -> int:
@@ -87,10 +87,10 @@ def encode_device_value(block: Block, program: Program, kind: int, value: Device
     word = None
     if record.kind == STRING and isinstance(value, str):
         word = block.new_string(value)
-    elif record.kind == ARRAY_TYPE and isinstance(value, list):
-        word = _array_for(block, kind, program.core.types[record.of].kind, value)
+    elif record.kind in ARRAYS and isinstance(value, list):
+        word = _array_for(block, program, kind, value)
     elif value is None:
-        word = 0 if record.kind in (VOID, STRING, ARRAY_TYPE) else None
+        word = 0 if record.kind in (VOID, STRING, *ARRAYS) else None
     else:
         word = _number(record.kind, value)
     if word is None:
@@ -100,13 +100,15 @@ def encode_device_value(block: Block, program: Program, kind: int, value: Device
     return word
 
 
-def _array_for(block: Block, kind: int, of: int, values: Sequence[object]) -> int | None:
+def _array_for(block: Block, program: Program, kind: int, values: Sequence[object]) -> int | None:
     """An array of numbers on the heap, None if one has another type. Raises HeapFull."""
+    core = program.core
+    of = core.types[core.element(kind)].kind
     words = [word for value in values if (word := _number(of, value)) is not None]
     if len(words) < len(values):
         return None
-    place = block.allocate(ARRAY, kind, 1 + len(words))
-    for i, word in enumerate(words, place + 1):
+    place = block.new_array(kind, core.plain_array(kind), len(words))
+    for i, word in enumerate(words, elements(block.w, place)[0]):
         block.w[i] = word
     return place
 

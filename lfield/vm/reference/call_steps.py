@@ -53,6 +53,7 @@ class Registers:
         "others",
         "pc",
         "place",
+        "plain_arrays",
         "r",
         "readings",
         "slots",
@@ -83,6 +84,8 @@ class Registers:
         #: By class, the field with the exceptions of other calls of a `together`.
         self.others = program.others
         self.class_names = class_names
+        #: By type, the type of the ARRAY with the elements of an array.
+        self.plain_arrays = [program.core.plain_array(i) for i in range(len(program.core.types))]
         #: The time that judges readings.
         self.now = now
 

@@ -16,6 +16,7 @@ from lfield.vm.maths.intrinsics import MATHS, has_result
 from lfield.vm.memory import layout
 from lfield.vm.memory.word_codec import canonical, real_text
 from lfield.vm.reference.call_steps import Registers, null_use
+from lfield.vm.reference.memory_steps import check_length
 
 Function = Callable[..., Any]
 
@@ -23,6 +24,7 @@ _INT = re.compile(r"[+-]?[0-9]{1,19}", re.ASCII)
 _REAL = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]{1,4})?", re.ASCII)
 #: Characters of a string shown in an exception message.
 _SHOWN = 40
+_FNV_BASIS, _FNV_PRIME, _WORD = 0xCBF29CE484222325, 0x100000001B3, (1 << 64) - 1
 
 
 def _text(m: Registers, place: int, what: str) -> str:
@@ -40,7 +42,51 @@ def _made(m: Registers, text: str) -> int:
 def _array_len(m: Registers, place: int) -> int:
     if not place:
         raise null_use("length")
-    return (m.w[place] >> 32) - 1
+    return layout.length(m.w, place)
+
+
+def _append(m: Registers, place: int, word: int) -> None:
+    if not place:
+        raise null_use("append")
+    length = layout.length(m.w, place)
+    check_length(m, length + 1)
+    m.block.insert_element(place, length, word, m.limits.array_length)
+
+
+def _insert(m: Registers, place: int, at: int, word: int) -> None:
+    if not place:
+        raise null_use("insert")
+    length = layout.length(m.w, place)
+    if not 0 <= at <= length:
+        raise Trap("IndexException", f"insert at {at} of an array of length {length}")
+    check_length(m, length + 1)
+    m.block.insert_element(place, at, word, m.limits.array_length)
+
+
+def _remove(m: Registers, place: int, at: int) -> int:
+    if not place:
+        raise null_use("remove")
+    length = layout.length(m.w, place)
+    if not 0 <= at < length:
+        raise Trap("IndexException", f"remove of {at} of an array of length {length}")
+    return m.block.remove_element(place, at)
+
+
+def _remove_last(m: Registers, place: int) -> int:
+    if not place:
+        raise null_use("pop")
+    length = layout.length(m.w, place)
+    if not length:
+        raise Trap("IndexException", "pop of an array of length 0")
+    return m.block.remove_element(place, length - 1)
+
+
+def _hash(m: Registers, place: int) -> int:
+    """FNV-1a of 64 bits over UTF-8, without its lowest two bits."""
+    found = _FNV_BASIS
+    for byte in _text(m, place, "key").encode():
+        found = (found ^ byte) * _FNV_PRIME & _WORD
+    return found >> 2
 
 
 def _concat(m: Registers, left: int, right: int) -> int:
@@ -126,6 +172,22 @@ def _exception_others(m: Registers, place: int) -> int:
     return known or m.block.allocate(layout.ARRAY, EXCEPTIONS, 1)
 
 
+def growable_others(kind: int) -> Function:
+    """`exc_others` in a program whose arrays of exceptions grow: a copy of that type."""
+
+    def get(m: Registers, place: int) -> int:
+        if not place:
+            raise null_use("exception")
+        field, w = m.others.get(m.w[place] >> 8 & 0xFFFFFF), m.w
+        known = 0 if field is None else w[place + 1 + field]
+        first, end = layout.elements(w, known) if known else (0, 0)
+        copy = m.block.new_array(kind, m.plain_arrays[kind], end - first)
+        w[layout.elements(w, copy)[0] : m.block.top] = w[first:end]
+        return copy
+
+    return get
+
+
 def _heartbeat_interval(m: Registers, seconds: float) -> None:
     if seconds == -1:
         m.w[layout.W_INTERVAL] = 0
@@ -145,6 +207,11 @@ FUNCTIONS: dict[str, Function] = {
     "str_len": lambda m, place: len(_text(m, place, "length")),
     "substring": _substring,
     "index_of": _index_of,
+    "str_hash": _hash,
+    "append": _append,
+    "insert": _insert,
+    "remove": _remove,
+    "remove_last": _remove_last,
     "i2f": lambda m, value: float(value),
     "f2i": _f2i,
     "s2i": _s2i,

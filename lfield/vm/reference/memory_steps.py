@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.vm.engine_interface import Trap
 from lfield.vm.memory.block import template
-from lfield.vm.memory.layout import ARRAY, OBJECT
+from lfield.vm.memory.layout import OBJECT, elements
 from lfield.vm.reference.call_steps import Registers, Step, null_use
 
 
@@ -72,10 +72,10 @@ def _element(w: memoryview[int], place: int, index: int) -> int:
     """The word of an element; traps on null and on an invalid index."""
     if not place:
         raise null_use("element")
-    length = (w[place] >> 32) - 1
-    if not 0 <= index < length:
-        raise Trap("IndexException", f"index {index} of an array of length {length}")
-    return place + 1 + index
+    first, end = elements(w, place)
+    if not 0 <= index < end - first:
+        raise Trap("IndexException", f"index {index} of an array of length {end - first}")
+    return first + index
 
 
 def get_element(a: int, b: int, c: int | None, constant: int, after: int) -> Step:
@@ -122,16 +122,21 @@ def new_object(a: int, record: int, words: int, after: int) -> Step:
     return step
 
 
+def check_length(m: Registers, length: int) -> None:
+    """Raise Trap for an array of more elements than the limit."""
+    if length > m.limits.array_length:
+        raise Trap("LimitException", f"an array of {length} is over the limit of {m.limits.array_length}")
+
+
 def new_array(a: int, record: int, c: int | None, constant: int, after: int) -> Step:
-    """`newarray`."""
+    """`newarray`; an array that grows has its elements in one of another type."""
 
     def step(m: Registers) -> int:
         length = constant if c is None else m.w[m.slots + c]
         if length < 0:
             raise Trap("LimitException", f"an array cannot have length {length}")
-        if length > m.limits.array_length:
-            raise Trap("LimitException", f"an array of {length} is over the limit of {m.limits.array_length}")
-        m.w[m.slots + a] = m.block.allocate(ARRAY, record, 1 + length)
+        check_length(m, length)
+        m.w[m.slots + a] = m.block.new_array(record, m.plain_arrays[record], length)
         return after
 
     return step

@@ -7,6 +7,7 @@ from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import (
+    GROWABLE,
     HELD_DEVICE,
     PROXY,
     REAL,
@@ -21,7 +22,7 @@ from lfield.vm.memory.layout import FRAME_SLOTS, Layouts
 from lfield.vm.memory.word_codec import bits_of_real
 from lfield.vm.reference import arithmetic, call_steps, memory_steps
 from lfield.vm.reference.call_steps import Argument, Registers, Step
-from lfield.vm.reference.library_functions import FUNCTIONS, Function
+from lfield.vm.reference.library_functions import FUNCTIONS, Function, growable_others
 
 _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
 
@@ -196,7 +197,7 @@ class _Preparer:
             operands.append(self.quads[pc].a)
             pc += 1
         head = self.quads[pc]
-        kind = self.result_kind(head, method)
+        kind = self.result_kind(head)
         after, destination = pc + 1, -1
         if kind != VOID:
             destination = self.quads[after].a
@@ -206,7 +207,7 @@ class _Preparer:
         parks = BY_CODE[head.op].name == "yield" and follows.op == _JMP and follows.a == first
         self.groups[first] = Group(head, destination, after, kind, parks)
         arguments = [self.source(operand) for operand in operands]
-        self.steps[first] = self.head(head, arguments, operands, pc + 1, after, destination)
+        self.steps[first] = self.head(head, arguments, operands, pc + 1, after, destination, method)
         row = BY_CODE[head.op]
         if row.leaves_engine and not self.is_reading(row, head, arguments):
             checked = tuple(self.checked(row, head.a))
@@ -225,6 +226,7 @@ class _Preparer:
         result_fetch: int,
         after: int,
         into: int,
+        method: MethodRecord,
     ) -> Step:
         row = BY_CODE[head.op]
         if row.name == "call":
@@ -238,9 +240,10 @@ class _Preparer:
                 return call_steps.reading(host_call_step, head.a, into, after)
             return host_call_step
         reals = [kind == "real" for kind in row.argument_kinds or ()]
-        return _pure(
-            FUNCTIONS[row.name], self.getters(operands, reals), into, row.result_kind == "real", after
-        )
+        function = FUNCTIONS[row.name]
+        if row.name == "exc_others" and self.core.types[method.slots[into]].kind == GROWABLE:
+            function = growable_others(method.slots[into])
+        return _pure(function, self.getters(operands, reals), into, row.result_kind == "real", after)
 
     def checked(self, row: Opcode, operand: int) -> dict[int, str]:
         """The arguments of a host call that must not be null, with their purpose."""
@@ -275,8 +278,8 @@ class _Preparer:
         call: DeviceCallRecord = self.core.device_calls[number]
         return self.core.types[call.result].kind
 
-    def result_kind(self, head: Quad, method: MethodRecord) -> int:
-        """The type kind of a head's result, VOID for none; taken from the slot that pops it."""
+    def result_kind(self, head: Quad) -> int:
+        """The type kind of a head's result, VOID for none."""
         row = BY_CODE[head.op]
         if row.name in ("call", "pcall"):
             return self.core.types[self.core.methods[head.a].result].kind
@@ -284,6 +287,8 @@ class _Preparer:
             return self.device_result(head.a)
         if not row.result_kind:
             return VOID
+        if row.result_kind == "any":
+            return self.core.types[self.core.element(head.a)].kind
         return REAL if row.result_kind == "real" else _KINDS[row.result_kind]
 
 

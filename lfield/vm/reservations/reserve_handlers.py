@@ -69,9 +69,13 @@ class ReserveHandlers:
 
     def _parts(self, w: memoryview[int], place: int) -> list[int]:
         """The elements of an array, none of them null; of an offer its realisations."""
+        if w[place] & 0xFF in layout.ARRAYS_ON_HEAP:
+            first, end = layout.elements(w, place)
+            inner = list(w[first:end])
+            if 0 in inner:
+                raise Trap("NullException", f"'reserve' of null (element {inner.index(0)})")
+            return inner
         inner = [w[place + offset] for offset in self._scheduler.layouts.references(w[place])]
-        if w[place] & 0xFF == layout.ARRAY and 0 in inner:
-            raise Trap("NullException", f"'reserve' of null (element {inner.index(0)})")
         if w[place] & 0xFF != layout.OBJECT:
             return inner
         # The first field is the description. An object that is not an offer was made from components, which

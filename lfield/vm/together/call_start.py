@@ -6,6 +6,7 @@ from lfield.vm import portal_calls
 from lfield.vm.agent import Agent
 from lfield.vm.deadlines import Deadlines
 from lfield.vm.engine_interface import Trap
+from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.call_tickets import new_ticket, tickets_of
 from lfield.vm.memory.copier import deep_copy
@@ -84,8 +85,7 @@ def _check_number(block: Block, sentinel: int) -> None:
 
 
 def _check_target(block: Block, array: int, index: int) -> None:
-    if array and not 0 <= index < (block.w[array] >> 32) - 1:
-        length = (block.w[array] >> 32) - 1
+    if array and not 0 <= index < (length := layout.length(block.w, array)):
         raise Trap("IndexException", f"index {index} of an array of length {length}")
 
 

@@ -14,6 +14,7 @@ from lfield.vm.cancellation import Cancellation
 from lfield.vm.deadlines import TIME_LIMIT, Deadlines
 from lfield.vm.engine_interface import Trap
 from lfield.vm.inspection import traceback
+from lfield.vm.memory import layout
 from lfield.vm.memory.layout import (
     CALLING,
     TICKET_ARRAY,
@@ -152,10 +153,19 @@ class TogetherHandlers:
             self._throw(agent, thread)
             return
         w = agent.block.w
+        removed = ""
         for ticket in found:
             if array := w[ticket.place + TICKET_ARRAY]:
-                w[array + 1 + w[ticket.place + TICKET_INDEX]] = w[ticket.place + TICKET_VALUE]
+                first, end = layout.elements(w, array)
+                index = w[ticket.place + TICKET_INDEX]
+                if first + index < end:
+                    w[first + index] = w[ticket.place + TICKET_VALUE]
+                else:
+                    removed = removed or f"index {index} of an array of length {end - first}"
         self._clear(agent, thread)
+        if removed:
+            # The array has become shorter since the call began.
+            self._scheduler.throw_builtin(agent, thread, "IndexException", removed)
 
     def _is_waiting_for(self, agent: Agent, thread: int, state: int) -> bool:
         """Fetch completed calls of the tickets in a state; whether one here is still running."""

@@ -29,31 +29,31 @@ def in_l(checkout: Checkout, processes: Processes, engine: str) -> Contender:
     """kernels.L on a host with this engine."""
     agents = [f"//Bench:bench@here?{'&'.join(_expected())}"]
     options = checkout.engines[engine]
-    return _with_mean(paced_mission(checkout, processes, _HERE / "kernels.L", agents, options=options))
+    return with_mean(paced_mission(checkout, processes, _HERE / "kernels.L", agents, options=options))
 
 
 def in_python(checkout: Checkout, processes: Processes) -> Contender:
     """kernels.py in this process."""
-    return _with_mean(lambda: {name: [timed(run, LONG)] for name, run in KERNELS.items()})
+    return with_mean(lambda: {name: [timed(run, LONG)] for name, run in KERNELS.items()})
 
 
 def in_c(checkout: Checkout, processes: Processes) -> Contender:
     """kernels.c, compiled here."""
     program = processes.folder() / "kernels"
     subprocess.run(["cc", "-O1", str(_HERE / "kernels.c"), "-o", str(program)], check=True)
-    return _with_mean(Paced([processes.start(str(program), *_expected())]))
+    return with_mean(Paced([processes.start(str(program), *_expected())]))
 
 
 def in_javascript(checkout: Checkout, processes: Processes) -> Contender:
     """kernels.js."""
-    return _with_mean(Paced([processes.start("node", str(_HERE / "kernels.js"), *_expected())]))
+    return with_mean(Paced([processes.start("node", str(_HERE / "kernels.js"), *_expected())]))
 
 
 def _expected() -> list[str]:
     return [str(run()) for run in KERNELS.values()]
 
 
-def _with_mean(contender: Contender) -> Contender:
+def with_mean(contender: Contender) -> Contender:
     """A round with the mean of its programs: that of the logarithms, in which each counts as much."""
 
     def measured() -> Round:

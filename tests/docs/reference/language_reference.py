@@ -13,10 +13,14 @@ from pathlib import Path
 from lfield.lang.language_library import (
     EXCEPTION_METHODS,
     FUNCTIONS,
+    LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_MAPS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
+    array_methods,
 )
+from lfield.lang.types import Type, array_of
 
 PAGE = Path(__file__).parents[3] / "lfield" / "docs" / "language.md"
 
@@ -31,9 +35,9 @@ def updated(document: str) -> str:
 def library_table() -> str:
     """Every function of the library, and the built-in methods, as a Markdown table."""
     rows = [(_heading(f), f"{f.result}", _WHERE[f.scope], f.meaning) for f in FUNCTIONS]
-    length = LibraryFunction("length", (), STRING_METHODS[0].result, "", meaning="number of elements")
     for receiver, methods in (
-        ("array", (length,)),
+        ("array", (*array_methods(array_of(Type("T"))), *LIBRARY_OF_ARRAYS)),
+        ("map", LIBRARY_OF_MAPS),
         ("string", STRING_METHODS),
         ("exception", EXCEPTION_METHODS),
         ("proxy", PROXY_METHODS),

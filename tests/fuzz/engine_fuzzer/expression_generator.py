@@ -91,6 +91,23 @@ FORMS: dict[str, tuple[str, ...]] = {
     "Store": ("all[#]|int", 'findStore("store")|'),
 }
 
+#: In half of the methods also these: what makes an array longer or shorter, and the library in L.
+GROWTH_FORMS: dict[str, tuple[str, ...]] = {
+    "int": (
+        *("#.pop()|int[]*", "#.remove(#)|int[]* int", "#.remove(0)|int[]*", "#.indexOf(#)|int[]! int"),
+        *("m0[#]|string", "m0.length()|", "m0.remove(#)|string", "m1.length()|", "m1.keys()[#]|int"),
+    ),
+    "real": ("#.pop()|real[]*", "#.remove(#)|real[]* int"),
+    "boolean": (
+        *("#.contains(#)|int[]! int", "#.contains(#)|Node[]! Node", "#.contains(#)|real[]! real"),
+        *("m0.contains(#)|string", "m1.contains(#)|int"),
+    ),
+    "Node": ("#.pop()|Node[]*", "#.remove(0)|Node[]*", "m1[#]|int", "m1.remove(#)|int"),
+    "int[]": ("#.slice(#, #)|int[]! int int", "#.slice(0, 2)|int[]!", "(new int[0])|"),
+    "real[]": ("#.slice(1, 3)|real[]!",),
+    "Node[]": ("#.slice(0, #)|Node[]! int",),
+}
+
 _REFERENCES = ("Node", "int[]", "real[]", "Node[]", "Store", "string")
 
 
@@ -102,11 +119,15 @@ class ExpressionGenerator:
         rng: random.Random,
         variables: dict[str, tuple[str, ...]],
         calls: dict[str, tuple[str, ...]],
+        *,
+        grows: bool = False,
     ) -> None:
         self.rng, self._variables = rng, variables
         #: By type, the forms of calls that may stand here.
         self.calls = calls
         self._depth = rng.choice((1, 2, 2, 3))
+        #: Whether arrays get longer and shorter, and maps are used.
+        self.grows = grows
         #: Variables of loops, which may be read only.
         self.counters: list[str] = []
 
@@ -118,7 +139,8 @@ class ExpressionGenerator:
             return self._leaf(kind)
         if chance < 0.42 and kind in self.calls:
             return self.form(kind, self.rng.choice(self.calls[kind]), depth - 1)
-        return self.form(kind, self.rng.choice(FORMS[kind]), depth - 1)
+        growth = GROWTH_FORMS.get(kind, ()) if self.grows else ()
+        return self.form(kind, self.rng.choice(FORMS[kind] + growth), depth - 1)
 
     def form(self, kind: str, row: str, depth: int) -> ProgramPiece:
         """A form with its parts drawn."""

@@ -32,6 +32,7 @@ _LOCALS = (
         ("string", "s1", '"größe"'),
     ),
     *(("Node", "o0", "new Node(n)"), ("Node", "o1", "new Node(7)"), ("int[]", "v0", "new int[4]")),
+    *(("map<string, int>", "m0", "new map<string, int>()"), ("map<int, Node>", "m1", "new map<int, Node>()")),
     *(("int[]", "v1", "o0.a"), ("real[]", "w0", "new real[3]"), ("Node[]", "q0", "new Node[2]")),
 )
 _VARIABLES: dict[str, tuple[str, ...]] = {
@@ -50,15 +51,21 @@ public Node(int k) {
 n = k; r = i2f(k) / 3.0; a = new int[3]; a[1] = k; if (k > 5) next = new Node(k / 2 - 1); }
 public Node link(int k, Node o) { next = o; n = n + k; return this; }
 public int dive(int k) { int m = k + 1; return dive(m) - k; }
+private boolean before(Node v, Node w) { return v.n < w.n; }
+private real key(Node v) { return v.r; }
 #
 }"""
 _RESOURCE = """resource Store {
 int n; real x; Node p; string s;
+private boolean before(Node v, Node w) { return v.n < w.n; }
+private real key(Node v) { return v.r; }
 #
 #
 }"""
 _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
+private boolean before(Node v, Node w) { return v.n < w.n; }
+private real key(Node v) { return v.r; }
 #
 #
 }"""
@@ -156,7 +163,8 @@ class _ProgramGenerator:
         walks = unit == "Walker"
         waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
         variables = _VARIABLES | _PROXIES if walks else _VARIABLES
-        expressions = ExpressionGenerator(self.rng, variables, self._calls(unit))
+        grows = self.rng.random() < 0.5
+        expressions = ExpressionGenerator(self.rng, variables, self._calls(unit), grows=grows)
         asks = _ASKED[: self.portals] if walks else ()
         statements = StatementGenerator(self.rng, expressions, variables, result, waits, asks)
         body = statements.block(self.depth, self.size + guarded)

@@ -26,6 +26,24 @@ _TARGETS: dict[str, tuple[str, ...]] = {
     "Node": ("#.next|Node*", "#[#]|Node[]* int", "#[1]|Node[]*"),
     "int[]": ("#.a|Node*",),
 }
+#: What makes an array longer or shorter, and sorts it; most of them often enough for several capacities.
+_GROWING = (
+    *("#.append(#);|int[]* int", "#.append(#);|real[]* real", "#.append(#);|Node[]* Node"),
+    *("#.insert(#, #);|int[]* int int", "#.insert(0, #);|real[]* real", "#.insert(1, #);|Node[]* Node"),
+    *("#.pop();|int[]*", "#.remove(#);|real[]* int", "#.sort();|int[]*", "#.sort();|real[]*"),
+    *("#.sort(before);|Node[]*", "#.sort(key);|Node[]*", "#.a.append(#);|Node* int"),
+    *(
+        "m0[#] = #;|string int",
+        "m0[#] += #;|string int",
+        "m1[#] = #;|int Node",
+        "m1 = new map<int, Node>();|",
+    ),
+    *("for (string k6 : m0) s1 = s1 + k6;|", "for (int k6 : m1) i1 = i1 + k6;|", "q0 = m1.values();|"),
+    "for (int k7 = 0; k7 < 9; k7 = k7 + 1) m0[i2s(k7 * #)] = k7;|int",
+    "for (int k7 = 0; k7 < 9; k7 = k7 + 1) m1[k7 * #] = #;|int Node",
+    "for (int k7 = 0; k7 < 9; k7 = k7 + 1) #.append(k7 + #);|int[]* int",
+    "for (int k7 = 0; k7 < 9; k7 = k7 + 1) #.insert(#, i2f(k7));|real[]* int",
+)
 
 
 class StatementGenerator:
@@ -56,7 +74,8 @@ class StatementGenerator:
     def statement(self, depth: int) -> ProgramPiece:
         """One statement."""
         draw = self.expressions.draw
-        flat = ("assign",) * 8 + ("element",) * 3 + ("call",) * 3 + ("throw", "leave", "wait", "print")
+        flat = ("grow",) * (4 * self.expressions.grows)
+        flat += ("assign",) * 8 + ("element",) * 3 + ("call",) * 3 + ("throw", "leave", "wait", "print")
         deep: tuple[str, ...] = (
             ("if", "if", "loop", "loop", "try", "try", "finally", "jump") if depth > 0 else ()
         )
@@ -67,6 +86,8 @@ class StatementGenerator:
                 return written("", f"{self.rng.choice(self._own[kind])} = #;", draw(kind))
             case "element":
                 return self._element()
+            case "grow":
+                return self.expressions.form("", self.rng.choice(_GROWING), 1)
             case "call":
                 return self._call()
             case "throw":

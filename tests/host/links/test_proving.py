@@ -61,7 +61,7 @@ def test_keys_that_end_before_the_mission_does_are_not(ring):
     judged(HostCredentials(keys, min_lifetime=3000.0))
     with pytest.raises(KeysError, match=r"the mission may last 4000 s from .*--lasts"):
         judged(HostCredentials(keys, min_lifetime=4000.0))
-    with pytest.raises(KeysError, match="renew it with 'lfield keys renew host alpha'"):
+    with pytest.raises(KeysError, match=r"expired .*renew the keys with 'lfield keys renew host alpha'"):
         judged(HostCredentials(keys), now(3601.0))
 
 

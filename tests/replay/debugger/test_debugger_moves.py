@@ -9,6 +9,7 @@ from lfield.replay.debugger.debugger import Breakpoint, Debugger
 from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
 from lfield.replay.debugger.moment import Phase
 from lfield.replay.debugger.targets import AnyTarget, StatementTarget
+from lfield.replay.debugger.team_timeline import TeamTimeline
 from lfield.replay.host_replay import HostReplay
 
 #: Lines of examples/01-first-flight/mission.L.
@@ -91,6 +92,14 @@ def test_a_step_out_of_a_method_reaches_its_caller(debugger):
     assert [frame.method for frame in debugger.stack()][:2] == ["Copter.observe", "Copter.takeoff"]
     assert debugger.step_out()
     assert debugger.stack()[0].method != "Copter.observe"
+
+
+def test_a_step_out_of_the_outermost_frame_searches_nothing(debugger, monkeypatch):
+    debugger.enter()
+    assert [frame.method for frame in debugger.stack()] == ["FirstFlight.init"]
+    monkeypatch.setattr(TeamTimeline, "find", None)
+    assert not debugger.step_out()
+    assert not debugger.step_out(backward=True)
 
 
 def test_portals_hops_devices_and_events_are_found(debugger):

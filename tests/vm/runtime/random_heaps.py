@@ -34,13 +34,22 @@ coordinator Boss {{
     R r; Q[] all; {fields}
     init(string[] arg) {{
         r = findR("r"); all = findQ();
-        C0[] got = new C0[3]; C0 one; R[] rs = findR();
+        C0[] got = new C0[3]; C0 one; R[] rs = findR(); {growth}
         try {{ work(1, "x", got); throw new C0(); }}
         catch (C0 e) {{ together {{ got[1] = rs[0].ask(1, "a"); one = rs[1].ask(2, "b"); }} }}
     }}
     private int work(int a, string b, C0[] c) {{ real x = 1.5; C0 d = c[0]; r.ask(a, b); return a; }}
 }}
 """
+
+
+#: What makes types of arrays growable.
+GROWTH = (
+    "got.append(one);",
+    "int[] ints = {}; ints.append(1);",
+    "string[] texts = {}; texts.pop();",
+    "C0[][] lists = {}; lists.append(got);",
+)
 
 
 @cache
@@ -56,7 +65,11 @@ def random_program(seed: int) -> Program:
         return " ".join(f"public {kind} f{i};" for i, kind in enumerate(kinds))
 
     classes = "\n".join(f"class C{i} {{ {fields()} }}" for i in range(count))
-    return compile_text(PROGRAM.format(classes=classes, fields=fields().replace("public ", "")))
+    # In most programs some types of arrays grow.
+    growth = " ".join(dice.choice(("", line)) for line in GROWTH)
+    return compile_text(
+        PROGRAM.format(classes=classes, fields=fields().replace("public ", ""), growth=growth)
+    )
 
 
 @cache
@@ -113,6 +126,9 @@ class RandomHeap:
         dice, block, kind = self.rng, self.block, half & 0xFF
         if kind == layout.STRING:
             return block.new_string("".join(dice.choices(LETTERS, k=dice.choice([0, 1, 3, 8, 30]))))
+        if kind == layout.GROWABLE:
+            core = self.program.core
+            return block.new_array(half >> 8, core.plain_array(half >> 8), dice.choice([0, 1, 2, 5, 40]))
         size = self.shapes.sizes[half] or 1 + dice.choice([0, 1, 2, 5, 40])
         place = block.allocate(kind, half >> 8, size)
         for i in range(place + 1, place + size):
@@ -128,6 +144,12 @@ class RandomHeap:
     def _lead(self, place: int) -> None:
         """Set the references of an object."""
         w = self.block.w
+        if w[place] & 0xFF == layout.GROWABLE:
+            # Its own array or another one, which no engine shares, and spare words.
+            array = layout.GROWABLE_ARRAY
+            w[place + array] = self.some(self.shapes.references(w[place])[0][1]) or w[place + array]
+            w[place + layout.GROWABLE_LENGTH] = self.rng.randrange(w[w[place + array]] >> 32)
+            return
         expects = dict(self.shapes.references(w[place]))
         for offset in self.layouts.references(w[place]):
             otherwise = layout.THREAD if offset == layout.THREAD_NEXT else ANY_FRAME

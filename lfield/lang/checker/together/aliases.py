@@ -15,6 +15,7 @@ from lfield.lang.tree import (
     Expr,
     Field,
     FieldGet,
+    LibraryCall,
     Local,
     LocalGet,
     Stmt,
@@ -36,18 +37,28 @@ def named(expr: Expr) -> Named | None:
     return None
 
 
+def _container(expr: Expr) -> Expr | None:
+    """The array that an expression reads an element of, or removes it from; None for other expressions."""
+    match expr:
+        case Element():
+            return expr.array
+        case LibraryCall(operation="remove" | "remove_last", arguments=[array, *_]):
+            return array
+    return None
+
+
 def base(expr: Expr) -> Expr:
     """The array in `array[i][j]`; any other expression itself."""
-    while isinstance(expr, Element):
-        expr = expr.array
+    while (array := _container(expr)) is not None:
+        expr = array
     return expr
 
 
 def depth(expr: Expr) -> int:
     """The number of indexes of `array[i][j]`."""
     found = 0
-    while isinstance(expr, Element):
-        expr, found = expr.array, found + 1
+    while (array := _container(expr)) is not None:
+        expr, found = array, found + 1
     return found
 
 
@@ -61,6 +72,10 @@ class Aliases:
             if isinstance(one, Declare) and one.value is not None:
                 self._join(one.local, 0, one.value)
             for part in (part for value in statement_expressions(one) for part in descendants(value)):
+                if isinstance(part, LibraryCall) and part.operation in ("append", "insert"):
+                    array = part.arguments[0]
+                    if (name := named(base(array))) is not None:
+                        self._join(name, depth(array) + 1, part.arguments[-1])
                 if isinstance(part, Assign) and (name := named(base(part.target))) is not None:
                     self._join(name, depth(part.target), part.value)
         self._around: dict[Named, set[Named]] = {}

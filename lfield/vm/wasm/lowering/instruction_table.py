@@ -9,6 +9,7 @@ target. `{t}` is the type of the source or target slot of the value. There are m
     zero CONDITION     throws if the divisor is zero
     over CONDITION     throws if the result does not fit an int
     index {c}          throws if an index is outside the array at $p
+    place {c}          the same for the growable array at $p; $p is then the address of the element
 
 So a row has only the common cases; rare ones exist once, in the reference engine. The locals `x`, `y` (i64),
 `u` (f64) and `p` (i32) are free for every row.
@@ -21,6 +22,7 @@ So do slow cases, such as long strings and arrays: a run of limited instructions
 from __future__ import annotations
 
 from lfield.vm.memory import layout
+from lfield.vm.wasm.growable_rows import GROWABLE_ROWS
 from lfield.vm.wasm.lowering.maths_lowering import maths_name
 
 _MEMBER, _HOPS = 8 * layout.PROXY_MEMBER, 8 * layout.W_HOPS
@@ -101,6 +103,7 @@ _MEMBERS = f"""
 """
 
 ROWS: dict[str, str] = {
+    **GROWABLE_ROWS,
     # moves, fields, elements
     "move": "(local.set {a} {b})",
     "getf": """
@@ -232,6 +235,11 @@ ROWS: dict[str, str] = {
         leave (i64.lt_s (local.get $x) (i64.const 0))
         (local.set {a} (local.get $x))
     """,
+    "str_hash": """
+        (local.set $x (call $str_hash (local.get $base) {0}))
+        leave (i64.lt_s (local.get $x) (i64.const 0))
+        (local.set {a} (local.get $x))
+    """,
     "index_of": """
         (local.set $x (call $index_of (local.get $base) {0} {1}))
         leave (i64.eq (local.get $x) (i64.const -2))
@@ -313,7 +321,8 @@ GROUPED = ("push", "pop")
 #: Runtime functions (`lfield.vm.wasm.runtime`) called by rows, with their types.
 RUNTIME = {
     **dict.fromkeys(("str_equal", "str_order"), "(param i32 i64 i64) (result i32)"),
-    "str_len": "(param i32 i64) (result i64)",
+    **dict.fromkeys(("str_len", "str_hash"), "(param i32 i64) (result i64)"),
+    "grow": "(param i32 i64 i64 i64 i64) (result i64)",
     "index_of": "(param i32 i64 i64) (result i64)",
     "s2i": "(param i32 i64) (result i64 i32)",
     "str_concat": "(param i32 i64 i64 i64 i64 i64) (result i64)",

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lfield.bytecode.program import GROWABLE as GROWABLE_TYPE
 from lfield.bytecode.program import REAL, VOID
 from lfield.vm.memory.layout import (
     ARRAY,
@@ -19,6 +20,9 @@ from lfield.vm.memory.layout import (
     FRAME_CALLER,
     FRAME_DEPTH,
     FRAME_RETURN,
+    GROWABLE,
+    GROWABLE_LENGTH,
+    GROWABLE_WORDS,
     W_ENTRIES,
     W_OWNER,
     header,
@@ -38,8 +42,10 @@ from lfield.vm.wasm.lowering.control_flow_graph import (
 from lfield.vm.wasm.lowering.instruction_table import ROWS, exceeds_heap
 from lfield.vm.wasm.lowering.operand_lowering import (
     address_of,
+    element_address,
     filled,
     image_of,
+    null_purpose,
     real_constant,
     reference_to,
     row_name,
@@ -58,6 +64,9 @@ Notes = Mapping[int, Sequence[str]]
 NO_NOTES: Notes = {}
 #: Longer objects are copied from the module; up to this size they are written word by word.
 _UNROLLED = 12
+#: The lengths of the two kinds of arrays, at $p.
+_ARRAY_LENGTH = "(i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1))"
+_GROWABLE_LENGTH = f"(i64.load offset={8 * GROWABLE_LENGTH} (local.get $p))"
 
 
 class MethodLowering:
@@ -255,7 +264,10 @@ class MethodLowering:
                 trap = self._traps.number("ArithmeticException", "the result does not fit an int")
                 lines += self._trap(filled(rest, operands), trap, i.pc, refund)
             elif keyword == "index":
-                lines += self._index(filled(rest, operands), i.pc, refund)
+                lines += self._index(filled(rest, operands), _ARRAY_LENGTH, i.pc, refund)
+            elif keyword == "place":
+                index = filled(rest, operands)
+                lines += [*self._index(index, _GROWABLE_LENGTH, i.pc, refund), element_address(index)]
             else:
                 lines.append(filled(line.strip(), operands))
         if "into" in operands:
@@ -266,25 +278,13 @@ class MethodLowering:
         # The object of the method is never null.
         if not operand:
             return []
-        trap = self._traps.number("NullException", f"{self._use(i)} of null")
+        trap = self._traps.number(
+            "NullException", f"{null_purpose(self._core, self._method.slots, i)} of null"
+        )
         return self._trap(f"(i64.eqz {self._value(operand, 'i64')})", trap, i.pc, refund)
 
-    def _use(self, i: LoweredInstruction) -> str:
-        """Purpose of an object for an instruction, as in its exception."""
-        match i.row.name:
-            case "getf" | "putf":
-                slot, field = (i.quad.b, i.quad.c) if i.row.name == "getf" else (i.quad.a, i.quad.b)
-                record = self._core.types[self._method.slots[slot]]
-                return f"field '{self._core.classes[record.of].fields[field].name}'"
-            case "call":
-                return f"call of '{self._core.methods[i.quad.a].name}'"
-            case "array_len":
-                return "length"
-        return "element"
-
-    def _index(self, index: str, pc: int, refund: int) -> list[str]:
-        """Throws if an index is outside the array at $p."""
-        length = "(i64.sub (i64.load32_u offset=4 (local.get $p)) (i64.const 1))"
+    def _index(self, index: str, length: str, pc: int, refund: int) -> list[str]:
+        """Throws if an index is outside the array of that length."""
         operands_code = f"(global.set $word {index}) (global.set $length {length})"
         return self._trap(f"(i64.ge_u {index} {length})", INDEX, pc, refund, operands_code)
 
@@ -301,9 +301,11 @@ class MethodLowering:
             zip(i.arguments, i.row.argument_kinds or (), strict=False)
         ):
             slots[str(number)] = pushed
-            operands[str(number)] = self._value(pushed, "f64" if expected_kind == "real" else "i64")
+            real = expected_kind == "real" or (expected_kind == "any" and self._is_real(i))
+            operands[str(number)] = self._value(pushed, "f64" if real else "i64")
         if i.into >= 0:
             operands["a"], operands["into"] = self.slots.target(i.into), i.into
+            operands["t"] = self.slots.types[i.into]
         elif i.row.argument_kinds is None:
             for letter, operand, value in zip("abc", i.row.operands, i.quad[1:], strict=False):
                 slots[letter] = value
@@ -317,7 +319,7 @@ class MethodLowering:
                     operands["field"] = 8 * (1 + value)
         for letter in [k for k in operands if k in slots and isinstance(operands[k], str)]:
             operands[f"{letter}_at"] = address_of(operands[letter])
-        if i.row.name in ("putf", "pute"):
+        if i.row.name in ("putf", "pute", "append", "insert"):
             operands["t"] = "f64" if self._is_real(i) else "i64"
         return {**operands, **self._made(i)}
 
@@ -329,12 +331,17 @@ class MethodLowering:
             case "putf":
                 return self._kind(self._core.classes[types[self._method.slots[a]].of].fields[b].type) == REAL
             case "pute":
-                return self._kind(types[self._method.slots[a]].of) == REAL
+                return self._kind(self._core.element(self._method.slots[a])) == REAL
+            case "append" | "insert":
+                return self._kind(self._core.element(a)) == REAL
         return self.slots.types[a] == "f64"
 
     def _made(self, i: LoweredInstruction) -> dict[str, str]:
         """For instructions that create objects: their size, and the code that writes them at $p."""
         made = {"made": reference_to("$p"), "head": str(ARRAY | i.quad.b << 8)}
+        if i.row.name == "newarray" and self._kind(i.quad.b) == GROWABLE_TYPE:
+            made["head"] = str(header(GROWABLE, i.quad.b, GROWABLE_WORDS))
+            made["plain_head"] = str(ARRAY | self._core.plain_array(i.quad.b) << 8)
         if i.row.name not in ("lds", "new"):
             return made
         words = image_of(self._prepared, i)

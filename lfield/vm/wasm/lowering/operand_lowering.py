@@ -6,8 +6,8 @@ import re
 import struct
 from typing import Any
 
-from lfield.bytecode.program import PROXY
-from lfield.vm.memory.layout import OBJECT, STRING, header
+from lfield.bytecode.program import GROWABLE, PROXY, Core
+from lfield.vm.memory.layout import GROWABLE_ARRAY, OBJECT, STRING, header
 from lfield.vm.reference.step_compiler import PreparedProgram
 from lfield.vm.wasm.lowering.control_flow_graph import LoweredInstruction
 from lfield.vm.wasm.lowering.instruction_table import ROWS
@@ -19,12 +19,29 @@ _BRACES = re.compile(r"\{(\w+)\}")
 
 def row_name(prepared: PreparedProgram, slots: tuple[int, ...], i: LoweredInstruction) -> str:
     """The table row for an instruction; '' if it exits."""
-    name = i.row.name
-    if name in ("eqr", "sner") and prepared.program.core.types[slots[i.quad.b]].kind == PROXY:
+    name, types = i.row.name, prepared.program.core.types
+    array = _array_type(slots, i)
+    if array >= 0 and types[array].kind == GROWABLE:
+        return f"{name} of growable"
+    if name in ("eqr", "sner") and types[slots[i.quad.b]].kind == PROXY:
         return f"{name} of proxies"
     if name == "lds" and len(image_of(prepared, i)) > _LONGEST:
         return ""
     return name if name in ROWS else ""
+
+
+def _array_type(slots: tuple[int, ...], i: LoweredInstruction) -> int:
+    """The type of the array of an instruction with rows for both kinds of arrays; -1 for others."""
+    match i.row.name:
+        case "gete":
+            return slots[i.quad.b]
+        case "pute":
+            return slots[i.quad.a]
+        case "newarray":
+            return i.quad.b
+        case "array_len":
+            return slots[i.arguments[0]] if i.arguments[0] >= 0 else -1
+    return -1
 
 
 def image_of(prepared: PreparedProgram, i: LoweredInstruction) -> list[int]:
@@ -61,6 +78,30 @@ def reference_to(address: str) -> str:
 def address_of(reference: str) -> str:
     """The address of a reference's target."""
     return f"(i32.add (local.get $base) (i32.shl (i32.wrap_i64 {reference}) (i32.const 3)))"
+
+
+def element_address(index: str) -> str:
+    """Sets $p, the address of a growable array, to that of an element."""
+    array = f"(i32.wrap_i64 (i64.load offset={8 * GROWABLE_ARRAY} (local.get $p)))"
+    word = f"(i32.add (i32.add {array} (i32.wrap_i64 {index})) (i32.const 1))"
+    return f"(local.set $p (i32.add (local.get $base) (i32.shl {word} (i32.const 3))))"
+
+
+def null_purpose(core: Core, slots: tuple[int, ...], i: LoweredInstruction) -> str:
+    """Purpose of an object for an instruction, as in the exception for null."""
+    match i.row.name:
+        case "getf" | "putf":
+            slot, field = (i.quad.b, i.quad.c) if i.row.name == "getf" else (i.quad.a, i.quad.b)
+            return f"field '{core.classes[core.types[slots[slot]].of].fields[field].name}'"
+        case "call":
+            return f"call of '{core.methods[i.quad.a].name}'"
+        case "array_len":
+            return "length"
+        case "append" | "insert" | "remove":
+            return i.row.name
+        case "remove_last":
+            return "pop"
+    return "element"
 
 
 def real_constant(value: float) -> str:

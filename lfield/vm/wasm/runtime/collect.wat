@@ -1,4 +1,5 @@
-;; The collector: Cheney's algorithm; same bytes as lfield/vm/memory/collector.py.
+;; The collector: Cheney's algorithm; same bytes as lfield/vm/memory/collector.py. The spare words of growable
+;; arrays are dropped.
 ;;
 ;; $tables  address of the records of the program (runtime_tables.py); record 0 of kind 0 is the block's header
 ;; $from    address of the old space, of $used words; headers of live objects there are overwritten
@@ -52,7 +53,27 @@
                     (then
                         ;; It has moved: its header is the negated new place.
                         (i64.store (local.get $slot) (i64.sub (i64.const 0) (local.get $head)))
+                        (if (i32.eq (i32.and (local.get $half) (i32.const 255)) (i32.const 8))
+                            (then
+                                (local.set $words
+                                    (i64.sub
+                                        (i64.load32_u offset=4
+                                            (call $at (local.get $to)
+                                                (i64.sub (i64.const 0) (local.get $head))))
+                                        (i64.const 1)))
+                                (if (i64.gt_s (i64.load offset=8 (local.get $scan)) (local.get $words))
+                                    (then
+                                        (i64.store offset=8 (local.get $scan) (local.get $words))))))
                         (br $references)))
+                (if (i32.eq (i32.and (local.get $half) (i32.const 255)) (i32.const 8))
+                    (then
+                        (local.set $words
+                            (i64.add (i64.load offset=8 (local.get $scan)) (i64.const 1)))
+                        (local.set $head
+                            (i64.or
+                                (i64.and (local.get $head) (i64.const 0xFFFFFFFF))
+                                (i64.shl (local.get $words) (i64.const 32))))
+                        (i64.store (local.get $old) (local.get $head))))
                 (local.set $words (i64.shr_u (local.get $head) (i64.const 32)))
                 (local.set $bytes (i32.shl (i32.wrap_i64 (local.get $words)) (i32.const 3)))
                 (if (i32.or

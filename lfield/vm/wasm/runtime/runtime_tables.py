@@ -2,11 +2,11 @@
 
 All numbers are little-endian, 32 bits; addresses count from the start of the tables.
 
-      0   by kind (0 to 7), the address of its records
-     32   by kind, its number of records
-     64   the number of team members, and the address of their classes, by number
-     72   the number of classes, and the address of one bit per pair: whether one is a subclass of the other
-     80   records, 16 bytes each: a number, the number of references (-1: every word after the header), the
+      0   by kind (0 to 15), the address of its records
+     64   by kind, its number of records
+    128   the number of team members, and the address of their classes, by number
+    136   the number of classes, and the address of one bit per pair: whether one is a subclass of the other
+    144   records, 16 bytes each: a number, the number of references (-1: every word after the header), the
           address of their list, another number
     ...   lists: for each reference its offset in bytes, and its target type
 
@@ -32,8 +32,8 @@ from lfield.bytecode.program import Program
 from lfield.vm.memory.heap_schema import Expected, HeapSchema, SuspensionPoints
 from lfield.vm.memory.layout import ARRAY, ROOTS, Layouts
 
-_KINDS = 8
-_HEAD = struct.Struct("<20i")
+_KINDS = 16
+_HEAD = struct.Struct("<36i")
 _RECORD = struct.Struct("<iiii")
 _PAIR = struct.Struct("<ii")
 _SCHEMA_HEAD = struct.Struct("<5i")

@@ -3,7 +3,7 @@
 ;; heap. Python checks the rest of a ticket.
 ;;
 ;; $tables   address of the tables: the records of words.wat (first number: the size of the object, 0 any,
-;;           -1 no such object; second: target type of the elements of an array of references), then eight
+;;           -1 no such object; second: target type of the elements of an array of references), then sixteen
 ;;           numbers of records by kind, then two pairs: members and the address of their classes, classes and
 ;;           the address of their superclass bits
 ;; $block    address of the block; $heap and $top in words
@@ -44,11 +44,11 @@
             (local.set $half (i32.wrap_i64 (local.get $head)))
             (local.set $kind (i32.and (local.get $half) (i32.const 255)))
             (local.set $words (i64.shr_s (local.get $head) (i64.const 32)))
-            (br_if $unsure (i32.gt_u (local.get $kind) (i32.const 7)))
+            (br_if $unsure (i32.gt_u (local.get $kind) (i32.const 15)))
             (br_if $unsure
                 (i32.ge_u
                     (i32.shr_u (local.get $half) (i32.const 8))
-                    (i32.load offset=32
+                    (i32.load offset=64
                         (i32.add (local.get $tables) (i32.shl (local.get $kind) (i32.const 2))))))
             (local.set $size (i32.load (call $record (local.get $tables) (local.get $half))))
             (br_if $unsure (i32.lt_s (local.get $size) (i32.const 0)))
@@ -99,6 +99,17 @@
             (local.set $head (i64.load (local.get $at)))
             (local.set $place (i64.add (local.get $place) (i64.shr_u (local.get $head) (i64.const 32))))
             (local.set $record (call $record (local.get $tables) (i32.wrap_i64 (local.get $head))))
+            ;; A growable array has at most as many elements as its array, which is checked below.
+            (if (i32.eq (i32.and (i32.wrap_i64 (local.get $head)) (i32.const 255)) (i32.const 8))
+                (then
+                    (local.set $target (i64.load offset=16 (local.get $at)))
+                    (br_if $unsure (i64.eqz (local.get $target)))
+                    (br_if $unsure (i64.ge_u (local.get $target) (local.get $top)))
+                    (br_if $unsure
+                        (i64.ge_u
+                            (i64.load offset=8 (local.get $at))
+                            (i64.load32_u offset=4
+                                (call $at (local.get $block) (local.get $target)))))))
             (local.set $left (i32.load offset=4 (local.get $record)))
             (local.set $offset (i32.const 0))
             (local.set $list (i32.const 0))
@@ -173,13 +184,13 @@
         (i32.add
             (i32.mul
                 (i32.shr_u (local.get $found) (i32.const 8))
-                (i32.load offset=72 (local.get $tables)))
+                (i32.load offset=136 (local.get $tables)))
             (i32.shr_u (local.get $expected) (i32.const 8))))
     (i32.and
         (i32.shr_u
             (i32.load8_u
                 (i32.add
-                    (i32.add (local.get $tables) (i32.load offset=76 (local.get $tables)))
+                    (i32.add (local.get $tables) (i32.load offset=140 (local.get $tables)))
                     (i32.shr_u (local.get $bit) (i32.const 3))))
             (i32.and (local.get $bit) (i32.const 7)))
         (i32.const 1)))
@@ -188,13 +199,13 @@
 (func $is_proxy (param $tables i32) (param $at i32) (param $class i32) (result i32)
     (local $member i64)
     (local.set $member (i64.load offset=8 (local.get $at)))
-    (if (i64.ge_u (local.get $member) (i64.extend_i32_u (i32.load offset=64 (local.get $tables))))
+    (if (i64.ge_u (local.get $member) (i64.extend_i32_u (i32.load offset=128 (local.get $tables))))
         (then (return (i32.const 0))))
     (i32.and
         (i32.eq
             (i32.load
                 (i32.add
-                    (i32.add (local.get $tables) (i32.load offset=68 (local.get $tables)))
+                    (i32.add (local.get $tables) (i32.load offset=132 (local.get $tables)))
                     (i32.shl (i32.wrap_i64 (local.get $member)) (i32.const 2))))
             (local.get $class))
         (i64.lt_u (i64.load offset=16 (local.get $at)) (i64.const 0x4000000000000000))))

@@ -11,6 +11,27 @@
 (func $is_long (param $bytes i32) (result i32)
     (i32.gt_u (local.get $bytes) (i32.const 1024)))
 
+;; FNV-1a of 64 bits over the bytes of a string, without its lowest two bits; -1 for null and long strings.
+(func $str_hash (export "str_hash") (param $base i32) (param $place i64) (result i64)
+    (local $at i32) (local $count i32) (local $found i64)
+    (if (i64.eqz (local.get $place)) (then (return (i64.const -1))))
+    (local.set $at (call $at (local.get $base) (local.get $place)))
+    (local.set $count (i32.load offset=8 (local.get $at)))
+    (if (call $is_long (local.get $count)) (then (return (i64.const -1))))
+    (local.set $at (i32.add (local.get $at) (i32.const 16)))
+    (local.set $found (i64.const 0xCBF29CE484222325))
+    (block $done
+        (loop $next
+            (br_if $done (i32.eqz (local.get $count)))
+            (local.set $found
+                (i64.mul
+                    (i64.xor (local.get $found) (i64.load8_u (local.get $at)))
+                    (i64.const 0x100000001B3)))
+            (local.set $at (i32.add (local.get $at) (i32.const 1)))
+            (local.set $count (i32.sub (local.get $count) (i32.const 1)))
+            (br $next)))
+    (i64.shr_u (local.get $found) (i64.const 2)))
+
 ;; The number of characters in some bytes: those that are not UTF-8 continuation bytes.
 (func $characters (param $at i32) (param $count i32) (result i32)
     (local $found i32) (local $word i64)

@@ -31,7 +31,7 @@ def command_lines() -> Iterator[bytes]:
 def test_a_bundle_is_pushed_and_started_over_a_router_that_dies_in_between(lfield, robots, router):
     team = robots("alpha", "bravo", router=router.endpoint)
     team.up()
-    team.mission()
+    team.mission(pause=3.0)
     pushed = told(lfield("push", "mission.dL", "--json"))
     assert (pushed["outcome"], pushed["votes"]) == ("activated", {"alpha": "yes", "bravo": "yes"})
     router.kill()

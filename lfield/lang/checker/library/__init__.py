@@ -1,0 +1,1 @@
+"""Calls of the library that is written in L: methods of arrays, and maps."""

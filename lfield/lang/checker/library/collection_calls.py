@@ -1,0 +1,167 @@
+"""Calls of the library that is written in L: methods of arrays (`arrays.L`), and of maps (`map.L`).
+
+`a.sort()` becomes a call of a private method of the unit that has the call, one for each type of elements. So
+a comparison is a call of a method of that unit, which the checker chooses as any other. Elements of maps are
+calls of methods of the class of the map.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from lfield.lang import messages, syntax, tree
+from lfield.lang.checker.conversions import (
+    OverloadCandidate,
+    choose_overload,
+    require_type,
+    unknown,
+    with_article,
+)
+from lfield.lang.checker.scope import BodyContext
+from lfield.lang.parser import parse_file
+from lfield.lang.standard_library.instances import LibraryBody, array_texts
+from lfield.lang.types import BOOLEAN, INT, REAL, STRING, UNKNOWN, VOID, ArrayType, MapType, Type, array_of
+from lfield.text.source_text import Diagnostics, Source, Span
+from lfield.text.suggestions import listed
+
+_CALL = re.compile(r"BEFORE\((\w+), (\w+)\)")
+#: Whether one key is before another, by type. A real that is NaN is after all others.
+_NATURAL = {
+    INT: r"(\1 < \2)",
+    STRING: r"(\1 < \2)",
+    REAL: r"(\1 < \2 || (\2 != \2 && \1 == \1))",
+}
+
+
+def check_library_call(
+    body: BodyContext, raw: syntax.Call, owner: tree.Expr, given: list[tree.Expr]
+) -> tree.Expr:
+    """`array.contains(x)`, `array.indexOf(x)` or `array.slice(from, to)`."""
+    assert isinstance(owner.type, ArrayType)
+    name, place = raw.function.name, _place(raw)
+    parameters = (INT, INT) if name == "slice" else (owner.type.element,)
+    result = {"contains": BOOLEAN, "indexOf": INT}.get(name, owner.type)
+    chosen = choose_overload(body.symbols, place, [OverloadCandidate(name, parameters, name)], given)
+    if chosen is None:
+        return unknown(raw.span)
+    return _call(body, raw, name, array_texts()[name], (owner, *chosen[1]), result)
+
+
+def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Expr:
+    """`array.sort()`, or `array.sort(method)` with a method of this unit that gives a key or compares."""
+    assert isinstance(owner.type, ArrayType)
+    of, arguments = owner.type.element, raw.arguments
+    if not arguments:
+        if of not in _NATURAL:
+            body.report(messages.SORT_ORDER, _place(raw), type=with_article(of), element=of)
+            return unknown(raw.span)
+        return _call(body, raw, "sort", _natural("sort", of), (owner,), VOID)
+    if len(arguments) > 1 or not isinstance(arguments[0], syntax.Name):
+        body.report(messages.SORT_ARGUMENT, arguments[-1].span)
+        return unknown(raw.span)
+    name = arguments[0].name
+    for method in body.methods(name):
+        types = [parameter.type for parameter in method.parameters]
+        if types == [of] and method.result in _NATURAL:
+            text = _natural("sortByKey", method.result).replace("KEY(", f"{name}(")
+            return _call(body, raw, "sortByKey", text, (owner,), VOID, method.result)
+        if types == [of, of] and method.result == BOOLEAN:
+            text = _CALL.sub(rf"{name}(\1, \2)", array_texts()["sort"])
+            return _call(body, raw, "sort", text, (owner,), VOID)
+    if not body.is_broken() and of is not UNKNOWN:
+        known = [method.signature for method in body.methods(name)]
+        found = f"'{name}' is {listed(known)}" if known else f"there is no method '{name}' here"
+        body.report(messages.SORT_METHOD, arguments[0].span, found=found, element=of, name=name)
+    return unknown(raw.span)
+
+
+def _place(raw: syntax.Call) -> Span:
+    assert isinstance(raw.function, syntax.Member)
+    return raw.function.place
+
+
+def _natural(name: str, of: Type) -> str:
+    """The text of a method that compares values of a type."""
+    return _CALL.sub(_NATURAL[of], array_texts()[name])
+
+
+def _call(
+    body: BodyContext,
+    raw: syntax.Call,
+    name: str,
+    text: str,
+    arguments: Sequence[tree.Expr],
+    result: Type,
+    key: Type = VOID,
+) -> tree.Expr:
+    """The call of the instance of a method whose first parameter is the array."""
+    array = arguments[0].type
+    assert isinstance(array, ArrayType)
+    types = {"T": array.element, "K": key}
+    instance = body.symbols.library.method(
+        (body.unit, name, text, array, key), lambda: _instance(body, name, text, types)
+    )
+    return tree.Call(raw.span, result, body.this(raw.span), instance, list(arguments))
+
+
+def _instance(body: BodyContext, name: str, text: str, types: Mapping[str, Type]) -> LibraryBody:
+    """The method of that name in the unit, with types for T and K; its body is checked later."""
+    source = body.symbols.library.source(text)
+    written = next(method for method in _parsed(source) if method.name == name)
+    kinds = {"T": types["T"], "T[]": array_of(types["T"]), "int": INT, "boolean": BOOLEAN, "void": VOID}
+    method = tree.Method(
+        name,
+        "method",
+        body.unit,
+        [tree.Local(p.name, kinds[str(p.type)], p.span) for p in written.parameters],
+        kinds[str(written.result or "void")],
+        public=False,
+        synchronized=False,
+        span=written.span,
+        end=written.end,
+    )
+    body.unit.add_library_method(method)
+    return LibraryBody(method, written, types)
+
+
+def _parsed(source: Source) -> list[syntax.Method]:
+    return parse_file(source, Diagnostics()).units[0].methods
+
+
+# --- maps ---------------------------------------------------------------------------------------------
+
+
+def map_element(body: BodyContext, raw: syntax.Index, found: tree.Expr, index: tree.Expr) -> tree.Call:
+    """`m[key]`: the value of a key; IndexException without one."""
+    assert isinstance(found.type, MapType)
+    key = require_type(body.symbols, index, found.type.key)
+    return _map_call(body, raw.span, found, "get", [key])
+
+
+def assigned_element(raw: syntax.Expr, found: tree.Expr) -> tree.Call | None:
+    """The call of an element of a map where an assignment has it on its left; None for anything else."""
+    if isinstance(raw, syntax.Index) and isinstance(found, tree.Call):
+        return found if isinstance(found.object.type, MapType) else None
+    return None
+
+
+def set_element(body: BodyContext, span: Span, element: tree.Call, value: tree.Expr) -> tree.Call:
+    """`m[key] = value`."""
+    return _map_call(body, span, element.object, "set", [*element.arguments, value])
+
+
+def map_keys(body: BodyContext, found: tree.Expr) -> tree.Expr:
+    """The keys of a map, in the order of their insertion, as an array."""
+    assert isinstance(found.type, MapType)
+    call = _map_call(body, found.span, found, "keys", [])
+    assert call.type == array_of(found.type.key)
+    return call
+
+
+def _map_call(
+    body: BodyContext, span: Span, found: tree.Expr, name: str, arguments: list[tree.Expr]
+) -> tree.Call:
+    unit = body.symbols.units[found.type.name]
+    method = unit.overloads(name, "method")[0]
+    return tree.Call(span, method.result, found, method, arguments)

@@ -1,0 +1,122 @@
+"""Which parts of the library in L a program uses: methods for arrays, and classes of maps, each by types.
+
+The text of a method for arrays is parsed again for every instance, and its body is checked in the unit that
+uses it, after all bodies of the program. In the texts `T` is the type of elements, `K` that of keys, `V` that
+of values.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from lfield.lang import syntax, tree
+from lfield.lang.parser import parse_file
+from lfield.lang.types import INT, STRING, VOID, MapType, Type
+from lfield.text.source_text import Diagnostics, Source
+
+#: The name of every source of the library.
+LIBRARY_FILE = "<library>"
+#: The name of the constructor of the classes of maps.
+MAP_CONSTRUCTOR = "Map"
+_MAP = Path(__file__).with_name("map.L")
+_REFUSAL = 'if (key == null) throw new NullException("a key of a map is null");'
+#: By type of keys: the bucket of a key among n, the text of a key, and the statement that refuses null.
+_KEYS = {
+    STRING: ("key.hash() % n", '"\\"" + key + "\\""', _REFUSAL),
+    INT: ("(key % n + n) % n", "i2s(key)", ""),
+}
+_ARRAYS = Path(__file__).with_name("arrays.L")
+_NAME = re.compile(r"(\w+)\(")
+
+
+@cache
+def array_texts() -> dict[str, str]:
+    """For each method of arrays a class with it alone, by name."""
+    _, *methods = _ARRAYS.read_text(encoding="utf-8").removesuffix("}\n").split("    private ")
+    return {_NAME.findall(method)[0]: f"class Arrays {{\n    private {method}}}\n" for method in methods}
+
+
+@cache
+def _map_text() -> str:
+    return _MAP.read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryBody:
+    """A method of the library whose body is not checked yet, and what the types in it mean."""
+
+    method: tree.Method
+    written: syntax.Method
+    parameters: Mapping[str, Type]
+
+
+@dataclass(slots=True)
+class LibraryUses:
+    """The methods of the library that a program uses, and the texts they are from."""
+
+    #: What the names of types mean while a method of the library is checked.
+    parameters: Mapping[str, Type] = field(default_factory=dict)
+    #: The texts, by text.
+    sources: dict[str, Source] = field(default_factory=dict)
+    #: The classes of maps.
+    units: list[tree.Unit] = field(default_factory=list)
+    _methods: dict[object, tree.Method] = field(default_factory=dict)
+    _unchecked: list[LibraryBody] = field(default_factory=list)
+
+    def source(self, text: str) -> Source:
+        """The source with that text, created at its first use."""
+        return self.sources.setdefault(text, Source(LIBRARY_FILE, text))
+
+    def method(self, key: object, make: Callable[[], LibraryBody]) -> tree.Method:
+        """The instance of a method for a key, created at its first use."""
+        if key not in self._methods:
+            body = make()
+            self._methods[key] = body.method
+            self._unchecked.append(body)
+        return self._methods[key]
+
+    def map_class(
+        self, kind: MapType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
+    ) -> tree.Unit:
+        """The class of a type of maps, while K and V are bound; its bodies are checked later."""
+        bucket, text, refuse = _KEYS[kind.key]
+        source = self.source(
+            _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
+        )
+        written = parse_file(source, Diagnostics()).units[0]
+        unit = tree.Unit(kind.name, "class", usage, written.span)
+        for number, one in enumerate(written.fields):
+            unit.add_field(tree.Field(one.name, resolve(one.type), number, one.public, one.span))
+        for head in written.methods:
+            method = tree.Method(
+                head.name,
+                head.kind,
+                unit,
+                [tree.Local(p.name, resolve(p.type), p.span) for p in head.parameters],
+                VOID if head.result is None else resolve(head.result),
+                head.public,
+                head.synchronized,
+                head.span,
+                head.end,
+            )
+            unit.add_method(method)
+            self._unchecked.append(LibraryBody(method, head, self.parameters))
+        self.units.append(unit)
+        return unit
+
+    def unchecked(self) -> Iterator[LibraryBody]:
+        """The methods whose bodies are to be checked; checking one may add others."""
+        while self._unchecked:
+            yield self._unchecked.pop(0)
+
+    @contextmanager
+    def bound(self, parameters: Mapping[str, Type]) -> Iterator[None]:
+        """Let names of types mean these types."""
+        before, self.parameters = self.parameters, parameters
+        yield
+        self.parameters = before
