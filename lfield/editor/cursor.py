@@ -12,11 +12,11 @@ from pathlib import Path
 from lfield.editor.program_model import ProgramModel
 from lfield.editor.program_parts import ProgramPart
 from lfield.lang import syntax
-from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
-from lfield.lang.parser.type_names import MAP, result_type
+from lfield.lang.parser.token_stream import PRIMITIVES, ParsingAborted, SyntaxRecovery, TokenStream
+from lfield.lang.parser.type_names import result_type
 from lfield.lang.scanner import Token, TokenKind, scan
-from lfield.lang.syntax import TypeName
-from lfield.text.source_text import Diagnostics, Source
+from lfield.lang.syntax import BAD_TYPE, TypeName
+from lfield.text.source_text import Diagnostics, Source, Span
 
 _OPENING = {")": "(", "]": "["}
 #: What follows the name in a declaration of a local variable, a parameter or a caught exception.
@@ -95,11 +95,14 @@ class Cursor:
 
     def local_here(self) -> DeclaredLocal | None:
         """The variable whose declaration has the token as its name."""
+        found = None
         for at in range(self.index - 1, max(self.index - 20, -1), -1):
-            if self.tokens[at].text not in ("[", "]"):
-                declared = _declaration(self.tokens, at) if self.method is not None else None
-                return declared if declared is not None and declared.token is self.token else None
-        return None
+            if self.method is None or self.tokens[at].text in (";", "{", "}", "="):
+                break
+            declared = _declaration(self.tokens, at)
+            if declared is not None and declared.token is self.token:
+                found = declared
+        return found
 
 
 def cursor_at(model: ProgramModel, path: Path, offset: int) -> Cursor | None:
@@ -179,28 +182,36 @@ def _declaration(tokens: Sequence[Token], at: int) -> DeclaredLocal | None:
         return None
     if at > 0 and tokens[at - 1].text in (".", "new"):
         return None
-    after, dimensions = _end_of_name(tokens, at), 0
+    after, dimensions = _behind_arguments(tokens, at), 0
     while after + 1 < len(tokens) and tokens[after].text == "[" and tokens[after + 1].text == "]":
         after, dimensions = after + 2, dimensions + 1
     if after + 1 >= len(tokens) or tokens[after].kind is not TokenKind.NAME:
         return None
     if tokens[after + 1].text not in _AFTER_NAME:
         return None
-    if after == at + 1 + 2 * dimensions:
-        return DeclaredLocal(TypeName(first.span, first.text, dimensions), tokens[after])
-    written = first.span.source.text[first.span.start : tokens[after - 1].span.end]
-    stream = TokenStream(scan(Source("", written), Diagnostics()), Diagnostics())
-    return DeclaredLocal(result_type(stream), tokens[after])
+    if tokens[at + 1].text == "<":
+        return DeclaredLocal(_written_type(first.span.to(tokens[after - 1].span)), tokens[after])
+    return DeclaredLocal(TypeName(first.span, first.text, dimensions), tokens[after])
 
 
-def _end_of_name(tokens: Sequence[Token], at: int) -> int:
-    """The token after the name of a type; those of a map are in `<>`."""
-    after, depth = at + 1, 0
-    if tokens[at].text != MAP or after >= len(tokens) or tokens[after].text != "<":
-        return after
-    while after < len(tokens) and tokens[after].text not in (";", "(", "{", "}"):
-        depth += {"<": 1, ">": -1, ">>": -2}.get(tokens[after].text, 0)
+def _behind_arguments(tokens: Sequence[Token], at: int) -> int:
+    """The token behind the name of a type and its `<...>`."""
+    depth, after = 0, at + 1
+    while after < len(tokens) and (text := tokens[after].text) and (depth or text == "<"):
+        if text in (";", "(", ")", "{", "}"):
+            return at + 1
+        depth += text.count("<") - text.count(">")
         after += 1
         if depth <= 0:
-            return after
-    return at + 1
+            break
+    # A negative depth: it is an argument of another type.
+    return after if depth == 0 else len(tokens)
+
+
+def _written_type(span: Span) -> TypeName:
+    """A type with arguments, such as `map<string, int>[]`."""
+    quiet = Diagnostics()
+    try:
+        return result_type(TokenStream(scan(Source("", span.text), quiet), quiet))
+    except (SyntaxRecovery, ParsingAborted):
+        return TypeName(span, BAD_TYPE)

@@ -230,6 +230,8 @@ def test_definition_in_a_deployment(workspace: Workspace) -> None:
         ("map<string, Note> m = null; m[note.text].|", {"value"}, {"keys"}),
         ("// first.|", set(), {"rise"}),
         ("lifts[0].|", {"lift", "agent", "score"}, {"facts"}),
+        ("map<string, Note> notes = new map<string, Note>(); notes.|", {"keys", "contains"}, {"what"}),
+        ("map<string, map<int, Note>> all = null; all[arg[0]][1].|", {"what"}, {"keys"}),
         ("(new Note(first.agent(), 1.0)).|", {"value"}, set()),
     ],
 )
