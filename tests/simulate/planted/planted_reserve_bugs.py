@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+from dataclasses import replace
 from typing import Any
 
 from planted_bugs import Bug, Patch
@@ -9,8 +11,7 @@ from planted_bugs import Bug, Patch
 from lfield.host.migration.write_ahead import WriteAheadQueue
 from lfield.host.team.reservation_service import ReservationService
 from lfield.host.team.reservations import Reservations, StartKey
-from simulation_testing.scenarios.scenario import keeper
-from simulation_testing.scenarios.scenario_drawing import draw_scenario
+from simulation_testing.scenarios.scenario import Scenario, doubted, keeper
 
 
 def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
@@ -78,6 +79,26 @@ def a_fence_ends_it_before_it_is_on_disk(patch: Patch) -> None:
     patch.setattr(WriteAheadQueue, "is_pending_durable", lambda self, agent: False)
 
 
+def fenced_keeper(seed: int) -> Scenario:
+    """`keeper` in a small team with quick failovers, where hosts with slow disks lose power."""
+    dice, doubts = random.Random(f"fenced keeper {seed}"), doubted(seed)
+    pauses = {"cut": (0.8, 3.0), "disk_slow": (1.0, 3.0), "power": (1.0, 4.0), "island": (1.0, 4.0)}
+    return replace(
+        keeper(seed),
+        cast=3,
+        hosts=3,
+        witnesses=0,
+        calls=doubts.calls,
+        interval=doubts.interval,
+        lease=doubts.lease,
+        stays=doubts.stays,
+        sync=0.002,
+        means={kind: dice.uniform(*bounds) for kind, bounds in pauses.items()},
+        weather=doubts.weather,
+        seconds=doubts.seconds,
+    )
+
+
 def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
     return Bug(plant, broken, frozenset(found.split()), seed, keeper)
 
@@ -124,7 +145,7 @@ RESERVE_BUGS = [
         a_fence_ends_it_before_it_is_on_disk,
         "the reservation of a fenced start ends before the fence is on disk: a restarted host gives it back",
         frozenset({"reserved"}),
-        8909,
-        draw_scenario,
+        6,
+        fenced_keeper,
     ),
 ]

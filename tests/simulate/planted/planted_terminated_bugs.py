@@ -13,6 +13,7 @@ from lfield.host.migration.write_ahead import WriteAheadQueue
 from lfield.host.team.leases import TeamLeases
 from lfield.replication.lease.core import Quorum
 from lfield.replication.lease.termination_log import TerminationLog
+from lfield.replication.transfer.core import Mobility
 from simulation_testing.scenarios.scenario import Scenario, ending
 from simulation_testing.seed_runner import DrawScenario
 
@@ -20,13 +21,25 @@ from simulation_testing.seed_runner import DrawScenario
 RECOVERED = frozenset({"terminated", "promised"})
 
 
+def _no_ends_in_answers(patch: Patch) -> None:
+    """Answers to queries omit the states of coordinators that have ended: a second way to learn of an end."""
+    on_states = Mobility.on_states
+
+    def without_ends(self: Mobility, host: str, records: Any) -> Any:
+        return on_states(self, host, [one for one in records if one.state != "EXITED"])
+
+    patch.setattr(Mobility, "on_states", without_ends)
+
+
 def an_end_is_like_nothing_known(patch: Patch) -> None:
-    """A coordinator that has terminated looks like one of which nothing was ever heard."""
+    """A coordinator that has terminated looks like one of which nothing is known."""
+    _no_ends_in_answers(patch)
     patch.setattr(TeamLeases, "_termination_checkpoint", lambda self, agent: None)
 
 
 def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
-    """It is told in acknowledgements, but whoever is asked does not look."""
+    """Acknowledgements report it, but a vote does not consider it."""
+    _no_ends_in_answers(patch)
     on_propose, sought = Quorum._on_propose, Quorum._locate
 
     def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
