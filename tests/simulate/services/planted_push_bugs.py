@@ -285,9 +285,8 @@ PUSH_BUGS = (
     PushBug(
         a_hold_ends_before_the_result,
         "a host is released while the result of its ballot is unknown",
-        frozenset({"acts while bound"}),
-        40,
-        within=600,
+        frozenset({"released while bound"}),
+        7,
     ),
     PushBug(
         a_resume_of_a_person_ends_the_hold_of_a_vote,
@@ -306,6 +305,6 @@ PUSH_BUGS = (
         coordinators_of_left_out_robots_are_forgotten,
         "robots activate a bundle while a coordinator of the mission runs on a robot that is left out",
         frozenset({"yes with a coordinator elsewhere"}),
-        64,
+        55,
     ),
 )

@@ -102,14 +102,23 @@ class PushJudge:
         if self.missions[robot].host is not None:
             self.breaches.add("two hosts", (robot,), "a host runs already")
 
+    def on_release(self, robot: str) -> None:
+        """The service releases the host of a robot, which may arm again."""
+        if self._is_bound(robot):
+            self.breaches.add("released while bound", (robot,), "it has voted, and does not know the result")
+
+    def _is_bound(self, robot: str) -> bool:
+        """Whether a robot has voted for another bundle, and does not know the result."""
+        activation = self.records.get(robot, ServiceRecord()).activation
+        bound = activation.open_ballot
+        return bound is not None and bound.ballot is not None and bound.ballot.digest != activation.active
+
     def on_act(self, robot: str, bundle: bytes) -> None:
         """A coordinator acts on a robot: no other robot of the same activation may run another bundle."""
         self.counts["acts"] += 1
         if robot in self.paused:
             self.breaches.add("acts while paused", (robot,), "a person has paused it, and not resumed it")
-        activation = self.records.get(robot, ServiceRecord()).activation
-        bound = activation.open_ballot
-        if bound is not None and bound.ballot is not None and bound.ballot.digest != activation.active:
+        if self._is_bound(robot):
             # Its vehicle can leave the ground.
             self.breaches.add("acts while bound", (robot,), "it has voted, and does not know the result")
         own = self._activated.get(robot)

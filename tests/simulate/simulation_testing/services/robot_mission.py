@@ -45,9 +45,10 @@ class RobotMission:
         team: Mapping[str, RobotMission],
         on_act: OnAction,
         on_start: OnAction,
+        on_release: Callable[[str], None],
     ) -> None:
         self.robot, self.computer, self._team = robot, computer, team
-        self.on_act, self.on_start = on_act, on_start
+        self.on_act, self.on_start, self.on_release = on_act, on_start, on_release
         self.rng = random.Random(computer.machine.rng.random())
         self.is_airborne = False
         #: The journal: coordinators that have not ended as far as this robot knows, with their places, and
@@ -281,8 +282,9 @@ class ModelProbe:
         ballot = self._mission.held
         if trouble := await self._request():
             return trouble
-        if self._mission.held == ballot:
+        if ballot and self._mission.held == ballot:
             self._mission.held = b""
+            self._mission.on_release(self._mission.robot)
         return await self._answer("")
 
     async def is_up(self) -> bool:

@@ -80,7 +80,10 @@ class ServiceFleet:
         self.disks = {name: ServiceDisk(name, self.judge.on_save) for name in self.robots}
         missions = self.judge.missions
         for name, computer in self.computers.items():
-            missions[name] = RobotMission(name, computer, missions, self.judge.on_act, self.judge.on_start)
+            judge = self.judge
+            missions[name] = RobotMission(
+                name, computer, missions, judge.on_act, judge.on_start, judge.on_release
+            )
         #: Processes of services that run; log lines with their times.
         self.services: dict[str, SimulatedProcess] = {}
         self.log: list[tuple[float, str, str]] = []
