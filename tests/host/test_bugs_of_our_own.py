@@ -126,7 +126,7 @@ async def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(team, /, monke
     assert len(seen) > after, "the planted bug was never reached"
     assert "bug in lfield: ZeroDivisionError: planted" in logs
     assert "died of an uncaught bug in lfield" in logs
-    # Whoever it was, the coordinator heard of it: it died itself, or its portal call did.
+    # The coordinator learns of either: it died itself, or its portal call did.
     assert await team.ended("victim") == "died"
     assert alpha.host.failure is None
     assert bravo.host.failure is None

@@ -47,7 +47,7 @@ async def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(team, /, edge,
     await team.until(lambda: any(running.output for running in hosts))
     team.network.partition(*edge)
     if "&" in way:
-        # Nobody can be called over the edge that is cut: the link comes back in time.
+        # No host can be called over the edge that is cut; the link returns in time.
         asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
     fates = await all_fates(hosts)
     assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]

@@ -103,7 +103,7 @@ async def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(team, /
     home, _, carol = await team.up(mission, keeps=True)
     await team.until(lambda: carol.output)
     first = carol.output[0].split()[0]
-    # Nobody who can be reached knows of it, and its page on the disk is spoilt: a second one is started.
+    # No reachable host knows of it, and its record on disk is damaged: a second one is started.
     team.network.partition("home", "carol")
     await home.host.stop()
     await asyncio.sleep(10.0)

@@ -35,7 +35,7 @@ async def test_a_start_that_is_away_is_not_made_again(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(mission, keeps=True)
     await team.until(lambda: away.output)
-    # Nobody who can be reached knows of it but the disk.
+    # No reachable host knows of it; only the disk does.
     team.network.partition("home", "away")
     await home.host.stop()
     (again,) = await team.up(mission, "home", keeps=True)

@@ -222,7 +222,7 @@ async def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(inn, 
     ben.say(encode(HELLO) + encode(STOP))
     await asyncio.sleep(1.1 * ROUND)
     assert ben.hears.messages == [HELLO, STOP]
-    # And one of whoever floods, behind one turn of each other link.
+    # And one of the flooding link, behind one turn of each other link.
     again = inn.caller("anna")
     again.say(encode(HELLO) + encode(STOP))
     await asyncio.sleep(18 * ROUND)

@@ -178,7 +178,7 @@ def _wait_until_up(
     """
     end = time.monotonic() + SETTLE_TIMEOUT
     up_since: float | None = None
-    #: When hosts have failed, and since when one has ended for good.
+    #: When hosts have failed, and since when one has ended and does not restart.
     failures: set[tuple[str, float]] = set()
     gone_since: float | None = None
     while True:

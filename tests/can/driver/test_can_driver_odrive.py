@@ -199,7 +199,7 @@ async def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again
     await axis.make_safe()
     await asyncio.sleep(0.1)
     before = b.axis.position
-    b.axis.mode, b.axis.rate = (2, 1), 3.0  # of somebody else on the bus
+    b.axis.mode, b.axis.rate = (2, 1), 3.0  # set by another sender on the bus
     await asyncio.sleep(0.5)
     assert "turning" in axis.moving()
     await axis.make_safe()

@@ -282,7 +282,7 @@ async def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(b, axis,
 async def test_an_axis_that_began_to_turn_since_it_was_heard_last_is_not_at_rest(b, axis, /, state):
     await turning(axis)
     await axis.make_safe()
-    axis.protocol.state.velocity = 0.0  # as it was told before it began to turn
+    axis.protocol.state.velocity = 0.0  # as reported before it began to turn
     await axis.make_safe()
     words, _ = await rests(axis, 60.0)
     assert words or state == "brake"

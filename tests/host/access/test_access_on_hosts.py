@@ -55,7 +55,7 @@ async def test_what_may_not_be_called_is_not_offered_and_explained(team, /):
         "far: guest may not call far.sink(): mission.access.yaml:3 allows hoist() of far only"
     )
     assert "may not" not in world.explain(FOREMAN, "Lift", None)
-    # Whoever looks from outside calls nothing, and sees everybody.
+    # An observer calls no portals, so it sees all agents.
     assert [told.refusal for told in alpha.host.status().directory] == ["", ""]
 
 

@@ -74,7 +74,7 @@ async def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(t
     await bravo.host.stop()
     await alpha.host.stop()
     assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
-    # The devices of another computer are not up yet, so nothing is heard of what goes on there.
+    # The devices of another computer are not open yet, so no event of it arrives.
     (bravo,) = await team.up(once, "bravo", keeps=True)
     await team.until(lambda: kept(team, "bravo") == [DIGEST])
     await bravo.host.stop()
@@ -126,7 +126,7 @@ async def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_
     again = require_signature(mission, proof, bad, [BundleRecord(DIGEST)])
     assert again.bundle == first.bundle
     assert "are revoked (list 4)" in again.warning
-    # Whoever made the keys for this run alone has said what runs.
+    # The person who made the keys for this run has stated which bundle runs.
     vouched = BundleId(DIGEST, by="whoever started it", at=1.0)
     assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
     other = replace(mission, release=BundleId(b"c" * 32))

@@ -64,7 +64,7 @@ async def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(team, /)
         require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
     with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
         require_in_doubt("geust", await looked(team, "home", "away"), NAMES)
-    # Said of one that is alive all the same: its shadow is given up, and it goes on.
+    # Forgetting one that is alive: its shadow is discarded, and it continues.
     await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
     await send_request(team.network.transport("desk"), "away:8181", forget("guest"))
     await asyncio.sleep(5.0)

@@ -117,7 +117,7 @@ def ack(number, result, **fields):
 async def test_answers_that_are_late_do_not_answer_the_next_question(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [4.0])
-    # An acceptance of something that nobody asks at the moment; a takeoff in the air is refused.
+    # An acceptance of a command that is not pending; a takeoff in the air is refused.
     b.links[0].on_data(PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
     await asyncio.sleep(0.1)
     with pytest.raises(DeviceError, match="takeoff refused: FAILED"):

@@ -225,7 +225,7 @@ async def test_offboard_is_asked_for_again_when_a_packet_was_lost(b, fc, /):
 async def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(b, fc, /):
     await up(fc)
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
-    # Nobody renews it, and PX4's own failsafe for setpoints takes it down.
+    # It is not renewed, and PX4's own failsafe for setpoints lands the vehicle.
     await asyncio.sleep(3.0)
     assert b.values["failsafe"] is True
     with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, has it"):

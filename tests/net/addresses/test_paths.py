@@ -173,7 +173,7 @@ async def test_a_listener_follows_its_name_and_tries_again_what_fails(book, monk
     transport.note = notes.append
     there, accepted = await listening("alpha:0", transport)
     port = int(there.address.rpartition(":")[2])
-    # Somebody else has the port there, for a while.
+    # Another process uses the port for a while.
     with socket.create_server(("127.0.0.3", port)):
         book.rows["alpha"] = ["127.0.0.3"]
         await until(lambda: any("not listening on 127.0.0.3" in note for note in notes))
