@@ -6,8 +6,8 @@ The words are names everywhere else.
 from __future__ import annotations
 
 from lfield.lang import messages
-from lfield.lang.parser.expressions import expression
-from lfield.lang.parser.statements import block, parenthesised
+from lfield.lang.parser.expressions import expression, parenthesised
+from lfield.lang.parser.statements import block
 from lfield.lang.parser.token_stream import SyntaxRecovery, TokenStream
 from lfield.lang.scanner import TokenKind
 from lfield.lang.syntax import LoopHead, Method, Unit
