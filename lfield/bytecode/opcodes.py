@@ -356,6 +356,32 @@ TABLE: tuple[Opcode, ...] = (
         "Releases these resources without waiting: replaces the numbers by 0.",
         exits=True,
     ),
+    # loops of resources
+    _head(
+        1870,
+        "tick",
+        "int int->int",
+        "Ends a tick of a loop and waits for the next one: 1 is the time of this tick (-1: none), 2 the "
+        "period, the result the time of the next one, in ns of the resource; ArithmeticException.",
+        exits=True,
+    ),
+    _head(
+        1871,
+        "suppress",
+        "",
+        "Suppresses the body of another loop: CancelledException at its next pause and acting device "
+        "instructions, until its tick ends.",
+        "M",
+        True,
+    ),
+    _head(
+        1872,
+        "control",
+        "",
+        "Until its tick ends only loops of this resource command its devices; DeviceException for others.",
+        exits=True,
+    ),
+    _head(1873, "tick_failed", "ref", "Reports the exception that has ended a tick of a loop.", exits=True),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

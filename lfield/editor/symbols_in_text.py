@@ -18,6 +18,7 @@ from lfield.lang.language_library import (
     FUNCTIONS,
     LIBRARY_OF_ARRAYS,
     LIBRARY_OF_MAPS,
+    LOOP_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
@@ -26,7 +27,7 @@ from lfield.lang.language_library import (
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import TokenKind, scan
-from lfield.lang.types import UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
+from lfield.lang.types import LOOP, UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
 from lfield.manifest import DeviceManifest, Instruction
 from lfield.text.source_text import Diagnostics, Source, Span
 
@@ -113,6 +114,9 @@ class TextSymbols:
             field = unit.field(name) if unit is not None else None
             if unit is not None and field is not None:
                 return self.of_field(unit, field)
+            loop = unit.loop(name) if unit is not None else None
+            if loop is not None:
+                return self.of_method(loop.body)
         return self.type_named(name)
 
     def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
@@ -177,7 +181,8 @@ class TextSymbols:
                 return [_of_library(name, _array_functions(kind, name)) for name in _array_names(kind)]
             case ClassType():
                 return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
-        return [_of_library(one.name, [one]) for one in STRING_METHODS] if kind.name == "string" else []
+        functions = {"string": STRING_METHODS, LOOP.name: LOOP_METHODS}.get(kind.name, ())
+        return [_of_library(one.name, [one]) for one in functions]
 
     def _unit_members(self, unit: tree.Unit, kind: Type, *, is_own: bool) -> Iterator[TextSymbol]:
         is_proxy = isinstance(kind, ResourceType)
@@ -187,7 +192,7 @@ class TextSymbols:
         if is_proxy:
             yield from (_of_library(one.name, [one]) for one in PROXY_METHODS)
         else:
-            yield from (self.of_field(unit, one) for one in unit.fields if one.public or is_own)
+            yield from (self.of_field(unit, one) for one in unit.named_fields if one.public or is_own)
 
     def _chosen(self, cursor: Cursor, methods: Sequence[tree.Method]) -> tree.Method:
         """The overload that a call selects; the first one if that is not known."""

@@ -128,6 +128,14 @@ PROXY_METHODS: tuple[LibraryFunction, ...] = (
     LibraryFunction("host", (), STRING, "host", "coordinator", "the name of its host"),
 )
 
+#: Methods of a loop of the same resource: fields of the resource.
+LOOP_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("running", (), BOOLEAN, "", "resource", "whether the body of the loop runs now"),
+    LibraryFunction(
+        "overruns", (), INT, "", "resource", "how often the body of the loop ended after its next tick"
+    ),
+)
+
 #: `a.length()` of any array.
 ARRAY_LENGTH = "array_len"
 #: The operations that make an array longer or shorter.

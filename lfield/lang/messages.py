@@ -249,6 +249,46 @@ MAP_KEY = _message(
     "use an id or a number of it as the key, and the object as the value",
 )
 
+LOOP_PLACE = _message(
+    "L470",
+    "{unit} cannot have a loop",
+    "only resources have loops; a coordinator enables one through a portal of its resource",
+)
+LOOP_RATE = _message(
+    "L471",
+    "the loop '{name}' has no rate",
+    "write loop {name} at 10.0 {{ ... }}, in hertz, or loop {name} every 0.1 {{ ... }}, in seconds; priority "
+    "and when follow",
+)
+LOOP_PERIOD = _message(
+    "L472",
+    "the period of a loop is {given}: it must be from 0.001 s to 1000 s",
+    "at is followed by hertz, every by seconds",
+)
+LOOP_PRIORITY = _message(
+    "L473",
+    "the priority of a loop is a whole number",
+    "write priority 2, a constant: a loop suppresses those with lower numbers; portals have 0",
+)
+LOOP_UNCONDITIONAL = _message(
+    "L474",
+    "the loop '{name}' has no `when`, so {lower} with a lower priority can never run",
+    "add when (condition), or give it the lowest priority",
+)
+LOOP_NAME = _message("L475", "'{name}' is a field already (line {line})", "choose another name for the loop")
+LOOP_MEMBER = _message("L476", "a loop has no method '{name}'", "it has running() and overruns()")
+LOOP_VALUE = _message(
+    "L477", "the loop '{name}' is not a value", "call its methods: {name}.running() and {name}.overruns()"
+)
+LOOP_CALL = _message(
+    "L478",
+    "the loop '{name}' cannot be called",
+    "its thread calls it at each tick; move the code into a method that both can call",
+)
+TOO_MANY_LOOPS = _message(
+    "L479", "a resource has at most {limit} loops", "put what has the same rate into one loop"
+)
+
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 
 RESOURCE_NAMES_RESOURCE = _message(

@@ -313,8 +313,23 @@ class Field:
 
 
 @dataclass(slots=True, eq=False)
+class LoopHead:
+    """The clauses of a loop. `rate` is in hertz, or with `every` a period in seconds.
+
+    `place` is the number behind `priority`.
+    """
+
+    rate: Expr
+    every: bool
+    priority: int | None = None
+    place: Span | None = None
+    condition: Expr | None = None
+
+
+@dataclass(slots=True, eq=False)
 class Method:
-    """A method, constructor, init or portal. `result` is None where none is written; `span` is its name."""
+    """A method, constructor, init, portal or loop. `result` is None where none is written; `span` is its
+    name."""
 
     kind: MethodKind
     name: str
@@ -326,6 +341,7 @@ class Method:
     body: list[Stmt] = field(default_factory=list)
     end: Span = field(init=False)
     broken: bool = False
+    loop: LoopHead | None = None
 
     def __post_init__(self) -> None:
         self.end = self.span

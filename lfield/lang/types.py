@@ -55,6 +55,8 @@ NULL = Type("null")
 UNKNOWN = Type("unknown")
 #: `Exception`: what `catch (Exception e)` binds; every object fits it, only throw and three methods take it.
 EXCEPTION = ClassType("Exception")
+#: What the name of a loop has; no value has it.
+LOOP = Type("loop")
 
 #: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and what each
 #: is a kind of: a catch of that catches both. A robot in trouble with its hardware is one case, however

@@ -28,6 +28,7 @@ from lfield.host.offer_queries import MatchResults
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.still_team import still_answers
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, MachineTeam, TeamMember
 from lfield.vm.engine_interface import AgentLimits, Reading, Trap
 from lfield.vm.host_interface import Pending
@@ -71,6 +72,10 @@ class GoldenWorld:
     def log(self, agent: Agent, text: str) -> None:
         """Records a printed text, line by line."""
         self.output.extend(text.split("\n"))
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """Records the code of a line."""
+        self.output.append(line.code)
 
     def depart(self, agent: Agent, resource: TeamMember) -> None:
         """Records the migration; a test performs it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, overload
 
 from lfield.vm.engine_interface import AgentLimits, Reading
@@ -13,6 +13,10 @@ from lfield.vm.memory.block import Block
 
 #: 'unknown' where a deployment was read without its program, for queries only.
 AgentKind = Literal["resource", "coordinator", "unknown"]
+
+
+#: What a cancelled call and a suppressed loop get.
+CANCELLED = "CancelledException"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +66,44 @@ class MemberTypes(Sequence[str]):
         return len(self._members)
 
 
+@dataclass(slots=True)
+class ResourceLoops:
+    """The loops of a resource. Ids of threads are keys, names and reasons are for messages."""
+
+    #: The threads of the loops by their method's index.
+    threads: dict[int, int]
+    #: When they started, in ns of the resource.
+    started: int = 0
+    #: The threads whose bodies are suppressed, with the reason.
+    suppressed: dict[int, str] = field(default_factory=dict)
+    #: The threads whose bodies control the devices, with the names of their loops.
+    controlling: dict[int, str] = field(default_factory=dict)
+    #: By kind of report and loop: the time of the last line, and how many were left out since.
+    reported: dict[tuple[str, str], tuple[float, int]] = field(default_factory=dict)
+
+    def start(self, now: int) -> None:
+        """The first tick of all loops is due, at this time in ns of the resource."""
+        self.started = now
+
+    def has(self, thread: int) -> bool:
+        """Whether it is the thread of a loop."""
+        return thread in self.threads.values()
+
+    def end_tick(self, thread: int) -> None:
+        """The body of a loop has ended: it is not suppressed any more, and controls nothing."""
+        self.suppressed.pop(thread, None)
+        self.controlling.pop(thread, None)
+
+    def refusal(self, thread: int) -> tuple[str, str]:
+        """The exception for an acting device instruction of a thread, and its reason; '' if permitted."""
+        if thread in self.suppressed:
+            return CANCELLED, self.suppressed[thread]
+        if self.controlling and not self.has(thread):
+            name = next(iter(self.controlling.values()))
+            return "DeviceException", f"the loop {name} controls the devices now"
+        return "", ""
+
+
 class Agent:
     """An agent on this host. All its execution state is in `block`."""
 
@@ -95,6 +137,8 @@ class Agent:
     lateness_reason = ""
     #: Why a departure that would arrive late was refused.
     unreachable_reason = ""
+    #: The loops of a resource; None without any.
+    loops: ResourceLoops | None = None
 
     # Written out, with rare fields in the class: an instance is created at every hop.
     def __init__(
@@ -123,7 +167,7 @@ class Agent:
         self.offset = offset
         #: Its id in the deployment.
         self.id = member.id
-        #: Callers that wait until it is open, each with the thread.
+        #: Callers, and its own loops, that wait until it is open, each with the thread.
         self.waiting: list[tuple[Agent, int]] = []
         #: Threads that wait for its monitor.
         self.blocked: list[int] = []
@@ -145,9 +189,16 @@ class Agent:
 
     # --- start and end --------------------------------------------------------------------------------
 
-    def finish_init(self) -> list[tuple[Agent, int]]:
-        """Open it: its init has reached its first pause. Returns the calls that waited."""
+    def add_loops(self, threads: dict[int, int]) -> None:
+        """Let the threads of its loops, by method, wait until it is open."""
+        self.loops = ResourceLoops(threads)
+        self.waiting += [(self, thread) for thread in threads.values()]
+
+    def finish_init(self, now: int) -> list[tuple[Agent, int]]:
+        """Open it: its init has reached its first pause, at a time in ns. Returns the threads that waited."""
         self.open = True
+        if self.loops is not None:
+            self.loops.start(now)
         return self.drain_waiting()
 
     def drain_waiting(self) -> list[tuple[Agent, int]]:

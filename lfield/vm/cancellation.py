@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.vm.agent import Agent
+from lfield.vm.agent import CANCELLED, Agent
 from lfield.vm.engine_interface import Trap
 from lfield.vm.memory.layout import (
     BLOCKED,
@@ -20,8 +20,6 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.scheduler import Scheduler
-
-CANCELLED = "CancelledException"
 
 _YIELD, _SLEEP, _DEVICE = (BY_NAME[name].code for name in ("yield", "sleep", "device"))
 
@@ -41,9 +39,19 @@ class Cancellation:
         thread = serving(resource.block, number)
         if resource.ended or not thread or thread in resource.pending_cancels:
             return
-        resource.pending_cancels[thread] = reason
         tidy = resource.limits.tidy
         self._scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
+        self._interrupt(resource, thread, reason)
+
+    def suppress(self, resource: Agent, thread: int, reason: str) -> None:
+        """Suppress the body of a loop that runs: an exception as above, and no end by force."""
+        if resource.loops is None or thread in resource.loops.suppressed:
+            return
+        resource.loops.suppressed[thread] = reason
+        self._interrupt(resource, thread, reason)
+
+    def _interrupt(self, resource: Agent, thread: int, reason: str) -> None:
+        resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
         if state == WAITING:
             self._scheduler.world.cancel(resource, thread)

@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.manifest import DeviceValue
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.offer_objects import FoundOffer
@@ -32,6 +33,9 @@ class HostInterface(Protocol):
     def depart(self, agent: Agent, resource: TeamMember) -> None:
         """The suspended coordinator must migrate to the host of the resource. Answered by `Machine.release`
         when it has left, or `Machine.resume` with the reason of failure."""
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the host's log about an agent."""
 
     def may_start_call(self, agent: Agent, has_side_effects: bool) -> bool:
         """Whether the portal of this host that the suspended coordinator calls may start now.

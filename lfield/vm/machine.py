@@ -16,8 +16,8 @@ from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portal_calls
-from lfield.vm.agent import Agent, MachineTeam, MemberTypes, TeamMember
-from lfield.vm.cancellation import CANCELLED, Cancellation
+from lfield.vm.agent import CANCELLED, Agent, MachineTeam, MemberTypes, TeamMember
+from lfield.vm.cancellation import Cancellation
 from lfield.vm.deadlines import HOST_DOWN, IN_TRANSIT, Deadlines
 from lfield.vm.engine_interface import (
     BUDGET_EXHAUSTED,
@@ -37,6 +37,7 @@ from lfield.vm.hooks import VmHooks
 from lfield.vm.host_calls import HostCallDispatcher
 from lfield.vm.host_interface import HostInterface
 from lfield.vm.host_queries.resource_queries import ResourceQueries
+from lfield.vm.loops.loop_ticks import LoopTicks
 from lfield.vm.memory import collector, layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.block_verifier import BlockVerifier
@@ -103,7 +104,8 @@ class Machine:
         self._deadlines = limits = Deadlines(scheduler, cancelling, self.itinerary, stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
         reserving = ReserveHandlers(scheduler, held, view.here, limits)
-        heads = {**self._together.handlers(), **reserving.handlers()}
+        loops = LoopTicks(scheduler, cancelling)
+        heads = {**self._together.handlers(), **reserving.handlers(), **loops.handlers()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
         #: The handler of each engine exit.
@@ -359,8 +361,7 @@ class Machine:
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block
-        places = block.index_threads() if block.places is None else block.places
-        place = self._place = places.get(thread, 0)
+        place = self._place = (block.index_threads() if block.places is None else block.places).get(thread, 0)
         budget = self._limit.budgets.get(number, budget)
         leave = engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused_budget
@@ -388,8 +389,7 @@ class Machine:
         scheduler = self._scheduler
         if agent.lines:
             scheduler.flush(agent, thread)
-        call = agent.block.w[self._place + THREAD_CALL]
-        if call:
+        if call := agent.block.w[self._place + THREAD_CALL]:
             portal_calls.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":
             agent.end("done")

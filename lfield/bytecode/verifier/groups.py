@@ -106,7 +106,7 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
 
 def _call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     callee = view.core.methods[quad.a]
-    if callee.kind not in ("method", "constructor"):
+    if callee.kind not in ("method", "constructor") and (callee.kind, view.method.kind) != ("loop", "ticks"):
         raise view.refused(pc, "only methods and constructors are called")
     if not view.can_access(view.core.classes[callee.owner]):
         raise view.refused(pc, "the method is out of scope here")
@@ -232,6 +232,34 @@ def _growing_element(view: MethodView, pc: int, quad: Quad) -> int:
     return view.types.element(quad.a)
 
 
+def _tick(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([_accepts(INT), _accepts(INT)], _accepts(INT))
+
+
+def _suppress(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    other = view.core.methods[quad.a]
+    if other.kind != "ticks" or other.owner != view.method.owner:
+        raise view.refused(pc, "only another loop of this resource is suppressed")
+    return GroupSignature([], None)
+
+
+def _control(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([], None)
+
+
+def _tick_failed(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([_accepts(ANY)], None)
+
+
+def _check_loop(view: MethodView, pc: int) -> None:
+    if view.method.kind != "ticks":
+        raise view.refused(pc, "only loops have ticks")
+
+
 def _find(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_find(view, pc, quad)
     return GroupSignature([_accepts(STRING)], _proxy_of(quad.a))
@@ -329,6 +357,10 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
     "hold": _hold,
     "take": _reservation_array,
     "drop": _reservation_array,
+    "tick": _tick,
+    "suppress": _suppress,
+    "control": _control,
+    "tick_failed": _tick_failed,
 }
 
 

@@ -19,6 +19,7 @@ from lfield.host.team.reservation_service import ReservationService
 from lfield.manifest import DeviceValue
 from lfield.replication.membership.membership import Membership
 from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import Pending
@@ -63,6 +64,10 @@ class HostServices:
         self._recorder.on_printed(agent.id, text)
         line = log_messages.PROGRAM_OUTPUT.line(agent=agent.id, text=text)
         self._out(WriteLog(line, lines=True, is_recorded=True))
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the log about an agent."""
+        self._out(WriteLog(line))
 
     def may_start_call(self, agent: Agent, acts: bool) -> bool:
         """Whether a portal call on this host may start now.
@@ -180,3 +185,7 @@ class HostServices:
         line = log_messages.AGENT_DIED.line(agent=agent.id, report=f"{agent.report}{where}")
         self._out(WriteLog(line, lines=True))
         self._out(DumpAgent(agent))
+        if agent.loops is not None:
+            # Without its loops a device would not react any more.
+            reason = f"{agent.id}, whose loops control it, has died"
+            self._parts.commands.make_safe(agent.id, reason)

@@ -14,6 +14,7 @@ from lfield.lang.checker.conversions import (
     with_article,
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
+from lfield.lang.checker.library.loop_members import check_loop_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
@@ -78,6 +79,8 @@ def check_member_call(
     unit = body.unit if isinstance(owner, tree.This) else body.symbols.unit_of(kind)
     if kind is UNKNOWN:
         return unknown(raw.span)
+    if isinstance(owner, tree.LoopName):
+        return check_loop_call(body, raw, function, owner.loop, given)
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
@@ -252,6 +255,8 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
     unit = body.symbols.units.get(called)
     if body.unit.overloads(called, "portal"):
         body.report(messages.PORTAL_INSIDE, name.span, name=called)
+    elif body.unit.loop(called) is not None:
+        body.report(messages.LOOP_CALL, name.span, name=called)
     elif unit is not None or called in EXCEPTION_NAMES:
         may_be_made = unit is None or unit.kind == "class"
         instead = f"make an object: new {called}(...)" if may_be_made else "agents come from the deployment"

@@ -42,6 +42,8 @@ def value(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     elif isinstance(found.type, DeviceType):
         example = first_instruction(body.symbols, found.type)
         body.report(messages.DEVICE_USE, found.span, name=found.span.text, instruction=example)
+    elif isinstance(found, tree.LoopName):
+        body.report(messages.LOOP_VALUE, found.span, name=found.span.text)
     elif isinstance(found, tree.This) and body.unit.kind != "class":
         body.report(messages.THIS_VALUE, found.span, unit=f"a {body.unit.kind}")
     else:

@@ -16,7 +16,17 @@ from lfield.lang.language_library import (
     array_methods,
 )
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
-from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
+from lfield.lang.types import (
+    LOOP,
+    STRING,
+    UNKNOWN,
+    ArrayType,
+    ClassType,
+    DeviceType,
+    MapType,
+    ResourceType,
+    Type,
+)
 from lfield.text.suggestions import choice, did_you_mean
 
 #: A member behind a name, as in `math.sqrt`.
@@ -31,6 +41,9 @@ def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
     field = body.field(raw.name)
     if field is not None:
         return tree.FieldGet(raw.span, field.type, body.this(raw.span), field)
+    loop = body.unit.loop(raw.name)
+    if loop is not None:
+        return tree.LoopName(raw.span, LOOP, loop)
     _unknown_variable(body, raw)
     return unknown(raw.span)
 
@@ -60,7 +73,7 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
     member = _MEMBER.match(raw.span.source.text, raw.span.end)
     if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
-    known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
+    known = [*body.scope.names(), *(f.name for f in body.unit.named_fields), "true", "false", "null"]
     return did_you_mean(name, known) or (_object_hint(body, name, member[1]) if member else None)
 
 
@@ -76,6 +89,9 @@ def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tre
     """`owner.name` without a call: a field of an object."""
     unit = _own_or_named(body, owner)
     if owner.type is UNKNOWN:
+        return unknown(raw.span)
+    if isinstance(owner, tree.LoopName):
+        body.report(messages.LOOP_MEMBER, raw.place, name=raw.name)
         return unknown(raw.span)
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
@@ -109,7 +125,9 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
     elif not methods and unit is None:
         body.report(messages.NO_MEMBERS, raw.place, given=with_article(kind))
     elif unit is None or unit.name not in body.symbols.broken_units:
-        fields = [f.name for f in unit.fields] if unit is not None and not isinstance(kind, MapType) else []
+        fields = (
+            [f.name for f in unit.named_fields] if unit is not None and not isinstance(kind, MapType) else []
+        )
         what, names = ("fields", fields) if fields else ("methods", methods)
         known = choice(raw.name, names, f"its {what} are")
         hint = did_you_mean(raw.name, fields) or known

@@ -9,6 +9,7 @@ from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.checker.control_flow import check_flow
 from lfield.lang.checker.declaration_pass import DeclaredUnit, declare_units
 from lfield.lang.checker.expressions import assigned
+from lfield.lang.checker.loops.loop_thread import check_loop
 from lfield.lang.checker.scope import BodyContext, Scope
 from lfield.lang.checker.statements import statements
 from lfield.lang.checker.symbols import Symbols
@@ -52,6 +53,8 @@ def check_library(symbols: Symbols) -> None:
 def check_bodies(symbols: Symbols, declared: DeclaredUnit) -> None:
     """Check and fill the bodies of a unit; mistakes go to the findings of `symbols`."""
     for method, written in declared.bodies:
+        if written is not None and written.loop is not None:
+            check_loop(symbols, method, written.loop)
         first = method.kind in ("init", "constructor")
         _check_body(symbols, method, written, declared.initialisers if first else [])
 

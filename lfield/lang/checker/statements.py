@@ -29,6 +29,7 @@ from lfield.text.source_text import Span
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
     "portal": "write emit T after its parameters",
     "init": "write return;",
+    "loop": "write return;",
     "constructor": "write return;",
 }
 

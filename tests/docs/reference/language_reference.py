@@ -15,6 +15,7 @@ from lfield.lang.language_library import (
     FUNCTIONS,
     LIBRARY_OF_ARRAYS,
     LIBRARY_OF_MAPS,
+    LOOP_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
@@ -40,6 +41,7 @@ def library_table() -> str:
         ("map", LIBRARY_OF_MAPS),
         ("string", STRING_METHODS),
         ("exception", EXCEPTION_METHODS),
+        ("loop", LOOP_METHODS),
         ("proxy", PROXY_METHODS),
     ):
         rows += [(f"{receiver}.{_heading(f)}", f"{f.result}", _WHERE[f.scope], f.meaning) for f in methods]

@@ -61,6 +61,7 @@ private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
 #
 #
+#
 }"""
 _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
@@ -131,13 +132,16 @@ class _ProgramGenerator:
         store = [self._method("Store", kind, name) for kind, name in self._all("Store")]
         walker = [self._method("Walker", kind, name) for kind, name in self._all("Walker")]
         portals = [self._portal(number) for number in range(self.portals)]
+        other = ProgramPiece("", [self.rng.choice(("", _OTHER))])
+        init, start = self._init("Store"), self._init("Walker")
+        loops = [self._loop(number) for number in range(self.rng.choice((0, 0, 1, 2)))]
         return written(
             "",
             "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
-            ProgramPiece("", [self.rng.choice(("", _OTHER))]),
+            other,
             written("", _NODE, ProgramPiece("", list(node))),
-            written("", _RESOURCE, self._init("Store"), ProgramPiece("", [*store, *portals])),
-            written("", _COORDINATOR, self._init("Walker"), ProgramPiece("", list(walker))),
+            written("", _RESOURCE, init, ProgramPiece("", [*store, *portals]), ProgramPiece("", list(loops))),
+            written("", _COORDINATOR, start, ProgramPiece("", list(walker))),
         )
 
     def _all(self, unit: str) -> list[tuple[str, str]]:
@@ -210,6 +214,17 @@ class _ProgramGenerator:
         head = ("ask(int m, Node o) emit int", "tell(real y, string t, int[] v)")[number]
         body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")), pauses=True)
         return written("", f"\n{how} {head} {{ int d = 3;\n#\n}}", body)
+
+    def _loop(self, number: int) -> ProgramPiece:
+        """A loop of the resource, which may suppress the other one, or be suppressed."""
+        rate = self.rng.choice(("at 4", "every 0.2", "at 3 + n", "every 0.5", "every x"))
+        when = self.rng.choice((" when (n > 1)", f" when (loop{number}.overruns() < 2 && n > 0)"))
+        priority = f" priority {self.rng.choice((-1, 1, 2))}{when}" if self.rng.random() < 0.7 else when
+        throws = self.rng.choice(
+            ("", 'if (n > 3) throw new DeviceException("f");', f"print(loop{number}.running());")
+        )
+        body = self._body("Store", "", "n = n + 1;", guarded=self.rng.random() < 0.8, pauses=True)
+        return written("", f"\nloop loop{number} {rate}{priority} {{ int d = 3; {throws}\n#\n}}", body)
 
 
 def random_program(rng: random.Random) -> ProgramPiece:
