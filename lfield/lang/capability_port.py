@@ -94,7 +94,9 @@ def unknown_names(files: Sequence[syntax.ParsedFile], known: Collection[str]) ->
     """The names of types and queries in some files that are neither known nor declared there."""
     units = [unit for file in files for unit in file.units]
     methods = {method.name for unit in units for method in unit.methods}
+    methods.update(function.name for file in files for function in file.functions)
+    enums = {enum.name for file in files for enum in file.enums}
     named = {name for file in files for name in file.types}
     asked = (parse_query_name(name) for file in files for name in file.called - methods)
     named.update(query[1] for query in asked if query is not None)
-    return named - {unit.name for unit in units} - set(known)
+    return named - {unit.name for unit in units} - enums - set(known)

@@ -14,6 +14,8 @@ from lfield.lang.checker.conversions import (
     with_article,
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
+from lfield.lang.checker.library.enum_members import check_enum_call
+from lfield.lang.checker.library.function_calls import function_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
@@ -39,6 +41,7 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
     MapType,
     ResourceType,
     Type,
@@ -57,6 +60,8 @@ def check_bare_call(
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
     if own := body.methods(name.name):
         return _method(body, raw, name.span, body.this(name.span), own, given)
+    if functions := body.symbols.functions.get(name.name):
+        return function_call(body, raw, name.span, functions, given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
         return find_resource(body, raw, name.span, resource, given)
@@ -78,6 +83,8 @@ def check_member_call(
     unit = body.unit if isinstance(owner, tree.This) else body.symbols.unit_of(kind)
     if kind is UNKNOWN:
         return unknown(raw.span)
+    if isinstance(owner, tree.EnumName) or isinstance(kind, EnumType):
+        return check_enum_call(body, raw, function, owner, given)
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
@@ -162,6 +169,10 @@ def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list
     scope, side = functions[0].scope, body.unit.usage
     if scope in ("any", side):
         return _operation(body, raw, name.span, functions, given, None)
+    if body.function:
+        what = "writes output" if scope == "resource" else "reads the state of its coordinator"
+        body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
+        return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION
     if scope == "resource":
         rule = messages.COORDINATOR_IO if side == "coordinator" else messages.GLOBAL_IO
@@ -265,7 +276,8 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
 def _function_hint(body: BodyContext, called: str) -> str | None:
     if called in foreign_words.FOREIGN_FUNCTIONS:
         return foreign_words.FOREIGN_FUNCTIONS[called]
-    own = [m.name for m in body.unit.methods if m.kind == "method"]
+    own = [] if body.function else [m.name for m in body.unit.methods if m.kind == "method"]
+    own += body.symbols.functions
     finds = find_names(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
