@@ -8,7 +8,14 @@ from pathlib import Path
 from lfield.capability.program_types.registry_types import RegistryTypes
 from lfield.driver.plugins import discover
 from lfield.errors import InputFileError, LfieldError
-from lfield.lang.capability_port import CapabilityTypes, ConstraintProblem, GeneratedClasses
+from lfield.lang.capability_port import (
+    CapabilityTypes,
+    CompiledQuestion,
+    ConstraintProblem,
+    GeneratedClasses,
+    PlaceholderSort,
+    Question,
+)
 from lfield.lang.includes import FindInclude
 from lfield.lang.syntax import ParsedFile
 from lfield.manifest import DeviceManifest
@@ -99,3 +106,11 @@ class _ReadableRegistry:
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in a condition."""
         return () if self._types is None else self._types.mistakes(constraint)
+
+    def question(self, text: str) -> Question:
+        """The placeholders in a condition."""
+        return Question() if self._types is None else self._types.question(text)
+
+    def compile_question(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuestion:
+        """A condition whose placeholders have values of these sorts."""
+        return CompiledQuestion() if self._types is None else self._types.compile_question(text, sorts)

@@ -6,7 +6,7 @@ and read as if it had been included; so are the files of the classes that put se
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -43,6 +43,46 @@ class ConstraintProblem(Protocol):
         """What to write instead, or ''."""
 
 
+#: What the value of a placeholder is in a question; 'nothing' for one that is reported already.
+PlaceholderSort = Literal["number", "text", "boolean", "nothing"]
+
+
+@dataclass(frozen=True, slots=True)
+class Placeholder:
+    """`$kg` or `$at[0].north` in a question: characters `start` to `end` of it."""
+
+    path: str
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question that is read: its placeholders, and those within quotes; or what is wrong with it."""
+
+    placeholders: tuple[Placeholder, ...] = ()
+    quoted: tuple[Placeholder, ...] = ()
+    mistakes: tuple[ConstraintProblem, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceholderValue:
+    """A value that a question needs: that of a path, times the factor plus the offset."""
+
+    path: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledQuestion:
+    """A question with numbers for its placeholders, and their values in this order; or what is wrong."""
+
+    text: str = ""
+    values: tuple[PlaceholderValue, ...] = ()
+    mistakes: tuple[ConstraintProblem, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class GeneratedClasses:
     """The classes of capabilities: their texts by name, and what they need besides.
@@ -74,6 +114,12 @@ class CapabilityTypes(Protocol):
 
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in the text of a condition over attributes."""
+
+    def question(self, text: str) -> Question:
+        """The placeholders in the text of a condition."""
+
+    def compile_question(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuestion:
+        """A condition whose placeholders have values of these sorts, by path."""
 
 
 def is_portal(method: tree.Method) -> bool:

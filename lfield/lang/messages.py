@@ -280,6 +280,21 @@ CHANGES_ARGUMENT = _message(
 )
 NO_THIS = _message("L439", "the function '{function}' has no this", "pass what it needs as a parameter")
 ENUM_NAME = _message("L440", "'{name}' is an enum, not a value", "write one of its members: {name}.{member}")
+PARAMETER_TYPE = _message(
+    "L441",
+    "a question cannot have {given}",
+    "its parameters are numbers, text, true or false, and members of enums",
+)
+QUOTED_PARAMETER = _message(
+    "L442",
+    "'${name}' within quotes is text, not the value of '{name}'",
+    "leave the quotes out: the value of a string variable is text already",
+)
+COMPUTED_QUESTION = _message(
+    "L443",
+    "'${name}' is in a text that is not known before the program runs",
+    "write the question as one literal, or as a sum of literals and constants",
+)
 
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Constants, enums and functions in the editor: hover, definition, completion, outline, renaming, findings."""
+"""Constants, enums and functions in the editor: hover, completion, definition, outline, renaming."""
 
 from __future__ import annotations
 

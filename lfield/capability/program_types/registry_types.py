@@ -12,10 +12,11 @@ from lfield.capability.condition_tree import Mistake
 from lfield.capability.model import Registry
 from lfield.capability.program_types.class_generator import UsableWays, class_text, prelude
 from lfield.capability.program_types.program_check import check_against, check_classes, satisfied
+from lfield.capability.program_types.question_compiler import compile_question, read_question
 from lfield.capability.registry_reader.registry_files import is_shipped
 from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
 from lfield.lang import syntax
-from lfield.lang.capability_port import GeneratedClasses
+from lfield.lang.capability_port import CompiledQuestion, GeneratedClasses, PlaceholderSort, Question
 from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
@@ -63,6 +64,14 @@ class RegistryTypes:
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
         return read_query(constraint, self.registry.attributes)[1]
+
+    def question(self, text: str) -> Question:
+        """The placeholders in the text of a condition."""
+        return read_question(text)
+
+    def compile_question(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuestion:
+        """A condition whose placeholders have values of these sorts, by path."""
+        return compile_question(text, sorts, self.registry.attributes)
 
 
 def _served(registry: Registry, units: Mapping[str, Signature]) -> UsableWays:

@@ -48,17 +48,25 @@ def check_enum_call(
     chosen = choose_overload(body.symbols, place, candidates, given)
     if chosen is None:
         return unknown(raw.span)
-    kind, text = EnumType(enum.name), enum_text(enum.name, enum.members)
+    kind = EnumType(enum.name)
     match name:
         case "values":
             members = [tree.Literal_(raw.span, kind, number) for number in range(len(enum.members))]
             return tree.Elements(raw.span, array_of(kind), list(members))
         case "of":
+            text = enum_text(enum.name, enum.members)
             number = text_call(body, raw, "of", text, {}, chosen[1], INT)
             return tree.Relabel(raw.span, kind, number)
         case "name":
-            return text_call(body, raw, "name", text, {}, [tree.Relabel(owner.span, INT, owner)], STRING)
+            return member_name(body, raw, owner)
     return tree.Relabel(raw.span, INT, owner)
+
+
+def member_name(body: BodyContext, raw: syntax.Call, member: tree.Expr) -> tree.Expr:
+    """The name of a member of an enum, as a text."""
+    enum = body.symbols.enums[member.type.name]
+    number = tree.Relabel(member.span, INT, member)
+    return text_call(body, raw, "name", enum_text(enum.name, enum.members), {}, [number], STRING)
 
 
 def _unknown_method(
