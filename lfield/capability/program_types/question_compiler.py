@@ -69,7 +69,7 @@ def compile_question(
         found += check_expression(Expression(text, parsed.condition), scope, "boolean", conversions)
     for tree, _ in parsed.order:
         found += check_expression(Expression(text, tree), scope, "number", conversions)
-    if found:
+    if found or "nothing" in sorts.values():
         return CompiledQuestion(mistakes=tuple(found))
     return _numbered(text, parsed, sorts, conversions)
 

@@ -2,7 +2,7 @@
 
 A name behind `$` is a variable, a field or a constant, with fields and elements behind it. Its type decides
 what it is in the question. The call gets the question, with numbers for the names, and the values behind it
-in one string (lfield/capability/question_values.py): a sum of texts like any other, so the engines need nothing.
+in one string (lfield/capability/question_values.py), a sum of texts like any other.
 """
 
 from __future__ import annotations
