@@ -8,7 +8,7 @@ from lfield.capability import condition_parser
 from lfield.capability.condition_tree import Mistake
 from lfield.capability.matching.condition_checker import NameScope, check_expression
 from lfield.capability.model import Attribute, Expression, OfferQuery, SortKey
-from lfield.capability.question_values import SEPARATOR, standalone
+from lfield.capability.query_values import SEPARATOR, standalone
 from lfield.errors import ConstraintError
 
 
@@ -24,18 +24,18 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
 
 def compile_query(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
     """A wish over the attributes of offers. Raises ConstraintError with everything wrong in it."""
-    question, mistakes = read_query(text, attributes)
-    if question is None or mistakes:
+    query, mistakes = read_query(text, attributes)
+    if query is None or mistakes:
         raise _constraint_error(text, mistakes)
-    return question
+    return query
 
 
-def compile_question(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
-    """A compiled question whose values are not bound yet. Raises ConstraintError."""
-    question, mistakes = read_query(text, attributes, parameters=True)
-    if question is None or mistakes:
+def compile_template(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
+    """A compiled query whose values are not bound yet. Raises ConstraintError."""
+    query, mistakes = read_query(text, attributes, parameters=True)
+    if query is None or mistakes:
         raise _constraint_error(text, mistakes)
-    return question
+    return query
 
 
 def read_query(
@@ -43,7 +43,7 @@ def read_query(
 ) -> tuple[OfferQuery | None, list[Mistake]]:
     """The wish in a text, or None and everything wrong in it.
 
-    With `parameters`, it is a compiled question, with `$n0` for the first value.
+    With `parameters`, it is a compiled query, with `$n0` for the first value.
     """
     written, mistakes = condition_parser.parse_query(text, parameters=parameters)
     if written is None:
@@ -65,8 +65,8 @@ def _constraint_error(text: str, mistakes: list[Mistake]) -> ConstraintError:
 
 
 def _compiled(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery | None:
-    question = text.removesuffix(SEPARATOR)
-    return read_query(question, attributes, parameters=question != text)[0]
+    query = text.removesuffix(SEPARATOR)
+    return read_query(query, attributes, parameters=query != text)[0]
 
 
 def parse_expression(text: str) -> tuple[Expression | None, list[Mistake]]:
@@ -80,7 +80,7 @@ def compile_constants(
 ) -> dict[str, OfferQuery]:
     """Those constants of a program that are valid queries, compiled. Other texts are left out.
 
-    A text that ends with a SEPARATOR is a question with parameters.
+    A text that ends with a SEPARATOR is a query with parameters.
     """
     texts = (constant for constant in constants if isinstance(constant, str))
     found = ((text, _compiled(text, attributes)) for text in sorted(texts))

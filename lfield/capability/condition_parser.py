@@ -228,7 +228,7 @@ def _parameter(raw: syntax.Expr) -> ConditionParameter | None:
             _check_path(raw)
             return ConditionParameter(raw.span, 1, raw.span.text[1:])
         case syntax.Call():
-            hint = "put the result into a variable, and the variable into the question"
+            hint = "put the result into a variable, and the variable into the query"
             raise _ConditionError(raw.span, "a parameter is a variable, not a call", hint)
     return None
 

@@ -1,4 +1,4 @@
-"""Units in questions with parameters: operands that are added or compared measure the same.
+"""Units in queries with parameters: operands that are added or compared measure the same.
 
 Attributes have the units of the registry, a distance is in metres, a parameter may state its unit, as in
 `$mass[g]`. A literal, or a parameter without unit, is in the unit of what is beside it.
@@ -19,7 +19,7 @@ Report = Callable[[Span, str, str], object]
 
 
 class UnitCheck:
-    """The units of one question. `conversions` are those of parameters that state their unit."""
+    """The units of one query. `conversions` are those of parameters that state their unit."""
 
     def __init__(self, report: Report) -> None:
         self._report = report

@@ -10,11 +10,11 @@ from lfield.driver.plugins import discover
 from lfield.errors import InputFileError, LfieldError
 from lfield.lang.capability_port import (
     CapabilityTypes,
-    CompiledQuestion,
+    CompiledQuery,
     ConstraintProblem,
     GeneratedClasses,
     PlaceholderSort,
-    Question,
+    QueryPlaceholders,
 )
 from lfield.lang.includes import FindInclude
 from lfield.lang.syntax import ParsedFile
@@ -107,10 +107,10 @@ class _ReadableRegistry:
         """The mistakes in a condition."""
         return () if self._types is None else self._types.mistakes(constraint)
 
-    def question(self, text: str) -> Question:
+    def placeholders(self, text: str) -> QueryPlaceholders:
         """The placeholders in a condition."""
-        return Question() if self._types is None else self._types.question(text)
+        return QueryPlaceholders() if self._types is None else self._types.placeholders(text)
 
-    def compile_question(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuestion:
+    def compile_query(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuery:
         """A condition whose placeholders have values of these sorts."""
-        return CompiledQuestion() if self._types is None else self._types.compile_question(text, sorts)
+        return CompiledQuery() if self._types is None else self._types.compile_query(text, sorts)

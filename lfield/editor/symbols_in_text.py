@@ -11,9 +11,8 @@ from lfield.editor.program_model import ProgramModel
 from lfield.lang import tree
 from lfield.lang.capability_port import parse_query_name
 from lfield.lang.checker.expressions import evaluated
-from lfield.lang.checker.scope import BodyContext, Scope
+from lfield.lang.checker.scope import BodyContext, Scope, function_unit
 from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
-from lfield.lang.checker.top_level.function_units import function_unit
 from lfield.lang.language_library import (
     ENUM_METHODS,
     ENUM_VALUE_METHODS,

@@ -13,7 +13,7 @@ from lfield.capability.matching.explanation import no_provider_note, render_refu
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import ANY_OFFER, OfferQuery, Registry, Value
 from lfield.capability.offer import AgentSource, Fact, Offer
-from lfield.capability.question_values import SEPARATOR, bind, split_question
+from lfield.capability.query_values import SEPARATOR, bind, split_values
 from lfield.errors import ConstraintError
 from lfield.host.team_directory import TeamDirectory
 from lfield.mission.mission import Mission
@@ -111,7 +111,7 @@ class MatchResults:
     def _compile(self, constraint: str | None) -> OfferQuery:
         if constraint is None:
             return ANY_OFFER
-        text, values = split_question(constraint)
+        text, values = split_values(constraint)
         compiled = self._registry.constraints.get(text)
         if compiled is None:
             compiled = self._parsed(text)
@@ -119,10 +119,10 @@ class MatchResults:
 
     def _parsed(self, text: str) -> OfferQuery:
         """The query in a text: only one that the program computes needs the parser of L."""
-        from lfield.capability.condition_compiler import compile_query, compile_question
+        from lfield.capability.condition_compiler import compile_query, compile_template
 
         if text.endswith(SEPARATOR):
-            return compile_question(text.removesuffix(SEPARATOR), self._registry.attributes)
+            return compile_template(text.removesuffix(SEPARATOR), self._registry.attributes)
         return compile_query(text, self._registry.attributes)
 
 

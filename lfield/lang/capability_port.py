@@ -43,13 +43,13 @@ class ConstraintProblem(Protocol):
         """What to write instead, or ''."""
 
 
-#: What the value of a placeholder is in a question; 'nothing' for one that is reported already.
+#: What the value of a placeholder is in a query; 'nothing' for one that is reported already.
 PlaceholderSort = Literal["number", "text", "boolean", "nothing"]
 
 
 @dataclass(frozen=True, slots=True)
 class Placeholder:
-    """`$kg` or `$at[0].north` in a question: characters `start` to `end` of it."""
+    """`$kg` or `$at[0].north` in a query: characters `start` to `end` of it."""
 
     path: str
     start: int
@@ -57,8 +57,8 @@ class Placeholder:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
-    """A question that is read: its placeholders, and those within quotes; or what is wrong with it."""
+class QueryPlaceholders:
+    """A query that is read: its placeholders, and those within quotes; or what is wrong with it."""
 
     placeholders: tuple[Placeholder, ...] = ()
     quoted: tuple[Placeholder, ...] = ()
@@ -67,7 +67,7 @@ class Question:
 
 @dataclass(frozen=True, slots=True)
 class PlaceholderValue:
-    """A value that a question needs: that of a path, times the factor plus the offset."""
+    """A value that a query needs: that of a path, times the factor plus the offset."""
 
     path: str
     factor: float
@@ -75,8 +75,8 @@ class PlaceholderValue:
 
 
 @dataclass(frozen=True, slots=True)
-class CompiledQuestion:
-    """A question with numbers for its placeholders, and their values in this order; or what is wrong."""
+class CompiledQuery:
+    """A query with numbers for its placeholders, and their values in this order; or what is wrong."""
 
     text: str = ""
     values: tuple[PlaceholderValue, ...] = ()
@@ -115,10 +115,10 @@ class CapabilityTypes(Protocol):
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in the text of a condition over attributes."""
 
-    def question(self, text: str) -> Question:
+    def placeholders(self, text: str) -> QueryPlaceholders:
         """The placeholders in the text of a condition."""
 
-    def compile_question(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuestion:
+    def compile_query(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuery:
         """A condition whose placeholders have values of these sorts, by path."""
 
 

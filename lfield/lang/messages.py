@@ -282,7 +282,7 @@ NO_THIS = _message("L439", "the function '{function}' has no this", "pass what i
 ENUM_NAME = _message("L440", "'{name}' is an enum, not a value", "write one of its members: {name}.{member}")
 PARAMETER_TYPE = _message(
     "L441",
-    "a question cannot have {given}",
+    "a query cannot have {given}",
     "its parameters are numbers, text, true or false, and members of enums",
 )
 QUOTED_PARAMETER = _message(
@@ -290,10 +290,10 @@ QUOTED_PARAMETER = _message(
     "'${name}' within quotes is text, not the value of '{name}'",
     "leave the quotes out: the value of a string variable is text already",
 )
-COMPUTED_QUESTION = _message(
+COMPUTED_QUERY = _message(
     "L443",
     "'${name}' is in a text that is not known before the program runs",
-    "write the question as one literal, or as a sum of literals and constants",
+    "write the query as one literal, or as a sum of literals and constants",
 )
 
 # --- L5xx: scope rules ----------------------------------------------------------------------------------

@@ -92,8 +92,8 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE | re.ASCII,
 )
-#: The same with parameters of questions, `$kg`, as names.
-_QUESTION_TOKEN = re.compile(
+#: The same with parameters of queries, `$kg`, as names.
+_QUERY_TOKEN = re.compile(
     _TOKEN.pattern.replace("(?P<name>          [A-Za-z_]", r"(?P<name>  \$?+[A-Za-z_]"), re.VERBOSE | re.ASCII
 )
 _SKIPPED = frozenset({"space", "comment"})
@@ -109,7 +109,7 @@ def scan(
 
     With `parameters`, `$kg` is a name.
     """
-    scanner = _Scanner(source, found, _QUESTION_TOKEN if parameters else _TOKEN)
+    scanner = _Scanner(source, found, _QUERY_TOKEN if parameters else _TOKEN)
     scanner.run(end)
     return scanner.result
 

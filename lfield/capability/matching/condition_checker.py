@@ -64,8 +64,8 @@ _PART, _NOTHING = ValueKind("part"), ValueKind("nothing")
 class NameScope:
     """What names mean: bare `names`, and for each of the `needs` of a composition its `members`.
 
-    `parameters` are the sorts of the values that a program passes, by what is written in the question; None
-    in a compiled question, where names have the sorts in them. With parameters, units are compared.
+    `parameters` are the sorts of the values that a program passes, by what is written in the query; None
+    in a compiled query, where names have the sorts in them. With parameters, units are compared.
     """
 
     names: Mapping[str, ValueKind]
@@ -265,7 +265,7 @@ class _Checker:
         what: str,
         needed: str | None = None,
     ) -> str | None:
-        """The unit of numbers that are combined; units count in questions with parameters."""
+        """The unit of numbers that are combined; units count in queries with parameters."""
         if self._scope.parameters is None:
             return None
         pairs = [(operand, kind.unit) for operand, kind in zip(operands, kinds, strict=True)]

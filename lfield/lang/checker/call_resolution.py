@@ -15,7 +15,7 @@ from lfield.lang.checker.conversions import (
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.library.enum_members import check_enum_call
-from lfield.lang.checker.library.function_calls import function_call
+from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.queries.capability_queries import check_query
 from lfield.lang.checker.scope import BodyContext

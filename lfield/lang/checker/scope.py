@@ -122,3 +122,15 @@ class BodyContext:
         """Close the innermost block."""
         assert self.scope.outer is not None
         self.scope = self.scope.outer
+
+
+def function_unit(name: str, span: Span) -> Unit:
+    """A unit without members for the function of that name."""
+    return Unit(name, "class", "global", span, function=True)
+
+
+def constant_context(symbols: Symbols, name: str, span: Span) -> BodyContext:
+    """Where the value of a constant is checked: only other declarations of the top level are known."""
+    unit = function_unit(name, span)
+    method = Method(name, "method", unit, [], UNKNOWN, False, False, span, span)
+    return BodyContext(symbols, unit, method, Scope(), function=True)

@@ -18,7 +18,7 @@ from lfield.lang.checker.conversions import (
     unknown,
     with_article,
 )
-from lfield.lang.checker.library.text_instances import text_call
+from lfield.lang.checker.library.unit_methods import text_call
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.standard_library.instances import array_texts
 from lfield.lang.types import BOOLEAN, INT, REAL, STRING, UNKNOWN, VOID, ArrayType, MapType, Type, array_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import OverloadCandidate, choose_overload, unknown
-from lfield.lang.checker.library.text_instances import text_call
+from lfield.lang.checker.library.unit_methods import text_call
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.language_library import ENUM_METHODS, ENUM_VALUE_METHODS
 from lfield.lang.standard_library.instances import enum_text

@@ -7,8 +7,8 @@ import re
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import Verb
 from lfield.lang.checker.conversions import OverloadCandidate, choose_overload, unknown
-from lfield.lang.checker.queries.question_parameters import is_variable, with_parameters
-from lfield.lang.checker.queries.question_text import QuestionText, question_text, text_pieces
+from lfield.lang.checker.queries.query_parameters import is_variable, with_parameters
+from lfield.lang.checker.queries.query_text import QueryText, query_text, text_pieces
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import describe
 from lfield.lang.types import INT, STRING, ClassType, Type, array_of
@@ -49,24 +49,24 @@ def check_query(
 
 def _checked(body: BodyContext, raw: syntax.Call, constraint: tree.Expr) -> tree.Expr:
     """The argument of a query: checked, if its text is known, and with the values of its placeholders."""
-    question = question_text(constraint)
-    if question is None:
+    query = query_text(constraint)
+    if query is None:
         _report_computed(body, constraint)
         return constraint
-    if "$" in question.text:
-        return with_parameters(body, raw, question) or constraint
-    is_joined = len(question.pieces) > 1
-    if is_joined and all(piece.span.text.startswith('"') for _, piece in question.pieces):
+    if "$" in query.text:
+        return with_parameters(body, raw, query) or constraint
+    is_joined = len(query.pieces) > 1
+    if is_joined and all(piece.span.text.startswith('"') for _, piece in query.pieces):
         return constraint  # A sum of literals is checked when it is asked, as in programs of 0.4.
-    _check(body, question)
-    return tree.Literal_(constraint.span, STRING, question.text) if is_joined else constraint
+    _check(body, query)
+    return tree.Literal_(constraint.span, STRING, query.text) if is_joined else constraint
 
 
-def _check(body: BodyContext, question: QuestionText) -> None:
+def _check(body: BodyContext, query: QueryText) -> None:
     """Report what is wrong with a constraint, at the very characters."""
     assert body.symbols.capabilities is not None
-    for mistake in body.symbols.capabilities.mistakes(question.text):
-        where = question.place(mistake.start, mistake.end)
+    for mistake in body.symbols.capabilities.mistakes(query.text):
+        where = query.place(mistake.start, mistake.end)
         body.report(messages.CONSTRAINT, where, hint=mistake.hint, problem=mistake.message)
 
 
@@ -77,5 +77,5 @@ def _report_computed(body: BodyContext, constraint: tree.Expr) -> None:
             continue
         for match in _PLACEHOLDER.finditer(piece.value):
             if is_variable(body, match[1]):
-                where = QuestionText(piece.value, ((0, piece),)).place(*match.span())
-                body.report(messages.COMPUTED_QUESTION, where, name=match[1])
+                where = QueryText(piece.value, ((0, piece),)).place(*match.span())
+                body.report(messages.COMPUTED_QUERY, where, name=match[1])

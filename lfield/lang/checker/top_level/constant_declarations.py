@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import require_type, with_article
 from lfield.lang.checker.expressions import value
+from lfield.lang.checker.scope import constant_context, function_unit
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.checker.top_level.constant_values import NotComputable, constant_value
-from lfield.lang.checker.top_level.function_units import constant_context, function_unit
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import BOOLEAN, INT, REAL, STRING, UNKNOWN, EnumType
 
@@ -33,9 +33,9 @@ class _Constants:
     def declare(self) -> None:
         done: set[str] = set()
         for name in self._raw:
-            self._visit(name, done)
+            self._resolve(name, done)
 
-    def _visit(self, first: str, done: set[str]) -> None:
+    def _resolve(self, first: str, done: set[str]) -> None:
         """Compute a constant after those that it needs, without recursion."""
         path: list[str] = []
         waiting: list[tuple[str, Iterator[str]]] = [(first, iter(self._uses[first]))]

@@ -16,9 +16,9 @@ from lfield.lang.checker.declaration_pass import (
     is_new_name,
     name_units,
 )
+from lfield.lang.checker.scope import function_unit
 from lfield.lang.checker.symbols import LIBRARY_NAMES, Function, Symbols
 from lfield.lang.checker.top_level.constant_declarations import declare_constants
-from lfield.lang.checker.top_level.function_units import function_unit
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import UNKNOWN, VOID
 

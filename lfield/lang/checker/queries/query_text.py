@@ -1,4 +1,4 @@
-"""The text of a question, where the compiler knows it: a literal, a constant, or a sum of those."""
+"""The text of a query, where the compiler knows it: a literal, a constant, or a sum of those."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.text.source_text import Span
 
 
 @dataclass(frozen=True, slots=True)
-class QuestionText:
+class QueryText:
     """A text with the expressions that it is from, each with its first character."""
 
     text: str
@@ -35,7 +35,7 @@ class QuestionText:
         return Span(span.source, inside + start, inside + end)
 
 
-def question_text(expr: tree.Expr) -> QuestionText | None:
+def query_text(expr: tree.Expr) -> QueryText | None:
     """The text of an expression; None if it is known only at run time."""
     text = ""
     pieces: list[tuple[int, tree.Literal_]] = []
@@ -44,7 +44,7 @@ def question_text(expr: tree.Expr) -> QuestionText | None:
             return None
         pieces.append((len(text), piece))
         text += piece.value
-    return QuestionText(text, tuple(pieces))
+    return QueryText(text, tuple(pieces))
 
 
 def text_pieces(expr: tree.Expr) -> list[tree.Expr]:

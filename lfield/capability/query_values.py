@@ -1,10 +1,10 @@
-"""Questions with parameters: the text of the question, known to the compiler, and the values of one call.
+"""Queries with parameters: the text of the query, known to the compiler, and the values of one call.
 
     payload >= $n0 && agent != $t1        the text; the letter is the sort of a value: number, text, boolean
     n2.5;t5:bob"s                         the values; the length of a text is before it
 
 A program passes both in one string, with SEPARATOR between them. The values are bound to the parsed text.
-They are never parsed as a condition, so no text in them can change the question.
+They are never parsed as a condition, so no text in them can change the query.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _TEXT = re.compile(r"t(\d{1,9}):")
 _BOOLEANS = {"true": True, "false": False}
 
 
-def split_question(constraint: str) -> tuple[str, list[Bindable] | None]:
-    """The text of a question with its SEPARATOR, and the values; None without a SEPARATOR.
+def split_values(constraint: str) -> tuple[str, list[Bindable] | None]:
+    """The text of a query with its SEPARATOR, and the values; None without a SEPARATOR.
 
     Raises ConstraintError for malformed values.
     """

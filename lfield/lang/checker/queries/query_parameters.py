@@ -1,8 +1,8 @@
-"""Values of the program in a question: `findLift("payload >= $kg && agent != $name")`.
+"""Values of the program in a query: `findLift("payload >= $kg && agent != $name")`.
 
 A name behind `$` is a variable, a field or a constant, with fields and elements behind it. Its type decides
-what it is in the question. The call gets the question, with numbers for the names, and the values behind it
-in one string (lfield/capability/question_values.py), a sum of texts like any other.
+what it is in the query. The call gets the query, with numbers for the names, and the values behind it
+in one string (lfield/capability/query_values.py), a sum of texts like any other.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lfield.lang.checker.conversions import require_type, unknown, with_article
 from lfield.lang.checker.library.collection_calls import map_element
 from lfield.lang.checker.library.enum_members import member_name
 from lfield.lang.checker.name_resolution import check_member, check_variable
-from lfield.lang.checker.queries.question_text import QuestionText
+from lfield.lang.checker.queries.query_text import QueryText
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import TokenStream
@@ -24,7 +24,7 @@ from lfield.lang.scanner import scan
 from lfield.lang.types import BOOLEAN, INT, REAL, STRING, UNKNOWN, ArrayType, EnumType, MapType, Type
 from lfield.text.source_text import Diagnostics, Source, Span
 
-#: Between the question and its values (capability/question_values.py).
+#: Between the query and its values (capability/query_values.py).
 _SEPARATOR = "\0"
 _SORTS: Mapping[Type, PlaceholderSort] = {
     INT: "number",
@@ -34,41 +34,39 @@ _SORTS: Mapping[Type, PlaceholderSort] = {
 }
 
 
-def with_parameters(body: BodyContext, raw: syntax.Call, question: QuestionText) -> tree.Expr | None:
+def with_parameters(body: BodyContext, raw: syntax.Call, query: QueryText) -> tree.Expr | None:
     """The argument of a query whose text has placeholders; None if it has none, or has mistakes."""
     types = body.symbols.capabilities
     assert types is not None
-    read = types.question(question.text)
+    read = types.placeholders(query.text)
     for problem in read.mistakes:
-        place = question.place(problem.start, problem.end)
+        place = query.place(problem.start, problem.end)
         body.report(messages.CONSTRAINT, place, hint=problem.hint, problem=problem.message)
     for one in read.quoted:
         if is_variable(body, one.path):
-            body.report(messages.QUOTED_PARAMETER, question.place(one.start, one.end), name=one.path)
+            body.report(messages.QUOTED_PARAMETER, query.place(one.start, one.end), name=one.path)
     if not read.placeholders or read.mistakes:
         return None
-    values = {
-        one.path: _value(body, one.path, question.place(one.start, one.end)) for one in read.placeholders
-    }
+    values = {one.path: _value(body, one.path, query.place(one.start, one.end)) for one in read.placeholders}
     sorts = {path: _sort(body, value) for path, value in values.items()}
-    return _compiled(body, raw, question, values, sorts, types)
+    return _compiled(body, raw, query, values, sorts, types)
 
 
 def _compiled(
     body: BodyContext,
     raw: syntax.Call,
-    question: QuestionText,
+    query: QueryText,
     values: Mapping[str, tree.Expr],
     sorts: Mapping[str, PlaceholderSort],
     types: CapabilityTypes,
 ) -> tree.Expr | None:
-    compiled = types.compile_question(question.text, sorts)
+    compiled = types.compile_query(query.text, sorts)
     for problem in compiled.mistakes:
-        place = question.place(problem.start, problem.end)
+        place = query.place(problem.start, problem.end)
         body.report(messages.CONSTRAINT, place, hint=problem.hint, problem=problem.message)
     if compiled.mistakes or "nothing" in sorts.values():
         return None
-    span = question.pieces[0][1].span.to(question.pieces[-1][1].span)
+    span = query.pieces[0][1].span.to(query.pieces[-1][1].span)
     parts: list[str | tree.Expr] = [compiled.text + _SEPARATOR]
     for value in compiled.values:
         parts += _encoded(body, raw, values[value.path], value)
@@ -117,7 +115,7 @@ def _element(body: BodyContext, raw: syntax.Index, place: Span) -> tree.Expr:
 
 
 def _sort(body: BodyContext, value: tree.Expr) -> PlaceholderSort:
-    """What a value is in a question; 'nothing' if it cannot be in one, which is reported."""
+    """What a value is in a query; 'nothing' if it cannot be in one, which is reported."""
     if isinstance(value.type, EnumType):
         return "text"
     if value.type not in _SORTS and value.type is not UNKNOWN:

@@ -1,4 +1,4 @@
-"""Questions of a program with parameters: found, checked, and written as the program has them.
+"""Queries of a program with parameters: found, checked, and written as the program has them.
 
 payload >= $mass[g] && agent != $name      in L
 payload >= $n0 && agent != $t1             compiled, with the values mass * 0.001 and name
@@ -24,13 +24,13 @@ from lfield.capability.condition_tree import (
 from lfield.capability.matching.condition_checker import NameScope, Sort, check_expression
 from lfield.capability.model import Attribute, Expression
 from lfield.capability.parameter_units import Conversion
-from lfield.capability.question_values import parameters
+from lfield.capability.query_values import parameters
 from lfield.lang.capability_port import (
-    CompiledQuestion,
+    CompiledQuery,
     Placeholder,
     PlaceholderSort,
     PlaceholderValue,
-    Question,
+    QueryPlaceholders,
 )
 
 _QUOTED = re.compile(r"\$([A-Za-z_]\w*)", re.ASCII)
@@ -38,11 +38,11 @@ _LETTERS = {sort: letter for letter, sort in PARAMETER_SORTS.items()}
 _SAME: Conversion = (1.0, 0.0)
 
 
-def read_question(text: str) -> Question:
-    """The placeholders of a question, and those that are within quotes by mistake."""
+def read_placeholders(text: str) -> QueryPlaceholders:
+    """The placeholders of a query, and those that are within quotes by mistake."""
     parsed, mistakes = parse_query(text, parameters=True)
     if parsed is None:
-        return Question(mistakes=tuple(mistakes))
+        return QueryPlaceholders(mistakes=tuple(mistakes))
     found = [parameter for tree in _trees(parsed) for parameter in parameters(tree)]
     places = tuple(Placeholder(one.path, one.span.start, one.span.end) for one in found)
     quoted = tuple(
@@ -51,16 +51,16 @@ def read_question(text: str) -> Question:
         for literal in _texts(tree)
         for match in _QUOTED.finditer(str(literal.value))
     )
-    return Question(places, quoted)
+    return QueryPlaceholders(places, quoted)
 
 
-def compile_question(
+def numbered_query(
     text: str, sorts: Mapping[str, PlaceholderSort], attributes: Mapping[str, Attribute]
-) -> CompiledQuestion:
-    """The question with numbered parameters, and the values that they need; or what is wrong with it."""
+) -> CompiledQuery:
+    """The query with numbered parameters, and the values that they need; or what is wrong with it."""
     parsed, mistakes = parse_query(text, parameters=True)
     if parsed is None:
-        return CompiledQuestion(mistakes=tuple(mistakes))
+        return CompiledQuery(mistakes=tuple(mistakes))
     offer = NameScope.of_offer(attributes)
     scope = NameScope(offer.names, parameters=cast(Mapping[str, Sort], sorts))
     conversions: dict[ConditionParameter, Conversion] = {}
@@ -70,7 +70,7 @@ def compile_question(
     for tree, _ in parsed.order:
         found += check_expression(Expression(text, tree), scope, "number", conversions)
     if found or "nothing" in sorts.values():
-        return CompiledQuestion(mistakes=tuple(found))
+        return CompiledQuery(mistakes=tuple(found))
     return _numbered(text, parsed, sorts, conversions)
 
 
@@ -79,7 +79,7 @@ def _numbered(
     parsed: ParsedQuery,
     sorts: Mapping[str, PlaceholderSort],
     conversions: Mapping[ConditionParameter, Conversion],
-) -> CompiledQuestion:
+) -> CompiledQuery:
     """The text with `$n0` for the first value; equal values have one number."""
     found = sorted((p for tree in _trees(parsed) for p in parameters(tree)), key=lambda one: one.span.start)
     values: list[PlaceholderValue] = []
@@ -90,7 +90,7 @@ def _numbered(
             values.append(value)
         made += f"{text[at : one.span.start]}${_LETTERS[sorts[one.path]]}{values.index(value)}"
         at = one.span.end
-    return CompiledQuestion(made + text[at:], tuple(values))
+    return CompiledQuery(made + text[at:], tuple(values))
 
 
 def _trees(parsed: ParsedQuery) -> Iterator[ConditionExpr]:
