@@ -34,6 +34,7 @@ from lfield.lang.tree import (
     Not,
     PortalCall,
     Query,
+    Relabel,
     This,
     ToReal,
 )
@@ -133,6 +134,8 @@ class ExpressionEmitter:
                 return self._unary("not", expr.operand, expr, target)
             case Logical():
                 return self._logical(expr, target)
+            case Relabel():
+                return self.value(expr.operand, target)
             case ToReal():
                 return self._calls.library("i2f", [expr.operand], expr.type, target)
             case New():

@@ -161,6 +161,16 @@ LIBRARY_OF_MAPS: tuple[LibraryFunction, ...] = (
     LibraryFunction("keys", (), array_of(_K), "", meaning="the keys in the order of their insertion"),
     LibraryFunction("values", (), array_of(_V), "", meaning="the values in the order of their keys"),
 )
+_E = Type("E")
+#: The methods of a member of an enum, and those of the enum itself; `name` and `of` are texts of L.
+ENUM_VALUE_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("name", (), STRING, "", meaning="the name of the member"),
+    LibraryFunction("ordinal", (), INT, "", meaning="its place in the declaration, from 0"),
+)
+ENUM_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("values", (), array_of(_E), "", meaning="a new array of all members, in their order"),
+    LibraryFunction("of", (STRING,), _E, "", meaning="the member of that name; ConversionException"),
+)
 ARRAY_LIBRARY = tuple(dict.fromkeys(f.name for f in LIBRARY_OF_ARRAYS))
 
 

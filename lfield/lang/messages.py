@@ -54,7 +54,7 @@ NOT_TEXT = _message(
 EXPECTED_UNIT = _message(
     "L201",
     "expected resource, coordinator, class or include, found {found}",
-    "a program consists of resources, coordinators and classes",
+    "a program consists of resources, coordinators, classes, constants, enums and functions",
 )
 EXPECTED_MEMBER = _message(
     "L202",
@@ -123,6 +123,10 @@ LEAVES_FINALLY = _message(
     "'{keyword}' would leave this finally and discard a pending exception or result",
     "set a variable in the finally, and write the {keyword} after the try",
 )
+CONSTANT_SHAPE = _message(
+    "L234", "a constant needs a type and a value", "write const int {name} = 1; with the type of the value"
+)
+EMPTY_ENUM = _message("L235", "the enum {name} has no members", "write enum {name} {{ FIRST, SECOND }}")
 
 # --- L3xx: names and declarations -----------------------------------------------------------------------
 
@@ -141,7 +145,7 @@ UNKNOWN_FIELD = _message("L304", "{type} has no field '{name}'", "{known}")
 UNKNOWN_METHOD = _message("L305", "{type} has no {kind} '{name}'", "{known}")
 DUPLICATE_LOCAL = _message("L306", "'{name}' is already declared on line {line}", "choose another name")
 DUPLICATE_UNIT = _message(
-    "L307", "'{name}' is already declared in {place}", "names of units are unique: rename one"
+    "L307", "'{name}' is already declared in {place}", "names at the top level are unique: rename one"
 )
 NAME_IN_USE = _message("L308", "'{name}' is already {what}", "choose another name for this {kind}")
 DUPLICATE_FIELD = _message(
@@ -167,6 +171,13 @@ CONSTRUCTOR_NAME = _message(
     "L318", "this method has no result type", "write void {name}(...); a constructor is named like its class"
 )
 NOT_A_METHOD = _message("L319", "'{name}' is a variable, not a method", "remove the ( )")
+CONSTANT_CYCLE = _message(
+    "L320", "the value of '{name}' depends on itself: {path}", "write one of these values as a literal"
+)
+DUPLICATE_MEMBER = _message(
+    "L321", "the member '{name}' is already declared on line {line}", "rename or remove one"
+)
+UNKNOWN_MEMBER = _message("L322", "the enum {enum} has no member '{name}'", "{known}")
 
 # --- L4xx: types ----------------------------------------------------------------------------------------
 
@@ -245,8 +256,44 @@ MAP_TYPES = _message(
 )
 MAP_KEY = _message(
     "L433",
-    "the keys of a map are string or int, not {given}",
+    "the keys of a map are string, int or an enum, not {given}",
     "use an id or a number of it as the key, and the object as the value",
+)
+NOT_CONSTANT = _message(
+    "L434",
+    "the value of the constant '{name}' must be known before the program runs",
+    "write literals, other constants and members of enums, joined by operators",
+)
+CONSTANT_TYPE = _message(
+    "L435", "a constant cannot be {given}", "constants are boolean, int, real, string or of an enum"
+)
+CONSTANT_VALUE = _message("L436", "the value of the constant '{name}' is {problem}", "{hint}")
+IMPURE = _message(
+    "L437",
+    "the function '{function}' {what}",
+    "a function computes its result from its arguments alone; write a method of the unit for the rest",
+)
+CHANGES_ARGUMENT = _message(
+    "L438",
+    "the function '{function}' would change {what}, which its caller has",
+    "change a copy: a.slice(0, a.length()), or a new array",
+)
+NO_THIS = _message("L439", "the function '{function}' has no this", "pass what it needs as a parameter")
+ENUM_NAME = _message("L440", "'{name}' is an enum, not a value", "write one of its members: {name}.{member}")
+PARAMETER_TYPE = _message(
+    "L441",
+    "a query cannot have {given}",
+    "its parameters are numbers, text, true or false, and members of enums",
+)
+QUOTED_PARAMETER = _message(
+    "L442",
+    "'${name}' within quotes is text, not the value of '{name}'",
+    "leave the quotes out: the value of a string variable is text already",
+)
+COMPUTED_QUERY = _message(
+    "L443",
+    "'${name}' is in a text that is not known before the program runs",
+    "write the query as one literal, or as a sum of literals and constants",
 )
 
 LOOP_PLACE = _message(

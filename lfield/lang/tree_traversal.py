@@ -52,7 +52,7 @@ def first_evaluated_operand(expr: tree.Expr) -> tree.Expr | None:
             return expr.proxy
         case tree.Element():
             return expr.array
-        case tree.ToReal():
+        case tree.ToReal() | tree.Relabel():
             return expr.operand
         case tree.LibraryCall(arguments=[first, *_]):
             return first
@@ -84,7 +84,7 @@ def subexpressions(expr: tree.Expr) -> list[tree.Expr]:
             return [expr.target, expr.value]
         case tree.Binary() | tree.Logical():
             return [expr.left, expr.right]
-        case tree.Not() | tree.Negate() | tree.ToReal():
+        case tree.Not() | tree.Negate() | tree.ToReal() | tree.Relabel():
             return [expr.operand]
         case tree.FieldGet():
             return [expr.object]

@@ -36,6 +36,11 @@ class MapType(ClassType):
 
 
 @dataclass(frozen=True, slots=True)
+class EnumType(Type):
+    """A member of an enum of the program, represented by its number from 0."""
+
+
+@dataclass(frozen=True, slots=True)
 class ResourceType(Type):
     """A proxy for a resource somewhere in the team."""
 
@@ -94,7 +99,7 @@ def map_of(key: Type, value: Type) -> MapType:
 
 def is_reference(kind: Type) -> bool:
     """Whether values of the type are references into the block (null is one of them)."""
-    return kind not in (BOOLEAN, INT, REAL, VOID)
+    return kind not in (BOOLEAN, INT, REAL, VOID) and not isinstance(kind, EnumType)
 
 
 def distance(given: Type, expected: Type) -> int | None:

@@ -95,8 +95,16 @@ def _check_type(core: Core, table: TypeTable, index: int) -> None:
             raise ProgramFileError(f"type {index} is of class {record.of}, which does not exist")
         if record.kind == PROXY and core.classes[record.of].kind != "resource":
             raise ProgramFileError(f"type {index} is a proxy for something that is not a resource")
+    elif record.kind == INT:
+        if not (core.builtins <= record.of < len(core.classes) and _is_enum(core.classes[record.of])):
+            raise ProgramFileError(f"type {index} is an enum of class {record.of}, which has no members")
     elif record != TypeRecord(TICKET):
         raise ProgramFileError(f"type {index} is of unknown kind {record.kind}")
+
+
+def _is_enum(record: ClassRecord) -> bool:
+    """Whether a class can have the members of an enum: their names as its fields."""
+    return record.kind == "class" and bool(record.fields) and all(f.type == INT for f in record.fields)
 
 
 def check_classes(core: Core) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.capability_port import Verb, parse_query_name
+from lfield.lang.capability_port import parse_query_name
 from lfield.lang.checker.conversions import (
     OverloadCandidate,
     choose_overload,
@@ -14,8 +14,11 @@ from lfield.lang.checker.conversions import (
     with_article,
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
+from lfield.lang.checker.library.enum_members import check_enum_call
 from lfield.lang.checker.library.loop_members import check_loop_call
+from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
+from lfield.lang.checker.queries.capability_queries import check_query
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
@@ -40,6 +43,7 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
     MapType,
     ResourceType,
     Type,
@@ -58,6 +62,8 @@ def check_bare_call(
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
     if own := body.methods(name.name):
         return _method(body, raw, name.span, body.this(name.span), own, given)
+    if functions := body.symbols.functions.get(name.name):
+        return function_call(body, raw, name.span, functions, given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
         return find_resource(body, raw, name.span, resource, given)
@@ -81,6 +87,8 @@ def check_member_call(
         return unknown(raw.span)
     if isinstance(owner, tree.LoopName):
         return check_loop_call(body, raw, function, owner.loop, given)
+    if isinstance(owner, tree.EnumName) or isinstance(kind, EnumType):
+        return check_enum_call(body, raw, function, owner, given)
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
@@ -165,6 +173,10 @@ def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list
     scope, side = functions[0].scope, body.unit.usage
     if scope in ("any", side):
         return _operation(body, raw, name.span, functions, given, None)
+    if body.function:
+        what = "writes output" if scope == "resource" else "reads the state of its coordinator"
+        body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
+        return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION
     if scope == "resource":
         rule = messages.COORDINATOR_IO if side == "coordinator" else messages.GLOBAL_IO
@@ -270,7 +282,8 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
 def _function_hint(body: BodyContext, called: str) -> str | None:
     if called in foreign_words.FOREIGN_FUNCTIONS:
         return foreign_words.FOREIGN_FUNCTIONS[called]
-    own = [m.name for m in body.unit.methods if m.kind == "method"]
+    own = [] if body.function else [m.name for m in body.unit.methods if m.kind == "method"]
+    own += body.symbols.functions
     finds = find_names(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
@@ -312,7 +325,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
     body.report(messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=what, name=name, known=listing)
 
 
-# --- queries: findR(...), findC(...), explainC(...), teamsC(..., n) -------------------------------------
+# --- finding resources: findR(...) ----------------------------------------------------------------------
 
 
 def find_resource(
@@ -342,48 +355,3 @@ def find_names(body: BodyContext) -> list[str]:
     capabilities = body.symbols.capability_names()
     found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
     return [*found, *(f"{verb}{name}" for name in capabilities for verb in ("explain", "teams"))]
-
-
-def check_query(
-    body: BodyContext,
-    raw: syntax.Call,
-    place: Span,
-    verb: Verb,
-    capability: tree.Unit,
-    given: list[tree.Expr],
-) -> tree.Expr:
-    """A query with or without a constraint, where capabilities are visible."""
-    if body.unit.usage != "coordinator":
-        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="capabilities")
-        return unknown(raw.span)
-    offers = array_of(ClassType(capability.name))
-    result: Type = {"find": offers, "teams": array_of(offers), "explain": STRING}[verb]
-    name, size = f"{verb}{capability.name}", (INT,) if verb == "teams" else ()
-    candidates = [OverloadCandidate(name, (STRING, *size), result), OverloadCandidate(name, size, result)]
-    chosen = choose_overload(body.symbols, place, candidates, given)
-    if chosen is None:
-        return unknown(raw.span)
-    asked = chosen[1][: len(chosen[1]) - len(size)]
-    constraint = asked[0] if asked else None
-    if isinstance(constraint, tree.Literal_) and isinstance(constraint.value, str):
-        if constraint.value.strip():
-            _check(body, constraint.span, constraint.value)
-        else:
-            rest = chosen[1][-1].span.text if size else ""
-            more = f", {rest}" if size else ""
-            body.report(messages.EMPTY_CONDITION, constraint.span, name=name, rest=rest, more=more)
-    return tree.Query(raw.span, result, capability, constraint, verb, chosen[1][-1] if size else None)
-
-
-def _check(body: BodyContext, literal: Span, text: str) -> None:
-    """Report what is wrong with a constraint, at the very characters.
-
-    In a text with escapes the offsets are not those of the file: then the whole text is marked.
-    """
-    assert body.symbols.capabilities is not None
-    as_written = literal.text == f'"{text}"'
-    for mistake in body.symbols.capabilities.mistakes(text):
-        first = literal.start + 1
-        inside = Span(literal.source, first + mistake.start, first + mistake.end)
-        where = inside if as_written else literal
-        body.report(messages.CONSTRAINT, where, hint=mistake.hint, problem=mistake.message)

@@ -6,10 +6,12 @@ import re
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import unknown, with_article
+from lfield.lang.checker.library.enum_members import enum_member
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.language_library import (
     ARRAY_LIBRARY,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
@@ -23,6 +25,7 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
     MapType,
     ResourceType,
     Type,
@@ -34,7 +37,7 @@ _MEMBER = re.compile(r"\s*\.\s*(\w+)")
 
 
 def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
-    """A bare name: a local, else a field of the unit itself."""
+    """A bare name: a local, else a field of the unit itself, else a constant or an enum."""
     local = body.scope.find(raw.name)
     if local is not None:
         return tree.LocalGet(raw.span, local.type, local)
@@ -44,13 +47,19 @@ def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
     loop = body.unit.loop(raw.name)
     if loop is not None:
         return tree.LoopName(raw.span, LOOP, loop)
+    constant = body.symbols.constants.get(raw.name)
+    if constant is not None:
+        return tree.Literal_(raw.span, constant.type, constant.value)
+    enum = body.symbols.enums.get(raw.name)
+    if enum is not None:
+        return tree.EnumName(raw.span, Type(f"enum {raw.name}"), enum)
     _unknown_variable(body, raw)
     return unknown(raw.span)
 
 
 def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
     name = raw.name
-    if body.methods(name) or name in LIBRARY_NAMES:
+    if body.methods(name) or name in LIBRARY_NAMES or name in body.symbols.functions:
         body.report(messages.CALL_WITHOUT_PARENTHESES, raw.span, name=name, call=f"{name}()")
     elif name in body.symbols.units:
         _type_as_value(body, raw, body.symbols.units[name])
@@ -73,7 +82,9 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
     member = _MEMBER.match(raw.span.source.text, raw.span.end)
     if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
-    known = [*body.scope.names(), *(f.name for f in body.unit.named_fields), "true", "false", "null"]
+    top_level = (*body.symbols.constants, *body.symbols.enums)
+    fields = () if body.function else (f.name for f in body.unit.named_fields)
+    known = [*body.scope.names(), *fields, *top_level, "true", "false", "null"]
     return did_you_mean(name, known) or (_object_hint(body, name, member[1]) if member else None)
 
 
@@ -93,6 +104,8 @@ def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tre
     if isinstance(owner, tree.LoopName):
         body.report(messages.LOOP_MEMBER, raw.place, name=raw.name)
         return unknown(raw.span)
+    if isinstance(owner, tree.EnumName):
+        return enum_member(body, raw, owner.enum)
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
@@ -147,4 +160,6 @@ def method_names(body: BodyContext, kind: Type, unit: tree.Unit | None) -> list[
         return [i.name for i in body.symbols.devices[kind.name].instructions]
     if kind == STRING:
         return [f.name for f in STRING_METHODS]
+    if isinstance(kind, EnumType):
+        return [f.name for f in ENUM_VALUE_METHODS]
     return [f.name for f in EXCEPTION_METHODS] if isinstance(kind, ClassType) else []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from lfield.lang import messages, tree
+from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.language_library import FUNCTIONS
 from lfield.lang.parser.foreign_words import type_hint
@@ -23,6 +23,7 @@ from lfield.lang.types import (
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
     MapType,
     ResourceType,
     Type,
@@ -45,9 +46,17 @@ LIBRARY_NAMES = frozenset(f.name for f in FUNCTIONS)
 _RETURN_LIKE = ("return", "throw", "else")
 
 
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A function of the top level: its head in a unit of its own, and what is written."""
+
+    head: tree.Method
+    written: syntax.Method
+
+
 @dataclass(slots=True)
 class Symbols:
-    """The units of a program and the device types it may use.
+    """What a program declares at its top level, and the device types it may use.
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
     `incomplete`: declarations may be missing (a syntax error, a missing include), so unknown types are not
@@ -57,6 +66,9 @@ class Symbols:
     devices: Mapping[str, DeviceManifest]
     found: Diagnostics
     units: dict[str, tree.Unit] = field(default_factory=dict)
+    enums: dict[str, tree.Enumeration] = field(default_factory=dict)
+    constants: dict[str, tree.Constant] = field(default_factory=dict)
+    functions: dict[str, list[Function]] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
     capabilities: CapabilityTypes | None = None
@@ -72,6 +84,13 @@ class Symbols:
         if key not in self._reported:
             self._reported.add(key)
             self.found.add(message.at(span, hint=hint, **values))
+
+    def declaration(self, name: str) -> Span | None:
+        """The place of the name of what is declared at the top level under it."""
+        if name in self.functions:
+            return self.functions[name][0].head.span
+        declared = self.units.get(name) or self.enums.get(name) or self.constants.get(name)
+        return None if declared is None else declared.span
 
     def unit_of(self, kind: Type) -> tree.Unit | None:
         """The class or resource a type is about; None for any other type."""
@@ -111,6 +130,8 @@ class Symbols:
         unit = self.units.get(name)
         if unit is not None:
             return ResourceType(name) if unit.kind == "resource" else ClassType(name)
+        if name in self.enums:
+            return EnumType(name)
         if name in self.devices:
             return DeviceType(name)
         if type_hint(name) or (name != BAD_TYPE and not self.incomplete):
@@ -123,7 +144,7 @@ class Symbols:
             self.report(messages.MAP_TYPES, written.span)
             return UNKNOWN
         key, value = map(self.resolve, written.arguments)
-        if key not in (STRING, INT, UNKNOWN):
+        if key not in (STRING, INT, UNKNOWN) and not isinstance(key, EnumType):
             self.report(messages.MAP_KEY, written.arguments[0].span, given=key)
             return UNKNOWN
         if isinstance(value, DeviceType):
@@ -149,7 +170,14 @@ class Symbols:
     def _type_hint(self, name: str) -> str | None:
         if foreign := type_hint(name):
             return foreign
-        known = [*BUILTIN_TYPES, *self.units, *self.devices, *self.capability_names(), *_RETURN_LIKE]
+        known = [
+            *BUILTIN_TYPES,
+            *self.units,
+            *self.enums,
+            *self.devices,
+            *self.capability_names(),
+            *_RETURN_LIKE,
+        ]
         close = closest(name, known)
         return f"did you mean '{close}'?" if close else None
 
@@ -171,6 +199,8 @@ def device_in(symbols: Symbols, kind: Type) -> str:
 
 def describe(unit: tree.Unit) -> str:
     """A unit in messages about scope rules: `the resource specific class 'CacheTree'`."""
+    if unit.function:
+        return f"the function '{unit.name}'"
     if unit.kind != "class":
         return f"the {unit.kind} '{unit.name}'"
     clause = "" if unit.usage == "global" else f"{unit.usage} specific "

@@ -20,6 +20,9 @@ from lfield.text.source_text import Span
 Place = Literal["field", "constructor", "portal", "elsewhere"]
 
 
+_OF_FUNCTIONS = (
+    "a function has numbers, text, arrays, maps, enums and objects: pass what it needs of the other"
+)
 _COORDINATOR_RULES: dict[tree.Usage, FindingKind] = {
     "resource": messages.RESOURCE_NAMES_COORDINATOR,
     "coordinator": messages.COORDINATOR_NAMES_COORDINATOR,
@@ -52,8 +55,15 @@ def check_visibility(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, spa
     """Whether `viewer` may name `target`; the broken rule is reported."""
     rule = _rule(viewer, target)
     if rule is not None:
+        hint = _OF_FUNCTIONS if viewer.function else None
         symbols.report(
-            rule, span, viewer=describe(viewer), unit=viewer.name, name=target.name, usage=target.usage
+            rule,
+            span,
+            hint=hint,
+            viewer=describe(viewer),
+            unit=viewer.name,
+            name=target.name,
+            usage=target.usage,
         )
     return rule is None
 

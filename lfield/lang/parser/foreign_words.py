@@ -253,7 +253,8 @@ FOREIGN_STATEMENTS = {
     **dict.fromkeys(METHOD_WORDS, _METHOD),
     **dict.fromkeys(("import", "from", "using", "use"), 'write include "file.L"; at the top of the file'),
     "typedef": "write the type itself",
-    **dict.fromkeys(("struct", "enum", "namespace", "template"), "write class Name { ... } at the top level"),
+    **dict.fromkeys(("struct", "namespace", "template"), "write class Name { ... } at the top level"),
+    "enum": "write enum Name { A, B } at the top level",
 }
 #: Words that begin a unit in other languages, and the equivalent in L.
 FOREIGN_UNITS = {
@@ -264,7 +265,7 @@ FOREIGN_UNITS = {
     "typedef": "write the type itself",
     "interface": "write the class itself",
     "struct": "write class Name { ... }",
-    "enum": "use int constants",
+    "enum": "write enum Name { A, B }",
     **dict.fromkeys(
         ("public", "private", "protected", "abstract", "final", "export", "static", "extern", "pub"),
         _NO_MODIFIER,
@@ -279,15 +280,15 @@ FOREIGN_UNITS = {
             "bool",
             "double",
             "float",
-            "const",
             "auto",
             "var",
             "let",
             "std",
             "unsigned",
         ),
-        "write methods and fields inside a resource, a coordinator or a class",
+        "write const int NAME = 1; for a constant; variables are inside a resource, a coordinator or a class",
     ),
+    "const": "write const int NAME = 1;",
     **dict.fromkeys((*METHOD_WORDS, "async"), _METHOD),
     "pass": "leave it out: a program has no statements outside of methods",
     **dict.fromkeys(("node", "robot", "device", "actor", "server", "service"), "write resource Name { ... }"),

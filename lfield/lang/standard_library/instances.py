@@ -8,7 +8,7 @@ of values.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -30,6 +30,7 @@ _KEYS = {
     STRING: ("key.hash() % n", '"\\"" + key + "\\""', _REFUSAL),
     INT: ("(key % n + n) % n", "i2s(key)", ""),
 }
+_ENUM_KEY = ("(key.ordinal() % n + n) % n", "key.name()", "")
 _ARRAYS = Path(__file__).with_name("arrays.L")
 _NAME = re.compile(r"(\w+)\(")
 
@@ -46,13 +47,33 @@ def _map_text() -> str:
     return _MAP.read_text(encoding="utf-8")
 
 
+def enum_text(name: str, members: Sequence[str]) -> str:
+    """The methods of an enum, with numbers for its members."""
+    names = (f'if (number == {i}) return "{member}";' for i, member in enumerate(members))
+    numbers = (f'if (name == "{member}") return {i};' for i, member in enumerate(members))
+    unknown = f'throw new ConversionException("the enum {name} has no member " + name);'
+    return (
+        f"// The members of the enum {name}.\nclass Enums {{\n"
+        f"    private string name(int number) {{\n{_lines(names)}        return i2s(number);\n    }}\n"
+        f"    private int of(string name) {{\n{_lines(numbers)}        {unknown}\n    }}\n}}\n"
+    )
+
+
+def _lines(statements: Iterable[str]) -> str:
+    return "".join(f"        {statement}\n" for statement in statements)
+
+
 @dataclass(frozen=True, slots=True)
 class LibraryBody:
-    """A method of the library whose body is not checked yet, and what the types in it mean."""
+    """A method of the library whose body is not checked yet, and what the types in it mean.
+
+    `function`: it sees no members of its unit.
+    """
 
     method: tree.Method
     written: syntax.Method
     parameters: Mapping[str, Type]
+    function: bool = False
 
 
 @dataclass(slots=True)
@@ -84,7 +105,7 @@ class LibraryUses:
         self, kind: MapType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
     ) -> tree.Unit:
         """The class of a type of maps, while K and V are bound; its bodies are checked later."""
-        bucket, text, refuse = _KEYS[kind.key]
+        bucket, text, refuse = _KEYS.get(kind.key, _ENUM_KEY)
         source = self.source(
             _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
         )
