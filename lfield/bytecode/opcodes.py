@@ -356,6 +356,14 @@ TABLE: tuple[Opcode, ...] = (
         "Releases these resources without waiting: replaces the numbers by 0.",
         exits=True,
     ),
+    # the operator's input
+    _head(
+        1850,
+        "read_line",
+        "real->string",
+        "A line of the operator's input at this host, within a time in seconds; TimeLimitException.",
+        exits=True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

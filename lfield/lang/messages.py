@@ -249,6 +249,12 @@ MAP_KEY = _message(
     "use an id or a number of it as the key, and the object as the value",
 )
 
+LIMIT_OVER = _message(
+    "L460",
+    "the limit of {name} must be more than 0 seconds, this is {given}",
+    "write how long it waits at most, as in {example}; after that it throws TimeLimitException",
+)
+
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 
 RESOURCE_NAMES_RESOURCE = _message(
