@@ -382,6 +382,14 @@ TABLE: tuple[Opcode, ...] = (
         exits=True,
     ),
     _head(1873, "tick_failed", "ref", "Reports the exception that has ended a tick of a loop.", exits=True),
+    # the operator's input
+    _head(
+        1850,
+        "read_line",
+        "real->string",
+        "A line of the operator's input at this host, within a time in seconds; TimeLimitException.",
+        exits=True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

@@ -344,6 +344,13 @@ class HostCore:
         if (handler := self._handlers.get(type(message))) is not None:
             handler(host, message)
 
+    def on_line_entered(self, text: str, *, is_kept: bool) -> str:
+        """A line of the operator's input; returns why no agent gets it, '' if one does."""
+        trouble = self.machine.operator_input.enter(text, is_kept=is_kept)
+        if trouble:
+            self._log(log_messages.INPUT_DROPPED.line(host=self.name, reason=trouble))
+        return trouble
+
     def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
         """The result of the device call of that number."""
         self.commands.on_device_answer(number, value)

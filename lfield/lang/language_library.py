@@ -31,6 +31,14 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
     LibraryFunction("write", (REAL,), VOID, "write_float", "resource", "writes a number to standard output"),
     LibraryFunction("write", (STRING,), VOID, "write_str", "resource", "writes text to standard output"),
     LibraryFunction("write", (BOOLEAN,), VOID, "write_bool", "resource", "writes true or false"),
+    LibraryFunction(
+        "read",
+        (REAL,),
+        STRING,
+        "read_line",
+        "resource",
+        "a line of the operator's input at its host, within this many seconds; TimeLimitException",
+    ),
     LibraryFunction("print", (INT,), VOID, "print_int", "any", "a line in the log of the host it runs on"),
     LibraryFunction("print", (REAL,), VOID, "print_float", "any", "a line in the log of the host it runs on"),
     LibraryFunction("print", (STRING,), VOID, "print_str", "any", "a line in the log of the host it runs on"),
@@ -96,6 +104,9 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
         "random", (INT,), INT, "random_int", "any", "a number from 0 up to n-1; ArithmeticException"
     ),
 )
+
+#: Functions that lfield 0.4 lacks: a method of this name is allowed, and takes precedence in its unit.
+YIELDING = frozenset({"read"})
 
 #: Methods of strings: `s.length()`. The receiver is the first argument of the operation.
 STRING_METHODS: tuple[LibraryFunction, ...] = (

@@ -336,6 +336,12 @@ TOO_MANY_LOOPS = _message(
     "L479", "a resource has at most {limit} loops", "put what has the same rate into one loop"
 )
 
+LIMIT_OVER = _message(
+    "L460",
+    "the limit of {name} must be more than 0 seconds, this is {given}",
+    "write how long it waits at most, as in {example}; after that it throws TimeLimitException",
+)
+
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 
 RESOURCE_NAMES_RESOURCE = _message(

@@ -20,15 +20,17 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.scheduler import Scheduler
+from lfield.vm.waits.operator_input import OperatorInput
 
-_YIELD, _SLEEP, _DEVICE = (BY_NAME[name].code for name in ("yield", "sleep", "device"))
+_DEVICE = BY_NAME["device"].code
+_WAITS = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line"))
 
 
 class Cancellation:
     """The cancelled calls of one host, per serving thread (`Agent.pending_cancels`)."""
 
-    def __init__(self, scheduler: Scheduler) -> None:
-        self._scheduler = scheduler
+    def __init__(self, scheduler: Scheduler, given: OperatorInput) -> None:
+        self._scheduler, self._input = scheduler, given
 
     def cancel_call(self, resource: Agent, number: int, reason: str) -> None:
         """Cancel a portal call by its number, if still served; at once if its thread waits.
@@ -53,7 +55,7 @@ class Cancellation:
     def _interrupt(self, resource: Agent, thread: int, reason: str) -> None:
         resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
-        if state == WAITING:
+        if state == WAITING and not self._input.cancel(resource, thread):
             self._scheduler.world.cancel(resource, thread)
         elif state != READY or self._is_queued(resource, thread):
             wake_thread(self._scheduler, resource, thread)
@@ -74,7 +76,7 @@ class Cancellation:
             call = self._scheduler.program.core.device_calls[operand]
             if call.effect == "query":
                 return False
-        elif op not in (_YIELD, _SLEEP):
+        elif op not in _WAITS:
             return False
         self.deliver(resource, thread)
         return True
@@ -91,7 +93,7 @@ class Cancellation:
         if not place:
             return
         tidy = resource.limits.tidy
-        waits = resource.block.w[place + THREAD_STATE] == WAITING
+        waits = resource.block.w[place + THREAD_STATE] == WAITING and not self._input.cancel(resource, thread)
         if waits and not scheduler.world.cancel(resource, thread):
             scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
             return

@@ -27,6 +27,15 @@ class HostInterface(Protocol):
     def write(self, agent: Agent, text: str) -> None:
         """Program output: whole lines, or the remainder of one when its thread ends."""
 
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """A thread of an agent waits for a line of the operator's input, at most so long."""
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """An agent reads a line of the operator's input."""
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """These agents wait for a line now."""
+
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
 

@@ -54,6 +54,7 @@ from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
 from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
+from lfield.vm.waits.operator_input import OperatorInput
 
 #: Instructions of a thread's turn.
 SLICE = 2000
@@ -89,7 +90,8 @@ class Machine:
         #: The agents on this host, by id, and those of them whose `init` has not reached its first pause.
         self.agents, self.opening = scheduler.agents, scheduler.opening
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.run_queue
-        cancelling = self._cancellation = Cancellation(scheduler)
+        self.operator_input = OperatorInput(scheduler)
+        cancelling = self._cancellation = Cancellation(scheduler, self.operator_input)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
         types = MemberTypes(view.members)
@@ -98,14 +100,13 @@ class Machine:
         self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
         #: The reservations of coordinators.
         self.held_reservations = held = HeldReservations(program, view.members)
-        #: The destinations of coordinators.
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
-        stop_waiting = self.pending_calls.stop_waiting
-        self._deadlines = limits = Deadlines(scheduler, cancelling, self.itinerary, stop_waiting)
+        limits = Deadlines(scheduler, cancelling, self.itinerary, self.pending_calls.stop_waiting)
+        self._deadlines = limits
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
         reserving = ReserveHandlers(scheduler, held, view.here, limits)
-        loops = LoopTicks(scheduler, cancelling)
-        heads = {**self._together.handlers(), **reserving.handlers(), **loops.handlers()}
+        parts = self._together, reserving, LoopTicks(scheduler, cancelling), self.operator_input
+        heads = {head: handler for part in parts for head, handler in part.handlers().items()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
         #: The handler of each engine exit.
@@ -128,8 +129,7 @@ class Machine:
         agent = Agent(member, block, limits, readings, is_fenced=member.id in self._fenced)
         self._scheduler.set_clock(agent, 0)
         w = block.w
-        w[layout.W_CLASS] = record
-        w[layout.W_GENERATION] = generation
+        w[layout.W_CLASS], w[layout.W_GENERATION] = record, generation
         block.append_trail(self._here)
         self.agents[member.id] = agent
         if not agent.open:

@@ -339,6 +339,11 @@ class Scheduler:
             agent.outward_pollers.discard(thread)
             agent.pending_cancels.pop(thread, None)
 
+    def end_line(self, agent: Agent, thread: int) -> None:
+        """Write the remainder of a thread's line as a line: its thread waits for an answer to it."""
+        if rest := agent.lines.pop(thread, ""):
+            self.world.write(agent, f"{rest}\n")
+
     def flush(self, agent: Agent, thread: int) -> None:
         """Write the remainder of a thread's line."""
         if rest := agent.lines.pop(thread, ""):

@@ -96,8 +96,8 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
     special = _SPECIAL.get(row.name)
     if special is not None:
         return special(view, pc, quad)
-    if row.name.startswith("write_") and view.scope != "resource":
-        raise view.refused(pc, "only resources write")
+    if (row.name.startswith("write_") or row.name == "read_line") and view.scope != "resource":
+        raise view.refused(pc, "only resources write and read")
     if row.name in _OF_COORDINATORS and view.scope != "coordinator":
         raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
     result = _accepts(_EXACT[row.result_kind]) if row.result_kind else None

@@ -23,7 +23,7 @@ from lfield.lang.tree import (
 )
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 
-_BLOCKING = frozenset({"sleep", "yield"})
+_BLOCKING = frozenset({"sleep", "yield", "read_line"})
 _OUTPUT = ("print_", "write_")
 
 

@@ -65,8 +65,23 @@ class HostServices:
         line = log_messages.PROGRAM_OUTPUT.line(agent=agent.id, text=text)
         self._out(WriteLog(line, lines=True, is_recorded=True))
 
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """A thread of an agent waits for a line of the operator's input."""
+        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds))
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """An agent reads a line of the operator's input."""
+        self._log_line(log_messages.INPUT_READ.line(agent=agent.id, text=text))
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """Other agents than before wait for a line."""
+        self._recorder.on_readers_changed(agents)
+
     def report(self, agent: Agent, line: LogLine) -> None:
         """A line of the log about an agent."""
+        self._log_line(line)
+
+    def _log_line(self, line: LogLine) -> None:
         self._out(WriteLog(line))
 
     def may_start_call(self, agent: Agent, acts: bool) -> bool:

@@ -15,6 +15,7 @@ from lfield.lang.checker.conversions import (
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.library.enum_members import check_enum_call
+from lfield.lang.checker.library.function_rules import check_limit, output_hint
 from lfield.lang.checker.library.loop_members import check_loop_call
 from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
@@ -35,9 +36,7 @@ from lfield.lang.language_library import (
 from lfield.lang.parser import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
-    BOOLEAN,
     INT,
-    REAL,
     STRING,
     UNKNOWN,
     ArrayType,
@@ -51,9 +50,6 @@ from lfield.lang.types import (
 )
 from lfield.text.source_text import Span
 from lfield.text.suggestions import choice, closest, did_you_mean
-
-#: The functions that convert to text.
-_TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""}
 
 
 def check_bare_call(
@@ -194,28 +190,15 @@ def _operation(
 ) -> tree.Expr:
     """A library function or built-in method; its receiver is the first argument of the operation."""
     candidates = [OverloadCandidate(f.name, f.parameters, f) for f in functions]
-    chosen = choose_overload(body.symbols, place, candidates, given, _output_hint(functions[0].name, given))
+    chosen = choose_overload(body.symbols, place, candidates, given, output_hint(functions[0].name, given))
     if chosen is None:
         return unknown(raw.span)
     function, arguments = chosen
+    check_limit(body, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)
-
-
-def _output_hint(name: str, given: Sequence[tree.Expr]) -> str | None:
-    """The hint for `print("n", n)` of Python: one text, each argument converted. None for other calls."""
-    if name not in ("print", "write") or len(given) == 1:
-        return None
-    parts = []
-    for argument in given:
-        if argument.type not in _TO_TEXT:
-            return 'join text with +, as in "n is " + i2s(n)'
-        function = _TO_TEXT[argument.type]
-        parts.append(f"{function}({argument.span.text})" if function else argument.span.text)
-    text = " + ".join(parts) or '""'
-    return f"write {name}({text})"
 
 
 def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:

@@ -10,6 +10,7 @@ from lfield.lang.capability_port import parse_query_name
 from lfield.lang.checker.library.loop_members import add_loop, declare_loops
 from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
 from lfield.lang.checker.visibility import Place, check_portal_contents, visible_type
+from lfield.lang.language_library import YIELDING
 from lfield.lang.tree import Field, Local, Method, Unit
 from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
 from lfield.text.source_text import Span
@@ -68,7 +69,7 @@ def _existing_meaning(symbols: Symbols, name: str) -> str | None:
     """What a name means before the program begins, or None."""
     if name in BUILTIN_TYPES:
         return "a built-in class"
-    if name in LIBRARY_NAMES:
+    if name in LIBRARY_NAMES - YIELDING:
         return "a library function"
     if name in symbols.devices:
         return f"a device type of the driver {symbols.devices[name].driver}"
@@ -208,7 +209,7 @@ class _Methods:
 def check_callable_name(symbols: Symbols, name: str, span: Span) -> None:
     """Report a name of a method or function that means something else where it is called."""
     what = None
-    if name in LIBRARY_NAMES:
+    if name in LIBRARY_NAMES - YIELDING:
         what = "a library function"
     elif name.startswith("find") and symbols.resource(name[len("find") :]) is not None:
         what = f"the find method of the resource {name[len('find') :]}"

@@ -147,7 +147,10 @@ FOREIGN_FUNCTIONS = {
     "await": _NO_WAIT,
     **dict.fromkeys(("spawn", "launch", "go", "async", "gather"), _TOGETHER),
     **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
-    **dict.fromkeys(("input", "open", "scanf"), "L reads no files: pass values as deployment arguments"),
+    "open": "L reads no files: pass values as deployment arguments",
+    **dict.fromkeys(
+        ("input", "scanf", "readLine"), "a resource reads a line of the operator, with a limit: read(30.0)"
+    ),
     **dict.fromkeys(("lock", "acquire"), "declare the portal synchronized"),
     **dict.fromkeys(("timeout", "wait_for"), "write within (seconds) { ... }"),
     **dict.fromkeys(("until", "unless"), "write while (!(...)) or if (!(...))"),
