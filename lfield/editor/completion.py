@@ -19,6 +19,7 @@ from lfield.lang.language_library import FUNCTIONS
 _STATEMENTS = (
     *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "finally", "throw"),
     *("new", "this", "true", "false", "null", "together", "within", "reserve"),
+    *("async", "wait until"),
 )
 _MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit")
 _UNITS = ("resource", "coordinator", "class", "include")

@@ -19,11 +19,14 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.monitor_waits import wake
 from lfield.vm.scheduler import Scheduler
 
 CANCELLED = "CancelledException"
 
-_YIELD, _SLEEP, _DEVICE = (BY_NAME[name].code for name in ("yield", "sleep", "device"))
+_DEVICE = BY_NAME["device"].code
+#: The other instructions at which a cancellation is thrown.
+_PAUSES = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "wait_leave"))
 
 
 class Cancellation:
@@ -45,7 +48,10 @@ class Cancellation:
         tidy = resource.limits.tidy
         self._scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
-        if state == WAITING:
+        if thread in resource.monitor_waits:
+            # The exception is thrown when it would wait again, while it holds the monitor.
+            wake(self._scheduler.run_queue, resource, thread)
+        elif state == WAITING:
             self._scheduler.world.cancel(resource, thread)
         elif state != READY or self._is_queued(resource, thread):
             wake_thread(self._scheduler, resource, thread)
@@ -66,7 +72,7 @@ class Cancellation:
             call = self._scheduler.program.core.device_calls[operand]
             if call.effect == "query":
                 return False
-        elif op not in (_YIELD, _SLEEP):
+        elif op not in _PAUSES:
             return False
         self.deliver(resource, thread)
         return True

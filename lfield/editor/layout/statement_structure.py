@@ -206,6 +206,8 @@ class StatementStructure:
         """Whether a parenthesis belongs to `if`, `within` or the like: the body follows it."""
         if block.heads and block.heads[-1].opening == at:
             return True
+        if (self._text(at - 2), self._text(at - 1)) in (("wait", "until"), (")", "within")):
+            return True
         before = self._item(at - 1)
         is_first = before.item.kind is TokenKind.NAME and before.role in (TokenRole.STATEMENT, TokenRole.BODY)
         return is_first and self._text(self._partners[at] + 1) == "{"
