@@ -20,6 +20,7 @@ from lfield.lang.parser.loop_members import LOOP_WORDS
 _STATEMENTS = (
     *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "finally", "throw"),
     *("new", "this", "true", "false", "null", "together", "within", "reserve"),
+    *("async", "wait until"),
 )
 _MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit", *LOOP_WORDS)
 _UNITS = ("resource", "coordinator", "class", "include", "const", "enum")

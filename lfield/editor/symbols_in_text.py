@@ -18,13 +18,14 @@ from lfield.lang.language_library import (
     ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
-    LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_FUTURES,
     LIBRARY_OF_MAPS,
     LOOP_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
     array_methods,
+    library_of_array,
 )
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
@@ -36,6 +37,7 @@ from lfield.lang.types import (
     ClassType,
     DeviceType,
     EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
@@ -252,6 +254,9 @@ class TextSymbols:
         unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
         if isinstance(kind, MapType):
             return [_of_library(one.name, [one]) for one in LIBRARY_OF_MAPS]
+        if isinstance(kind, FutureType):
+            names = dict.fromkeys(one.name for one in LIBRARY_OF_FUTURES)
+            return [_of_library(n, [one for one in LIBRARY_OF_FUTURES if one.name == n]) for n in names]
         if unit is not None:
             return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
         match kind:
@@ -363,8 +368,8 @@ def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
 
 def _array_functions(kind: ArrayType, name: str) -> list[LibraryFunction]:
     """The methods of arrays of that name."""
-    return [one for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS) if one.name == name]
+    return [one for one in (*array_methods(kind), *library_of_array(kind)) if one.name == name]
 
 
 def _array_names(kind: ArrayType) -> list[str]:
-    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS)))
+    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *library_of_array(kind))))

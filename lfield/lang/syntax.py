@@ -110,6 +110,14 @@ class Call(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call begins, its value is a future; `keyword` is `async`."""
+
+    keyword: Span
+    call: Expr
+
+
+@dataclass(slots=True, eq=False)
 class Index(Expr):
     """`array[index]`."""
 
@@ -287,6 +295,14 @@ class Reserve(Stmt):
 
     target: Expr
     body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """`wait until (condition) within (seconds);`, without `within`: None; `span` is the keyword."""
+
+    condition: Expr
+    seconds: Expr | None
 
 
 # --- declarations -------------------------------------------------------------------------------------

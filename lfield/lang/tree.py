@@ -338,6 +338,14 @@ class PortalCall(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call of a portal, or of an offer, begins; the value is a new future."""
+
+    call: PortalCall | Call
+    constructor: Method
+
+
+@dataclass(slots=True, eq=False)
 class Find(Expr):
     """`findR(id)` gives a proxy, `findR()` (id None) all of them as an array."""
 
@@ -511,6 +519,14 @@ class Reserve(Stmt):
 
     target: Expr
     body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """Leave the monitor until the condition holds, at most `seconds` (None: without limit)."""
+
+    condition: Expr
+    seconds: Expr | None
 
 
 @dataclass(slots=True, eq=False)

@@ -131,6 +131,9 @@ class GoldenWorld:
         """The result counts as persisted at once: there is no journal."""
         self.machine.pending_calls.on_persisted(call.key)
 
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """No call runs elsewhere: there is one host."""
+
     def abandon_wait(self, agent: Agent) -> bool:
         """A waiting agent is still here; others are not frozen."""
         waiting = [pair for pair in self.departures if pair[0] is not agent]

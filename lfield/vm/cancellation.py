@@ -19,11 +19,13 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.monitor_waits import wake
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.waits.operator_input import OperatorInput
 
 _DEVICE = BY_NAME["device"].code
-_WAITS = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line"))
+#: The other instructions at which a cancellation is thrown.
+_PAUSES = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line", "wait_leave"))
 
 
 class Cancellation:
@@ -55,7 +57,10 @@ class Cancellation:
     def _interrupt(self, resource: Agent, thread: int, reason: str) -> None:
         resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
-        if state == WAITING and not self._input.cancel(resource, thread):
+        if thread in resource.monitor_waits:
+            # The exception is thrown when it would wait again, while it holds the monitor.
+            wake(self._scheduler.run_queue, resource, thread)
+        elif state == WAITING and not self._input.cancel(resource, thread):
             self._scheduler.world.cancel(resource, thread)
         elif state != READY or self._is_queued(resource, thread):
             wake_thread(self._scheduler, resource, thread)
@@ -76,7 +81,7 @@ class Cancellation:
             call = self._scheduler.program.core.device_calls[operand]
             if call.effect == "query":
                 return False
-        elif op not in _WAITS:
+        elif op not in _PAUSES:
             return False
         self.deliver(resource, thread)
         return True

@@ -102,6 +102,13 @@ class HostInterface(Protocol):
         only then the coordinator can fetch the result.
         """
 
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator waits here for the first of several calls; these (resource, number) run elsewhere.
+
+        Until it waits no longer (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers
+        of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
+        """
+
     def abandon_wait(self, agent: Agent) -> bool:
         """The limit of a suspended coordinator has expired. Whether it is here and can be resumed.
 

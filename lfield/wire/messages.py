@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinator_messages import (
+    CallsEnded,
     CoordinatorState,
     Locate,
     Located,
@@ -23,6 +24,7 @@ from lfield.wire.coordinator_messages import (
     TransferAccepted,
     TransferQuery,
     TransferRefused,
+    WatchCalls,
 )
 from lfield.wire.fields import (
     MAX_LIST,
@@ -296,6 +298,8 @@ Control = (
     | RevocationUpdate
     | QuorumMessage
     | ReservationMessage
+    | WatchCalls
+    | CallsEnded
     | SubscriptionMessage
     | ServiceMessage
 )

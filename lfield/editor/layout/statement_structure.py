@@ -223,6 +223,8 @@ class StatementStructure:
             return True
         if self._is_word_of_loop(block, at - 1):
             return True
+        if (self._text(at - 2), self._text(at - 1)) in (("wait", "until"), (")", "within")):
+            return True
         before = self._item(at - 1)
         is_first = before.item.kind is TokenKind.NAME and before.role in (TokenRole.STATEMENT, TokenRole.BODY)
         return is_first and self._text(self._partners[at] + 1) == "{"

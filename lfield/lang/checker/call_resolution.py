@@ -30,6 +30,7 @@ from lfield.lang.language_library import (
     GROWTH,
     PROXY_METHODS,
     STRING_METHODS,
+    TICKET_METHODS,
     LibraryFunction,
     array_methods,
 )
@@ -37,12 +38,15 @@ from lfield.lang.parser import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
     INT,
+    LIBRARY_CLASSES,
     STRING,
+    TICKET,
     UNKNOWN,
     ArrayType,
     ClassType,
     DeviceType,
     EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
@@ -89,12 +93,14 @@ def check_member_call(
         return _device(body, raw, function, owner, given)
     if unit is not None:
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
-        if isinstance(kind, MapType):
+        if isinstance(kind, LIBRARY_CLASSES) and not body.symbols.library.parameters:
             methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
+    if kind == TICKET:
+        return tree.LibraryCall(raw.span, *TICKET_METHODS[name], [owner])
     if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
         return check_library_call(body, raw, owner, given)
     functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
@@ -123,6 +129,9 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
             unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
         )
     kind = visible_type(body.symbols, body.unit, raw.type)
+    if isinstance(kind, FutureType):
+        body.report(messages.FUTURE_NEW, place, type=kind)
+        return unknown(raw.span)
     if isinstance(kind, MapType):
         unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
@@ -138,7 +147,8 @@ def _chosen(
 ) -> tuple[tree.Method, list[tree.Expr]] | None:
     """The selected overload, if it may be called from here."""
     chosen = choose_overload(body.symbols, place, of_methods(methods), given)
-    if chosen is not None and not chosen[0].public and chosen[0].unit is not body.unit:
+    is_private = chosen is not None and not chosen[0].public and not body.symbols.library.parameters
+    if chosen is not None and is_private and chosen[0].unit is not body.unit:
         method = chosen[0]
         body.report(messages.PRIVATE_MEMBER, place, name=method.name, owner=method.unit.name)
         return None

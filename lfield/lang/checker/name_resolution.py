@@ -10,15 +10,16 @@ from lfield.lang.checker.library.enum_members import enum_member
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.language_library import (
-    ARRAY_LIBRARY,
     ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     array_methods,
+    library_of_array,
 )
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
 from lfield.lang.types import (
+    LIBRARY_CLASSES,
     LOOP,
     STRING,
     UNKNOWN,
@@ -26,7 +27,6 @@ from lfield.lang.types import (
     ClassType,
     DeviceType,
     EnumType,
-    MapType,
     ResourceType,
     Type,
 )
@@ -109,7 +109,7 @@ def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tre
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
-    has_fields = unit is not None and not isinstance(owner.type, MapType)
+    has_fields = unit is not None and not isinstance(owner.type, LIBRARY_CLASSES)
     field = unit.field(raw.name) if unit is not None and has_fields else None
     if unit is None or field is None:
         _unknown_field(body, raw, owner.type, unit)
@@ -139,7 +139,9 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
         body.report(messages.NO_MEMBERS, raw.place, given=with_article(kind))
     elif unit is None or unit.name not in body.symbols.broken_units:
         fields = (
-            [f.name for f in unit.named_fields] if unit is not None and not isinstance(kind, MapType) else []
+            [f.name for f in unit.named_fields]
+            if unit is not None and not isinstance(kind, LIBRARY_CLASSES)
+            else []
         )
         what, names = ("fields", fields) if fields else ("methods", methods)
         known = choice(raw.name, names, f"its {what} are")
@@ -151,11 +153,11 @@ def method_names(body: BodyContext, kind: Type, unit: tree.Unit | None) -> list[
     """The names that can be called on a value of the type."""
     if unit is not None:
         method_kind = "portal" if isinstance(kind, ResourceType) else "method"
-        private = not isinstance(kind, MapType)
+        private = not isinstance(kind, LIBRARY_CLASSES)
         own = dict.fromkeys(m.name for m in unit.methods if m.kind == method_kind and (m.public or private))
         return [*own, *(f.name for f in PROXY_METHODS if method_kind == "portal" and f.name not in own)]
     if isinstance(kind, ArrayType):
-        return [*(f.name for f in array_methods(kind)), *ARRAY_LIBRARY]
+        return list(dict.fromkeys(f.name for f in (*array_methods(kind), *library_of_array(kind))))
     if isinstance(kind, DeviceType):
         return [i.name for i in body.symbols.devices[kind.name].instructions]
     if kind == STRING:

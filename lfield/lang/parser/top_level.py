@@ -10,7 +10,7 @@ from lfield.lang.parser.declarations import function
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.foreign_words import FOREIGN_UNITS, METHOD_WORDS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
-from lfield.lang.parser.type_names import at_map, type_name
+from lfield.lang.parser.type_names import at_generic, type_name
 from lfield.lang.scanner import TokenKind
 from lfield.lang.syntax import BAD_TYPE, Constant, Enumeration, EnumMember, ParsedFile
 
@@ -47,7 +47,7 @@ def _at_enum(s: TokenStream) -> bool:
 
 def _at_function(s: TokenStream) -> bool:
     """Whether a type, a name and a parenthesis begin here."""
-    if at_map(s):
+    if at_generic(s):
         return True
     if s.at_name() and (s.at(*METHOD_WORDS) or (s.at(*FOREIGN_UNITS) and not s.at(CONST, ENUM))):
         return False
