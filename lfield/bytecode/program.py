@@ -90,7 +90,10 @@ class Quad(NamedTuple):
 
 class TypeRecord(msgspec.Struct, frozen=True, array_like=True):
     """A type: its kind, and the element type of an ARRAY, the ARRAY of a GROWABLE, or the class of an OBJECT
-    or PROXY."""
+    or PROXY.
+
+    An INT with a class is an enum: an int like any other to the machine. The class has its members as fields.
+    """
 
     kind: int
     of: int = 0
@@ -239,6 +242,17 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
             self.types[record.of].of: i for i, record in enumerate(self.types) if record.kind == GROWABLE
         }
         return plain | growing
+
+    def enum_members(self, index: int) -> tuple[str, ...]:
+        """The names of the members of an enum by the index of its type; () for any other type."""
+        record = self.types[index]
+        is_enum = record.kind == INT and record.of
+        return tuple(field.name for field in self.classes[record.of].fields) if is_enum else ()
+
+    @property
+    def enum_classes(self) -> frozenset[int]:
+        """The classes that have the members of enums."""
+        return frozenset(record.of for record in self.types if record.kind == INT and record.of)
 
     @property
     def builtins(self) -> int:

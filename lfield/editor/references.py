@@ -66,11 +66,22 @@ def renamed_places(
     return found
 
 
+def _is_written(model: ProgramModel, symbol: TextSymbol, name: str) -> bool:
+    """Whether a part that uses a constant, an enum or a function has the name: a member may hide it."""
+    if symbol.kind == "unit":
+        return False
+    using = (one for one in model.parts() if any(token.text == symbol.name for token in one.tokens))
+    return any(token.text == name for part in using for token in part.tokens)
+
+
 def _refuse_conflict(model: ProgramModel, symbol: TextSymbol, name: str) -> None:
     """Refuse a name that means something else where the symbol is used."""
     symbols = TextSymbols(model)
-    if symbol.kind == "unit":
-        is_in_use = symbols.type_named(name) is not None
+    if symbol.kind in ("unit", "enum", "constant", "function"):
+        declared = model.symbols.declaration(name) is not None
+        is_in_use = declared or symbols.type_named(name) is not None or _is_written(model, symbol, name)
+    elif symbol.kind == "member":
+        is_in_use = name in model.symbols.enums[symbol.owner].members
     elif symbol.kind == "local":
         part = next(
             one for one in model.parts() if symbol.span is not None and one.source is symbol.span.source

@@ -110,6 +110,14 @@ class Call(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call begins, its value is a future; `keyword` is `async`."""
+
+    keyword: Span
+    call: Expr
+
+
+@dataclass(slots=True, eq=False)
 class Index(Expr):
     """`array[index]`."""
 
@@ -289,6 +297,14 @@ class Reserve(Stmt):
     body: Stmt
 
 
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """`wait until (condition) within (seconds);`, without `within`: None; `span` is the keyword."""
+
+    condition: Expr
+    seconds: Expr | None
+
+
 # --- declarations -------------------------------------------------------------------------------------
 
 
@@ -361,6 +377,33 @@ class Unit:
 
 
 @dataclass(slots=True, eq=False)
+class Constant:
+    """`const T NAME = value;` at the top level; `span` is the name."""
+
+    type: TypeName
+    name: str
+    value: Expr
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class EnumMember:
+    """A member of an enum; `span` is its name."""
+
+    name: str
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Enumeration:
+    """`enum NAME { A, B }`; `span` is the name."""
+
+    name: str
+    members: list[EnumMember]
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
 class Include:
     """`include "path";` or, with `library`, `include <path>;`."""
 
@@ -371,14 +414,18 @@ class Include:
 
 @dataclass(slots=True, eq=False)
 class ParsedFile:
-    """One parsed file; `broken` when units may be missing.
+    """One parsed file; `broken` when declarations may be missing.
 
-    `types` are the names of types it mentions, `called` the names it calls without an object.
+    `functions` are those of the top level. `types` are the names of types it mentions, `called` the names it
+    calls without an object.
     """
 
     source: Source
     includes: list[Include] = field(default_factory=list)
     units: list[Unit] = field(default_factory=list)
+    constants: list[Constant] = field(default_factory=list)
+    enums: list[Enumeration] = field(default_factory=list)
+    functions: list[Method] = field(default_factory=list)
     broken: bool = False
     types: set[str] = field(default_factory=set)
     called: set[str] = field(default_factory=set)

@@ -90,7 +90,8 @@ class ResourceLoop:
 class Unit:
     """A class (always with a constructor; offers are of a `capability`), resource or coordinator.
 
-    Objects of a class that is `thrown` become exceptions somewhere.
+    Objects of a class that is `thrown` become exceptions somewhere. A `function` of the top level is checked
+    in a unit of its own, which is not in the program.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Unit:
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
     thrown: bool = False
+    function: bool = False
     library_methods: list[Method] = field(default_factory=list)
     loops: list[ResourceLoop] = field(default_factory=list)
     _fields: dict[str, Field] = field(default_factory=dict)
@@ -159,6 +161,26 @@ class Unit:
 
 
 @dataclass(slots=True, eq=False)
+class Enumeration:
+    """An enum: the names of its members in their order; `spans` are the names in the declaration."""
+
+    name: str
+    members: tuple[str, ...]
+    span: Span
+    spans: tuple[Span, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class Constant:
+    """A constant of the top level; an enum's member is its number. UNKNOWN while its value is not known."""
+
+    name: str
+    type: Type
+    value: bool | int | float | str | None
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
 class CheckedProgram:
     """A whole program without errors. `units` in source order; `sources` are all files it was read from.
 
@@ -168,6 +190,7 @@ class CheckedProgram:
     units: list[Unit]
     sources: list[Source]
     growing: frozenset[Type] = frozenset()
+    enums: tuple[Enumeration, ...] = ()
 
 
 # --- expressions --------------------------------------------------------------------------------------
@@ -182,8 +205,15 @@ class Expr:
 
 
 @dataclass(slots=True, eq=False)
+class EnumName(Expr):
+    """The name of an enum, before a member or a method. Only the checker sees it."""
+
+    enum: Enumeration
+
+
+@dataclass(slots=True, eq=False)
 class Literal_(Expr):
-    """A constant: bool, int, float, str, or None for null."""
+    """A constant: bool, int, float, str, or None for null. A member of an enum is its number."""
 
     value: bool | int | float | str | None
 
@@ -268,6 +298,13 @@ class ToReal(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Relabel(Expr):
+    """A member of an enum as its number, or the other way round: the value stays as it is."""
+
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
 class New(Expr):
     """`new C(args)`. For a built-in exception class, `constructor` is None and args are () or (message)."""
 
@@ -298,6 +335,14 @@ class PortalCall(Expr):
     proxy: Expr
     portal: Method
     arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call of a portal, or of an offer, begins; the value is a new future."""
+
+    call: PortalCall | Call
+    constructor: Method
 
 
 @dataclass(slots=True, eq=False)
@@ -474,6 +519,14 @@ class Reserve(Stmt):
 
     target: Expr
     body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """Leave the monitor until the condition holds, at most `seconds` (None: without limit)."""
+
+    condition: Expr
+    seconds: Expr | None
 
 
 @dataclass(slots=True, eq=False)

@@ -135,6 +135,24 @@ CLOCK_AHEAD = _message(
     "the order of its events and those of this host is not certain",
 )
 CLOCK_SET = _message("clock-set", "system clock set: it changed by {seconds:+.0f} s", "warning")
+INPUT_AWAITED = _message(
+    "input-awaited",
+    "{agent} waits for a line of input, at most {seconds:g} s: type it where this host runs, or on the page "
+    "of lfield watch",
+    meaning="of `read` in the program",
+)
+INPUT_READ = _message("input-read", "{agent} has read: {text}", meaning="a line of the operator's input")
+INPUT_DROPPED = _message("input-dropped", "line of input for {host} ignored: {reason}", "warning")
+INPUT_RECEIVED = _message("input-received", "line of input received from {operator}")
+INPUT_CUT = _message(
+    "input-cut", "line of input for {host} shortened to {length} characters", "warning", "the rest is dropped"
+)
+INPUT_UNADDRESSED = _message(
+    "input-unaddressed",
+    "line of input ignored: it names no host: type HOST: TEXT, where HOST is {hosts}",
+    "warning",
+    "by `lfield up --all`, where several hosts run programs that read",
+)
 ENGINE_FALLBACK = _message("engine-fallback", "the reference engine runs the program: {reason}", "warning")
 METHOD_UNCOMPILED = _message(
     "method-uncompiled", "method {method} not compiled: {reason}; the reference engine runs it", "warning"

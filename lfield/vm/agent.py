@@ -11,6 +11,10 @@ from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
+#: What a thread does that has left the monitor in a `wait until`: it waits, it waits and is woken regularly,
+#: or it checks its condition.
+WAITS, POLLS, EVALUATES = 1, 2, 3
+
 #: 'unknown' where a deployment was read without its program, for queries only.
 AgentKind = Literal["resource", "coordinator", "unknown"]
 
@@ -135,10 +139,16 @@ class Agent:
     called_portal = -1
     #: Why an expired limit was thrown late.
     lateness_reason = ""
+    #: Threads of a resource that have left its monitor in a `wait until`, each with its state.
+    monitor_waits: dict[int, int] = {}
     #: Why a departure that would arrive late was refused.
     unreachable_reason = ""
     #: The loops of a resource; None without any.
     loops: ResourceLoops | None = None
+    #: Whether it, a coordinator, waits here for the first of several calls ...
+    waits_for_any = False
+    #: ... and the numbers of those elsewhere that have ended, as their hosts report.
+    ended_elsewhere: frozenset[int] = frozenset()
 
     # Written out, with rare fields in the class: an instance is created at every hop.
     def __init__(
@@ -239,6 +249,16 @@ class Agent:
         """Let it wait until its time limit expires, because it would arrive too late."""
         self.unreachable_reason = reason
 
+    def wait_for_any(self) -> None:
+        """It waits here for the first of several calls."""
+        self.waits_for_any = True
+
+    def stop_waiting_for_any(self, ended: Collection[int] = ()) -> bool:
+        """End that wait, and return whether it waited; `ended` are numbers of calls that have ended."""
+        waited, self.waits_for_any = self.waits_for_any, False
+        self.ended_elsewhere |= frozenset(ended)
+        return waited
+
     def invalidate_image(self) -> None:
         """Its block on disk is out of date: the next portal call with side effects needs a new one."""
         self.is_persisted = False
@@ -278,6 +298,11 @@ class Agent:
         polled, self.has_polled = self.has_polled, False
         return polled
 
+    @property
+    def has_waiting_threads(self) -> bool:
+        """Whether a thread may become ready because another one of the agent runs."""
+        return bool(self.pollers or self.blocked or self.monitor_waits)
+
     def remember_poll(self, image: bytes) -> None:
         """Store the block after the turn of a polling thread."""
         self.last_polled_image = image
@@ -286,6 +311,13 @@ class Agent:
         """Remove and return the parked threads in order: the block may have changed."""
         pollers, self.pollers, self.last_polled_image = self.pollers, set(), b""
         return sorted(pollers)
+
+    def start_monitor_wait(self, thread: int, state: int) -> None:
+        """A thread has left the monitor until a condition holds."""
+        if not self.monitor_waits:
+            # Rare, so it is not in each instance.
+            self.monitor_waits = {}
+        self.monitor_waits[thread] = state
 
     # --- time limits ----------------------------------------------------------------------------------
 

@@ -27,6 +27,15 @@ class HostInterface(Protocol):
     def write(self, agent: Agent, text: str) -> None:
         """Program output: whole lines, or the remainder of one when its thread ends."""
 
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """A thread of an agent waits for a line of the operator's input, at most so long."""
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """An agent reads a line of the operator's input."""
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """These agents wait for a line now."""
+
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
 
@@ -91,6 +100,13 @@ class HostInterface(Protocol):
 
         When the host has stored that, or at once without a journal, it calls `PendingCalls.on_persisted`;
         only then the coordinator can fetch the result.
+        """
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator waits here for the first of several calls; these (resource, number) run elsewhere.
+
+        Until it waits no longer (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers
+        of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
         """
 
     def abandon_wait(self, agent: Agent) -> bool:

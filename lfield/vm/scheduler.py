@@ -313,9 +313,18 @@ class Scheduler:
         pending.state, pending.result = state, result
         if not pending.dropped:
             self.world.on_call_completed(pending)
+        self.wake_waiter(pending)
+
+    def wake_waiter(self, pending: PendingCall) -> None:
+        """A coordinator that waits for this call, or for the first of several, checks again: once."""
         waiter, pending.waiter = pending.waiter, None
-        if waiter is not None:
-            self.run_queue.push_front(*waiter)
+        if waiter is None:
+            return
+        if waiter[0].stop_waiting_for_any():
+            for other in self.pending_calls.values():
+                if other.waiter is not None and other.waiter[0] is waiter[0]:
+                    other.waiter = None
+        self.run_queue.push_front(*waiter)
 
     def fail_pending(self, pending: PendingCall, kind: str, message: str, source: str) -> None:
         """End a pending call by a built-in exception."""
@@ -323,6 +332,7 @@ class Scheduler:
         def make(block: Block) -> int:
             return new_exception(block, self.layouts, kind, message, source)
 
+        pending.failure = f"{kind}: {message}"
         self.complete_pending(pending, "thrown", serialise_built(self.program.digest, make))
 
     def release(self, agent: Agent) -> None:
@@ -334,10 +344,17 @@ class Scheduler:
     def forget(self, agent: Agent, thread: int) -> None:
         """Remove an ended thread of a live agent."""
         unlink(agent.block, thread)
+        if agent.monitor_waits:
+            agent.monitor_waits.pop(thread, None)
         if agent.poll_counts or agent.outward_pollers or agent.pending_cancels:
             agent.poll_counts.pop(thread, None)
             agent.outward_pollers.discard(thread)
             agent.pending_cancels.pop(thread, None)
+
+    def end_line(self, agent: Agent, thread: int) -> None:
+        """Write the remainder of a thread's line as a line: its thread waits for an answer to it."""
+        if rest := agent.lines.pop(thread, ""):
+            self.world.write(agent, f"{rest}\n")
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write the remainder of a thread's line."""

@@ -38,9 +38,7 @@ _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 _OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
 
 #: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
-_NOT_IN_0_3 = frozenset(
-    {"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle", "hold", "take", "drop"}
-)
+_NOT_IN_0_3 = frozenset({"exc_others"} | {row.name for row in BY_CODE.values() if 1600 <= row.code < 1850})
 
 #: Whether a type index is valid for an argument or result of a head.
 TypeTest = Callable[[MethodView, int], bool]
@@ -96,8 +94,8 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
     special = _SPECIAL.get(row.name)
     if special is not None:
         return special(view, pc, quad)
-    if row.name.startswith("write_") and view.scope != "resource":
-        raise view.refused(pc, "only resources write")
+    if (row.name.startswith("write_") or row.name == "read_line") and view.scope != "resource":
+        raise view.refused(pc, "only resources write and read")
     if row.name in _OF_COORDINATORS and view.scope != "coordinator":
         raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
     result = _accepts(_EXACT[row.result_kind]) if row.result_kind else None
@@ -160,6 +158,31 @@ def _waits(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 def _leave(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_coordinator(view, pc)
     return GroupSignature([_is_ticket, _accepts(ANY)], None)
+
+
+def _tickets(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    """A ticket, or an array of futures: objects whose first field is one."""
+    _check_coordinator(view, pc)
+
+    def has_tickets(view: MethodView, index: int) -> bool:
+        if not view.types.is_array(index):
+            return _is_ticket(view, index)
+        fields = view.types.fields(view.types.element(index))
+        return bool(fields) and _is_ticket(view, fields[0].type)
+
+    results = {"next": _accepts(INT), "ended": _accepts(BOOLEAN), "failure": _accepts(ANY)}
+    name = BY_CODE[quad.op].name
+    single = name in ("launch", "ended")
+    return GroupSignature([_is_ticket if single else has_tickets], results.get(name))
+
+
+def _waits_in_monitor(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    """A thread that holds the monitor leaves it, so its method must be synchronized."""
+    if view.scope != "resource" or not view.method.synchronized:
+        raise view.refused(pc, "only synchronized methods of resources leave the monitor")
+    row = BY_CODE[quad.op]
+    parameters = [_accepts(_EXACT[kind]) for kind in row.argument_kinds or ()]
+    return GroupSignature([*parameters], _accepts(INT) if row.result_kind else None)
 
 
 def _check_coordinator(view: MethodView, pc: int) -> None:
@@ -355,6 +378,14 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
     "leave": _leave,
     "settle": _settle,
     "hold": _hold,
+    "launch": _tickets,
+    "next": _tickets,
+    "ended": _tickets,
+    "cancel": _tickets,
+    "failure": _tickets,
+    "wait_limit": _waits_in_monitor,
+    "wait_leave": _waits_in_monitor,
+    "wait_enter": _waits_in_monitor,
     "take": _reservation_array,
     "drop": _reservation_array,
     "tick": _tick,

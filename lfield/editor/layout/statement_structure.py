@@ -21,6 +21,8 @@ _CLAUSES = {"else": ("if",), "catch": ("try", "catch"), "finally": ("try", "catc
 #: The last tokens of an operand, besides names and literals.
 _OPERAND_ENDS = (")", "]", "this", "true", "false", "null")
 _OPERANDS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
+#: The end of a statement; outside of brackets, a comma is between two members of an enum.
+_ENDS = (";", ",")
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 #: What is before the brace of the elements of an array.
 _BEFORE_ELEMENTS = ("=", "(", "[", ",", "return", ":")
@@ -203,7 +205,7 @@ class StatementStructure:
         elif text in _PAIRS:
             block.brackets.append(text)
             placed.is_head = self._is_head(at, block)
-        elif text == ";":
+        elif text in _ENDS:
             block.finish(self._text(at + 1))
         elif role is not TokenRole.INNER:
             self._place_head(block, at, text, placed.level)
@@ -220,6 +222,8 @@ class StatementStructure:
         if block.heads and block.heads[-1].opening == at:
             return True
         if self._is_word_of_loop(block, at - 1):
+            return True
+        if (self._text(at - 2), self._text(at - 1)) in (("wait", "until"), (")", "within")):
             return True
         before = self._item(at - 1)
         is_first = before.item.kind is TokenKind.NAME and before.role in (TokenRole.STATEMENT, TokenRole.BODY)

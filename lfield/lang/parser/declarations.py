@@ -162,6 +162,19 @@ def _respelt(s: TokenStream) -> str | None:
     return close
 
 
+def function(s: TokenStream, found: list[Method]) -> None:
+    """`real square(real x) { ... }` at the top level, added to `found`; the stream is at its type."""
+    declared = result_type(s)
+    name = s.expect_name("the name of the function")
+    holder = Unit("class", "global", name.text, name.span)
+    method = _method(s, "method", name, _Modifiers(), declared)
+    found.append(method)
+    try:
+        _body(s, holder, method)
+    except UnclosedBrace:
+        method.broken = True
+
+
 def _member(s: TokenStream, made: Unit) -> None:
     if s.accept(";"):
         return

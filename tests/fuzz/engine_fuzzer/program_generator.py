@@ -10,7 +10,7 @@ import re
 from itertools import count
 
 from engine_fuzzer.calculations import random_calculation
-from engine_fuzzer.coordination import RESULTS
+from engine_fuzzer.coordination import FUTURES, RESULTS
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece, written
 from engine_fuzzer.statement_generator import StatementGenerator
@@ -67,6 +67,7 @@ _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
 private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
+private boolean big(int k) { return k > 3; }
 #
 #
 }"""
@@ -76,7 +77,7 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
     """The declarations of what a body uses, and of what those use."""
     text = " ".join(piece.text() for piece in body)
     found: list[ProgramPiece] = []
-    for kind, name, value in reversed(_LOCALS + RESULTS):
+    for kind, name, value in reversed(_LOCALS + RESULTS + FUTURES):
         if re.search(rf"\b{name}\b", text):
             text += f" {value}"
             found.insert(0, ProgramPiece("", [f"{kind} {name} = {value};"]))
@@ -95,6 +96,8 @@ _OF_WALKERS = (
     'st = findStore("" + #);|string',
 )
 _OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+#: What a synchronized method of a resource does besides.
+_IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
 #: What coordinators ask, by how many portals there are.
 _ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
 #: What only coordinators can say, by type.
@@ -161,11 +164,18 @@ class _ProgramGenerator:
         return found
 
     def _body(
-        self, unit: str, result: str, end: str, guarded: bool = False, pauses: bool = False
+        self,
+        unit: str,
+        result: str,
+        end: str,
+        guarded: bool = False,
+        pauses: bool = False,
+        locked: bool = False,
     ) -> ProgramPiece:
         """A method's own: the variables that it uses, statements, and an end."""
         walks = unit == "Walker"
         waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
+        waits += _IN_MONITOR * 3 if locked and unit == "Store" else ()
         variables = _VARIABLES | _PROXIES if walks else _VARIABLES
         grows = self.rng.random() < 0.5
         expressions = ExpressionGenerator(self.rng, variables, self._calls(unit), grows=grows)
@@ -198,7 +208,7 @@ class _ProgramGenerator:
         return written(
             "",
             f"\n{how} {kind} {name}({_PARAMETERS}) {{ if (d <= 0) return {PLAIN[kind]};\n#\n}}",
-            self._body(unit, kind, end),
+            self._body(unit, kind, end, locked="synchronized" in how),
         )
 
     def _init(self, unit: str) -> ProgramPiece:
@@ -212,7 +222,8 @@ class _ProgramGenerator:
     def _portal(self, number: int) -> ProgramPiece:
         how = self.rng.choice(("portal", "portal synchronized"))
         head = ("ask(int m, Node o) emit int", "tell(real y, string t, int[] v)")[number]
-        body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")), pauses=True)
+        result, end = ("int", "return i1;") if number == 0 else ("", "")
+        body = self._body("Store", result, end, pauses=True, locked="synchronized" in how)
         return written("", f"\n{how} {head} {{ int d = 3;\n#\n}}", body)
 
     def _loop(self, number: int) -> ProgramPiece:

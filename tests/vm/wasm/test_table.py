@@ -15,6 +15,7 @@ _LEAVES = """
     yield sleep now lived random random_int heartbeat_interval agent host teams
     tick suppress control tick_failed
     s2f f2s f2s_digits exc_message exc_type exc_source exc_others noreturn
+    read_line tick suppress control tick_failed
 """
 
 
