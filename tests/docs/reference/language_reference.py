@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lfield.lang.language_library import (
+    ENUM_METHODS,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
     LIBRARY_OF_ARRAYS,
@@ -39,6 +41,8 @@ def library_table() -> str:
         ("array", (*array_methods(array_of(Type("T"))), *LIBRARY_OF_ARRAYS)),
         ("map", LIBRARY_OF_MAPS),
         ("string", STRING_METHODS),
+        ("member", ENUM_VALUE_METHODS),
+        ("Enum", ENUM_METHODS),
         ("exception", EXCEPTION_METHODS),
         ("proxy", PROXY_METHODS),
     ):
