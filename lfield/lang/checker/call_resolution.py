@@ -268,7 +268,9 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
         body.report(messages.TYPE_AS_VALUE, name.span, name=called, instead=instead)
     elif body.scope.find(called) is not None or body.field(called) is not None:
         body.report(messages.NOT_A_METHOD, name.span, name=called)
-    elif not body.is_broken() and not (body.symbols.incomplete and called.startswith("find")):
+    elif not (
+        body.is_broken() or body.symbols.missing or (body.symbols.incomplete and called.startswith("find"))
+    ):
         body.report(messages.UNKNOWN_FUNCTION, name.span, hint=_function_hint(body, called), name=called)
 
 

@@ -63,7 +63,7 @@ def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
         body.report(messages.CALL_WITHOUT_PARENTHESES, raw.span, name=name, call=f"{name}()")
     elif name in body.symbols.units:
         _type_as_value(body, raw, body.symbols.units[name])
-    elif not (body.scope.is_uncertain() or body.is_broken()):
+    elif not (body.scope.is_uncertain() or body.is_broken() or body.symbols.missing):
         body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, raw), name=name)
 
 

@@ -37,7 +37,14 @@ def check_program(
     `complete` is False when a file is missing. `generated` are the classes made from `capabilities`.
     """
     incomplete = not complete or any(file.broken for file in files)
-    symbols = Symbols(devices, found, incomplete=incomplete, capabilities=capabilities, generated=generated)
+    symbols = Symbols(
+        devices,
+        found,
+        incomplete=incomplete,
+        missing=not complete,
+        capabilities=capabilities,
+        generated=generated,
+    )
     declared_program = declare_program(symbols, files)
     units = declared_program.units
     for declared in units:
