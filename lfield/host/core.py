@@ -231,7 +231,8 @@ class HostCore:
     def wait_reason(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
-            return self._inits.wait_reason(agent)
+            first = "waits for the first of its calls" if agent.waits_for_any else ""
+            return first or self._inits.wait_reason(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
         reserves = self.reservations.wait_reason(agent)
