@@ -18,6 +18,7 @@ from lfield.wire.coordinator_messages import (
     CoordinatorState,
     Locate,
     Located,
+    StopCoordinator,
     Terminated,
     TerminatedAck,
     TransferAccepted,
@@ -267,6 +268,7 @@ Control = (
     | TransferQuery
     | Terminated
     | TerminatedAck
+    | StopCoordinator
     | Locate
     | Located
     | Ping

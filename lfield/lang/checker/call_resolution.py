@@ -15,6 +15,7 @@ from lfield.lang.checker.conversions import (
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.library.function_rules import check_limit, output_hint
+from lfield.lang.checker.library.sequencing_calls import head_call, sequencing_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
@@ -25,6 +26,7 @@ from lfield.lang.language_library import (
     FUNCTIONS,
     GROWTH,
     PROXY_METHODS,
+    SEQUENCED,
     STRING_METHODS,
     LibraryFunction,
     array_methods,
@@ -82,6 +84,8 @@ def check_member_call(
             methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
+    if (head := head_call(body, raw, name, owner, given)) is not None:
+        return head
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
     if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
@@ -180,6 +184,8 @@ def _operation(
         return unknown(raw.span)
     function, arguments = chosen
     check_limit(body, function.name, arguments)
+    if function.operation == SEQUENCED:
+        return sequencing_call(body, raw, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)

@@ -9,6 +9,7 @@ from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.checker.control_flow import check_flow
 from lfield.lang.checker.declaration_pass import DeclaredUnit, declare_units
 from lfield.lang.checker.expressions import assigned
+from lfield.lang.checker.library.sequencing_calls import make_stoppable
 from lfield.lang.checker.scope import BodyContext, Scope
 from lfield.lang.checker.statements import statements
 from lfield.lang.checker.symbols import Symbols
@@ -37,6 +38,7 @@ def check_program(
     for declared in units:
         check_bodies(symbols, declared)
     check_library(symbols)
+    make_stoppable([declared.unit for declared in units])
     sources = [*(file.source for file in files), *symbols.library.sources.values()]
     all_units = [*(declared.unit for declared in units), *symbols.library.units]
     return CheckedProgram(all_units, sources, frozenset(symbols.growing))

@@ -93,7 +93,10 @@ _OF_WALKERS = (
     # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
     'st = findStore("" + #);|string',
 )
-_OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+_OF_STORES = (
+    *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
+    *("write(read(0.25));|", "s0 = read(#);|real"),
+)
 #: What coordinators ask, by how many portals there are.
 _ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
 #: What only coordinators can say, by type.
