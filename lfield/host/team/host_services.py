@@ -10,10 +10,10 @@ from lfield.bytecode.program import DeviceCallRecord
 from lfield.host.context import HostContext
 from lfield.host.effects import WAKE_WAITERS, DumpAgent, WriteLog, WriteOutput
 from lfield.host.offer_queries import CapabilityQueries
-from lfield.host.sequencing.sequencing_service import SequencingService
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
 from lfield.host.team.leases import TeamLeases
+from lfield.host.team.part_interfaces import SequencingDecisions
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
@@ -35,7 +35,7 @@ class HostParts(Protocol):
     leases: TeamLeases
     pending_calls: PendingCallStore
     reservations: ReservationService
-    sequencing: SequencingService
+    sequencing: SequencingDecisions
     commands: DeviceCommands
     offers: CapabilityQueries
     reachability: Reachability
@@ -91,7 +91,7 @@ class HostServices:
         )
 
     @property
-    def sequencer(self) -> SequencingService:
+    def sequencer(self) -> SequencingDecisions:
         """Starts and stops the startable coordinators of this host."""
         return self._parts.sequencing
 
