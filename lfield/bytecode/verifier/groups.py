@@ -35,7 +35,10 @@ _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 
 #: Features of coordinators alone, by instruction.
-_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
+_OF_COORDINATORS = {
+    **{"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"},
+    **dict.fromkeys(("seq_start", "seq_stop", "seq_end", "seq_alive"), "other coordinators to start"),
+}
 
 #: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
 _NOT_IN_0_3 = frozenset({"exc_others"} | {row.name for row in BY_CODE.values() if 1600 <= row.code < 1850})
