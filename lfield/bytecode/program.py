@@ -157,7 +157,8 @@ class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
     """A subroutine: instructions entry..end-1. Slot 0 is the object; slots 1..parameters its arguments.
 
     `slots` are the type indexes of all slots; `result` a type index (VOID for none). `kind` is "method",
-    "constructor", "init" or "portal". Handlers are ordered innermost first.
+    "constructor", "init", "portal", "loop" (its body) or "ticks" (its thread). Handlers are ordered innermost
+    first.
     """
 
     name: str

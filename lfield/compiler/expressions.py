@@ -12,11 +12,13 @@ from bisect import bisect_left
 from lfield.compiler.call_emitter import CallEmitter
 from lfield.compiler.condition_emitter import ConditionEmitter, comparison, constant_last, tested_for_null
 from lfield.compiler.constant_folding import NotConstant, fold
+from lfield.compiler.future_emitter import FutureEmitter
 from lfield.compiler.method_frame import Label, MethodFrame
 from lfield.compiler.object_emitter import ObjectEmitter, needs_several_steps
 from lfield.lang import types
 from lfield.lang.tree import (
     Assign,
+    Async,
     Binary,
     Call,
     DeviceCall,
@@ -58,6 +60,7 @@ class ExpressionEmitter:
         self._code = frame.code
         self._calls = CallEmitter(frame, self)
         self._objects = ObjectEmitter(frame, self, self._calls)
+        self._futures = FutureEmitter(frame, self._calls)
         self._conditions = ConditionEmitter(frame, self)
         #: Slots of values that were computed in advance, before the expressions that start with them
         #: (tree_traversal.py).
@@ -144,6 +147,8 @@ class ExpressionEmitter:
                 return self._objects.new_array(expr, target)
             case Elements():
                 return self._objects.elements(expr, target)
+            case Async():
+                return self._futures.start(expr, target)
             case Call() | PortalCall() | Find() | Query() | LibraryCall() | DeviceCall():
                 return self._calls.value(expr, target)
         raise AssertionError(f"a {type(expr).__name__} has no value")

@@ -28,7 +28,6 @@ from lfield.bytecode.program import (
     TypeRecord,
 )
 from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
-from lfield.compiler.async_variants.async_methods import TICKET as TICKET_TYPE
 from lfield.compiler.async_variants.async_methods import async_variants_of
 from lfield.compiler.async_variants.effect_analysis import EffectAnalysis
 from lfield.compiler.constant_folding import ConstantPool
@@ -78,7 +77,8 @@ class ProgramTables:
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCallRecord] = []
         written = [method for unit in units for method in (*unit.methods, *unit.library_methods)]
-        self._async_variants = async_variants_of(written)
+        has_futures = any(unit.name.startswith("future<") for unit in units)
+        self._async_variants = async_variants_of(written, has_futures=has_futures)
         self._tickets = {twin.method: twin.ticket for twin in self._async_variants.values()}
         self.methods = [*written, *self._tickets]
         self.effect_analysis = EffectAnalysis(written)
@@ -107,7 +107,7 @@ class ProgramTables:
     @property
     def ticket_type(self) -> int:
         """The type of a ticket of a `together`."""
-        return self.type_index(TICKET_TYPE)
+        return self.type_index(types.TICKET)
 
     def type_index(self, kind: Type) -> int:
         """The index of a type; its record is added at the first use."""
@@ -125,7 +125,7 @@ class ProgramTables:
                 return self._type(TypeRecord(PROXY, self.class_index(kind.name)))
             case DeviceType():
                 return DEVICE
-            case Type(name=TICKET_TYPE.name):
+            case types.TICKET:
                 return self._type(TypeRecord(TICKET))
         raise AssertionError(f"the checker let the type {kind} through")
 

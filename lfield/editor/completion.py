@@ -15,12 +15,14 @@ from lfield.lang import tree
 from lfield.lang.capability_port import VERBS
 from lfield.lang.checker.symbols import BUILTIN_TYPES
 from lfield.lang.language_library import FUNCTIONS
+from lfield.lang.parser.loop_members import LOOP_WORDS
 
 _STATEMENTS = (
     *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "finally", "throw"),
     *("new", "this", "true", "false", "null", "together", "within", "reserve"),
+    *("async", "wait until"),
 )
-_MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit")
+_MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit", *LOOP_WORDS)
 _UNITS = ("resource", "coordinator", "class", "include", "const", "enum")
 #: The text of the line before the position, in an include of a driver's file.
 _INCLUDE = re.compile(r"\binclude\s*<[\w./-]*$")
@@ -99,8 +101,8 @@ def _in_method(symbols: TextSymbols, cursor: Cursor) -> Iterator[CompletionPropo
     if unit is None:
         yield from _functions_of_library("global")
         return
-    yield from (_proposal(symbols.of_field(unit, field)) for field in unit.fields)
-    yield from (_proposal(symbols.of_method(one)) for one in unit.methods if one.kind == "method")
+    yield from (_proposal(symbols.of_field(unit, field)) for field in unit.named_fields)
+    yield from (_proposal(symbols.of_method(one)) for one in unit.methods if one.kind in ("method", "loop"))
     if unit.usage == "coordinator":
         yield from _queries(symbols)
     yield from _functions_of_library(unit.usage)

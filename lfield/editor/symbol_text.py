@@ -86,6 +86,8 @@ def _method_signature(method: tree.Method) -> str:
     if method.kind == "portal":
         emit = "" if method.result == VOID else f" emit {method.result}"
         return f"portal {guarded}{method.unit.name}.{method.name}({parameters}){emit}"
+    if method.kind == "loop":
+        return f"loop {method.unit.name}.{method.name}"
     if method.kind in ("init", "constructor"):
         return f"{method.name}({parameters})"
     access = "public" if method.public else "private"

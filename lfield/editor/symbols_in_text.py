@@ -18,22 +18,26 @@ from lfield.lang.language_library import (
     ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
-    LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_FUTURES,
     LIBRARY_OF_MAPS,
+    LOOP_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
     array_methods,
+    library_of_array,
 )
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import TokenKind, scan
 from lfield.lang.types import (
+    LOOP,
     UNKNOWN,
     ArrayType,
     ClassType,
     DeviceType,
     EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
@@ -190,8 +194,14 @@ class TextSymbols:
         unit = self.unit(cursor)
         if cursor.text(1) == "(" and cursor.text(-1) != "new":
             return self._called(cursor, unit)
-        variable = self.variable(cursor, name) if cursor.text(-1) != "new" else None
-        return variable or self.top_level.named(name) or self.type_named(name)
+        if cursor.text(-1) != "new":
+            variable = self.variable(cursor, name)
+            if variable is not None:
+                return variable
+            loop = unit.loop(name) if unit is not None else None
+            if loop is not None:
+                return self.of_method(loop.body)
+        return self.top_level.named(name) or self.type_named(name)
 
     def variable(self, cursor: Cursor, name: str) -> TextSymbol | None:
         """The local, field or constant of a name at a cursor."""
@@ -252,6 +262,9 @@ class TextSymbols:
         unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
         if isinstance(kind, MapType):
             return [_of_library(one.name, [one]) for one in LIBRARY_OF_MAPS]
+        if isinstance(kind, FutureType):
+            names = dict.fromkeys(one.name for one in LIBRARY_OF_FUTURES)
+            return [_of_library(n, [one for one in LIBRARY_OF_FUTURES if one.name == n]) for n in names]
         if unit is not None:
             return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
         match kind:
@@ -274,7 +287,8 @@ class TextSymbols:
                 return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
             case EnumType():
                 return [_of_library(one.name, [one]) for one in ENUM_VALUE_METHODS]
-        return [_of_library(one.name, [one]) for one in STRING_METHODS] if kind.name == "string" else []
+        functions = {"string": STRING_METHODS, LOOP.name: LOOP_METHODS}.get(kind.name, ())
+        return [_of_library(one.name, [one]) for one in functions]
 
     def _unit_members(self, unit: tree.Unit, kind: Type, *, is_own: bool) -> Iterator[TextSymbol]:
         is_proxy = isinstance(kind, ResourceType)
@@ -284,7 +298,7 @@ class TextSymbols:
         if is_proxy:
             yield from (_of_library(one.name, [one]) for one in PROXY_METHODS)
         else:
-            yield from (self.of_field(unit, one) for one in unit.fields if one.public or is_own)
+            yield from (self.of_field(unit, one) for one in unit.named_fields if one.public or is_own)
 
     def _chosen(self, cursor: Cursor, methods: Sequence[tree.Method]) -> tree.Method:
         """The overload that a call selects; the first one if that is not known."""
@@ -362,8 +376,8 @@ def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
 
 def _array_functions(kind: ArrayType, name: str) -> list[LibraryFunction]:
     """The methods of arrays of that name."""
-    return [one for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS) if one.name == name]
+    return [one for one in (*array_methods(kind), *library_of_array(kind)) if one.name == name]
 
 
 def _array_names(kind: ArrayType) -> list[str]:
-    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS)))
+    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *library_of_array(kind))))

@@ -296,6 +296,96 @@ COMPUTED_QUERY = _message(
     "write the query as one literal, or as a sum of literals and constants",
 )
 
+LOOP_PLACE = _message(
+    "L470",
+    "{unit} cannot have a loop",
+    "only resources have loops; a coordinator enables one through a portal of its resource",
+)
+LOOP_RATE = _message(
+    "L471",
+    "the loop '{name}' has no rate",
+    "write loop {name} at 10.0 {{ ... }}, in hertz, or loop {name} every 0.1 {{ ... }}, in seconds; priority "
+    "and when follow",
+)
+LOOP_PERIOD = _message(
+    "L472",
+    "the period of a loop is {given}: it must be from 0.001 s to 1000 s",
+    "at is followed by hertz, every by seconds",
+)
+LOOP_PRIORITY = _message(
+    "L473",
+    "the priority of a loop is a whole number",
+    "write priority 2, a constant: a loop suppresses those with lower numbers; portals have 0",
+)
+LOOP_UNCONDITIONAL = _message(
+    "L474",
+    "the loop '{name}' has no `when`, so {lower} with a lower priority can never run",
+    "add when (condition), or give it the lowest priority",
+)
+LOOP_NAME = _message("L475", "'{name}' is a field already (line {line})", "choose another name for the loop")
+LOOP_MEMBER = _message("L476", "a loop has no method '{name}'", "it has running() and overruns()")
+LOOP_VALUE = _message(
+    "L477", "the loop '{name}' is not a value", "call its methods: {name}.running() and {name}.overruns()"
+)
+LOOP_CALL = _message(
+    "L478",
+    "the loop '{name}' cannot be called",
+    "its thread calls it at each tick; move the code into a method that both can call",
+)
+TOO_MANY_LOOPS = _message(
+    "L479", "a resource has at most {limit} loops", "put what has the same rate into one loop"
+)
+
+LIMIT_OVER = _message(
+    "L460",
+    "the limit of {name} must be more than 0 seconds, this is {given}",
+    "write how long it waits at most, as in {example}; after that it throws TimeLimitException",
+)
+
+ASYNC_CALL = _message(
+    "L450",
+    "async begins the call of a portal, and this is none",
+    "call a portal of a proxy or of an offer: async arm.lift(1.5); other methods are called without async",
+)
+ASYNC_TOGETHER = _message(
+    "L451",
+    "a together begins its calls itself",
+    "leave async out, or begin the call before the block",
+)
+FUTURE_DROPPED = _message(
+    "L452",
+    "the future of this call is not kept, so its result and its failure would be lost",
+    "write {type} f = {call}; and f.await() later; without async the call is awaited here",
+)
+RACE_EMPTY = _message(
+    "L453",
+    "this array has no futures, so {name} has nothing to wait for",
+    "add calls first: futures.append(async arm.lift(1.5));",
+)
+FUTURE_TWICE = _message(
+    "L454",
+    "the future '{name}' is twice in this array",
+    "write each future once, or begin a second call: async arm.lift(1.5)",
+)
+RACE_ARGUMENT = _message(
+    "L455",
+    "{name} has {argument}",
+    "futures.race(), futures.race(enough) with a method boolean enough(real result), futures.next()",
+)
+RACE_METHOD = _message(
+    "L456",
+    "race needs a method that has a {of} and returns boolean; {found}",
+    "write private boolean {name}({of} result) {{ ... }} in this unit: whether a result wins",
+)
+FUTURE_TYPE = _message(
+    "L457",
+    "the type of a future has one type: that of the result",
+    "write future<real>, or future<void> for a call without a result",
+)
+FUTURE_NEW = _message(
+    "L458", "a {type} is not created with new", "begin a call: {type} f = async arm.lift(1.5);"
+)
+
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 
 RESOURCE_NAMES_RESOURCE = _message(
@@ -420,6 +510,24 @@ CAPABILITY_OUTSIDE = _message(
     "L526",
     "{viewer} cannot name the capability '{name}'",
     "only coordinators find and call offers of a capability; a resource has portals",
+)
+FUTURE_PORTAL = _message(
+    "L528",
+    "a {type} cannot pass through a portal: its call belongs to the coordinator that began it",
+    "pass the result: f.await()",
+)
+ASYNC_PLACE = _message(
+    "L529", "{viewer} cannot begin calls", "offer portals; a coordinator begins calls of several resources"
+)
+WAIT_PLACE = _message(
+    "L530",
+    "wait until leaves the monitor, and {method} of {viewer} does not hold it",
+    "write it in a synchronized portal or method of a resource or of a resource specific class",
+)
+WAIT_SECONDS = _message(
+    "L531",
+    "the time of a wait until must be more than 0 seconds, this is {given}",
+    "write wait until (...) within (5.0);",
 )
 
 # --- L6xx: files ----------------------------------------------------------------------------------------

@@ -110,6 +110,14 @@ class Call(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call begins, its value is a future; `keyword` is `async`."""
+
+    keyword: Span
+    call: Expr
+
+
+@dataclass(slots=True, eq=False)
 class Index(Expr):
     """`array[index]`."""
 
@@ -289,6 +297,14 @@ class Reserve(Stmt):
     body: Stmt
 
 
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """`wait until (condition) within (seconds);`, without `within`: None; `span` is the keyword."""
+
+    condition: Expr
+    seconds: Expr | None
+
+
 # --- declarations -------------------------------------------------------------------------------------
 
 
@@ -313,8 +329,23 @@ class Field:
 
 
 @dataclass(slots=True, eq=False)
+class LoopHead:
+    """The clauses of a loop. `rate` is in hertz, or with `every` a period in seconds.
+
+    `place` is the number behind `priority`.
+    """
+
+    rate: Expr
+    every: bool
+    priority: int | None = None
+    place: Span | None = None
+    condition: Expr | None = None
+
+
+@dataclass(slots=True, eq=False)
 class Method:
-    """A method, constructor, init or portal. `result` is None where none is written; `span` is its name."""
+    """A method, constructor, init, portal or loop. `result` is None where none is written; `span` is its
+    name."""
 
     kind: MethodKind
     name: str
@@ -326,6 +357,7 @@ class Method:
     body: list[Stmt] = field(default_factory=list)
     end: Span = field(init=False)
     broken: bool = False
+    loop: LoopHead | None = None
 
     def __post_init__(self) -> None:
         self.end = self.span

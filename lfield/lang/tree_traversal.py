@@ -106,6 +106,8 @@ def subexpressions(expr: tree.Expr) -> list[tree.Expr]:
             return [argument]
         case tree.Query(constraint=constraint, size=size):
             return [argument for argument in (constraint, size) if argument is not None]
+        case tree.Async():
+            return [expr.call]
     return []
 
 
@@ -120,6 +122,8 @@ def statement_expressions(one: tree.Stmt) -> list[tree.Expr]:
             return [one.condition]
         case tree.Within():
             return [one.seconds]
+        case tree.WaitUntil():
+            return [one.condition] if one.seconds is None else [one.seconds, one.condition]
         case tree.Reserve():
             return [one.target]
         case tree.StartCall():

@@ -15,6 +15,8 @@ from lfield.lang.checker.conversions import (
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.library.enum_members import check_enum_call
+from lfield.lang.checker.library.function_rules import check_limit, output_hint
+from lfield.lang.checker.library.loop_members import check_loop_call
 from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.queries.capability_queries import check_query
@@ -28,21 +30,23 @@ from lfield.lang.language_library import (
     GROWTH,
     PROXY_METHODS,
     STRING_METHODS,
+    TICKET_METHODS,
     LibraryFunction,
     array_methods,
 )
 from lfield.lang.parser import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
-    BOOLEAN,
     INT,
-    REAL,
+    LIBRARY_CLASSES,
     STRING,
+    TICKET,
     UNKNOWN,
     ArrayType,
     ClassType,
     DeviceType,
     EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
@@ -50,9 +54,6 @@ from lfield.lang.types import (
 )
 from lfield.text.source_text import Span
 from lfield.text.suggestions import choice, closest, did_you_mean
-
-#: The functions that convert to text.
-_TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""}
 
 
 def check_bare_call(
@@ -84,18 +85,22 @@ def check_member_call(
     unit = body.unit if isinstance(owner, tree.This) else body.symbols.unit_of(kind)
     if kind is UNKNOWN:
         return unknown(raw.span)
+    if isinstance(owner, tree.LoopName):
+        return check_loop_call(body, raw, function, owner.loop, given)
     if isinstance(owner, tree.EnumName) or isinstance(kind, EnumType):
         return check_enum_call(body, raw, function, owner, given)
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
-        if isinstance(kind, MapType):
+        if isinstance(kind, LIBRARY_CLASSES) and not body.symbols.library.parameters:
             methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
+    if kind == TICKET:
+        return tree.LibraryCall(raw.span, *TICKET_METHODS[name], [owner])
     if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
         return check_library_call(body, raw, owner, given)
     functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
@@ -124,6 +129,9 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
             unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
         )
     kind = visible_type(body.symbols, body.unit, raw.type)
+    if isinstance(kind, FutureType):
+        body.report(messages.FUTURE_NEW, place, type=kind)
+        return unknown(raw.span)
     if isinstance(kind, MapType):
         unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
@@ -139,7 +147,8 @@ def _chosen(
 ) -> tuple[tree.Method, list[tree.Expr]] | None:
     """The selected overload, if it may be called from here."""
     chosen = choose_overload(body.symbols, place, of_methods(methods), given)
-    if chosen is not None and not chosen[0].public and chosen[0].unit is not body.unit:
+    is_private = chosen is not None and not chosen[0].public and not body.symbols.library.parameters
+    if chosen is not None and is_private and chosen[0].unit is not body.unit:
         method = chosen[0]
         body.report(messages.PRIVATE_MEMBER, place, name=method.name, owner=method.unit.name)
         return None
@@ -171,7 +180,7 @@ def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list
     if scope in ("any", side):
         return _operation(body, raw, name.span, functions, given, None)
     if body.function:
-        what = "writes output" if scope == "resource" else "reads the state of its coordinator"
+        what = "does input or output" if scope == "resource" else "reads the state of its coordinator"
         body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
         return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION
@@ -191,28 +200,15 @@ def _operation(
 ) -> tree.Expr:
     """A library function or built-in method; its receiver is the first argument of the operation."""
     candidates = [OverloadCandidate(f.name, f.parameters, f) for f in functions]
-    chosen = choose_overload(body.symbols, place, candidates, given, _output_hint(functions[0].name, given))
+    chosen = choose_overload(body.symbols, place, candidates, given, output_hint(functions[0].name, given))
     if chosen is None:
         return unknown(raw.span)
     function, arguments = chosen
+    check_limit(body, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)
-
-
-def _output_hint(name: str, given: Sequence[tree.Expr]) -> str | None:
-    """The hint for `print("n", n)` of Python: one text, each argument converted. None for other calls."""
-    if name not in ("print", "write") or len(given) == 1:
-        return None
-    parts = []
-    for argument in given:
-        if argument.type not in _TO_TEXT:
-            return 'join text with +, as in "n is " + i2s(n)'
-        function = _TO_TEXT[argument.type]
-        parts.append(f"{function}({argument.span.text})" if function else argument.span.text)
-    text = " + ".join(parts) or '""'
-    return f"write {name}({text})"
 
 
 def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:
@@ -264,6 +260,8 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
     unit = body.symbols.units.get(called)
     if body.unit.overloads(called, "portal"):
         body.report(messages.PORTAL_INSIDE, name.span, name=called)
+    elif body.unit.loop(called) is not None:
+        body.report(messages.LOOP_CALL, name.span, name=called)
     elif unit is not None or called in EXCEPTION_NAMES:
         may_be_made = unit is None or unit.kind == "class"
         instead = f"make an object: new {called}(...)" if may_be_made else "agents come from the deployment"

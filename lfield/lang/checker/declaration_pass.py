@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 from lfield.lang import messages, syntax
 from lfield.lang.capability_port import parse_query_name
+from lfield.lang.checker.library.loop_members import add_loop, declare_loops
 from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
 from lfield.lang.checker.visibility import Place, check_portal_contents, visible_type
+from lfield.lang.language_library import YIELDING
 from lfield.lang.tree import Field, Local, Method, Unit
 from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
 from lfield.text.source_text import Span
@@ -67,7 +69,7 @@ def _existing_meaning(symbols: Symbols, name: str) -> str | None:
     """What a name means before the program begins, or None."""
     if name in BUILTIN_TYPES:
         return "a built-in class"
-    if name in LIBRARY_NAMES:
+    if name in LIBRARY_NAMES - YIELDING:
         return "a library function"
     if name in symbols.devices:
         return f"a device type of the driver {symbols.devices[name].driver}"
@@ -112,6 +114,7 @@ class _Methods:
         for written in self.raw.methods:
             if self.has_place(written):
                 self.add(self.head(written), written)
+        declare_loops(self.symbols, self.unit)
         kinds = [m.kind for m in self.raw.methods]
         whole = self.unit.name not in self.symbols.broken_units
         if self.unit.kind == "class" and "constructor" not in kinds:
@@ -125,6 +128,9 @@ class _Methods:
         """Whether this unit may have such a method; if not, calls of it are not reported any more."""
         if written.kind == "init" and self.unit.kind == "class":
             self.symbols.report(messages.INIT_IN_CLASS, written.span, name=self.unit.name)
+            return False
+        if written.kind == "loop" and self.unit.kind != "resource":
+            self.symbols.report(messages.LOOP_PLACE, written.span, unit=describe(self.unit))
             return False
         if written.kind == "portal" and self.unit.kind != "resource":
             self.symbols.report(messages.PORTAL_PLACE, written.span, unit=describe(self.unit))
@@ -172,7 +178,7 @@ class _Methods:
         """Add the method, unless it repeats another one."""
         if method.kind == "init" and not self.is_first_init(method):
             return
-        if method.kind == "method":
+        if method.kind in ("method", "loop"):
             self.check_name(method)
         signature = method.signature
         earlier = self.signatures.setdefault(signature, method) if method.kind != "init" else method
@@ -181,6 +187,8 @@ class _Methods:
             self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
             return
         self.unit.add_method(method)
+        if written is not None and written.loop is not None:
+            add_loop(self.unit, method, written.loop)
         self.declared.bodies.append((method, written))
 
     def is_first_init(self, method: Method) -> bool:
@@ -201,7 +209,7 @@ class _Methods:
 def check_callable_name(symbols: Symbols, name: str, span: Span) -> None:
     """Report a name of a method or function that means something else where it is called."""
     what = None
-    if name in LIBRARY_NAMES:
+    if name in LIBRARY_NAMES - YIELDING:
         what = "a library function"
     elif name.startswith("find") and symbols.resource(name[len("find") :]) is not None:
         what = f"the find method of the resource {name[len('find') :]}"

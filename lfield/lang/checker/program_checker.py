@@ -10,6 +10,8 @@ from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.checker.control_flow import check_flow
 from lfield.lang.checker.declaration_pass import DeclaredUnit
 from lfield.lang.checker.expressions import assigned
+from lfield.lang.checker.library.future_calls import check_futures
+from lfield.lang.checker.loops.loop_thread import check_loop
 from lfield.lang.checker.scope import BodyContext, Scope
 from lfield.lang.checker.statements import statements
 from lfield.lang.checker.symbols import Function, Symbols
@@ -76,6 +78,8 @@ def check_function(symbols: Symbols, function: Function) -> None:
 def check_bodies(symbols: Symbols, declared: DeclaredUnit) -> None:
     """Check and fill the bodies of a unit; mistakes go to the findings of `symbols`."""
     for method, written in declared.bodies:
+        if written is not None and written.loop is not None:
+            check_loop(symbols, method, written.loop)
         first = method.kind in ("init", "constructor")
         _check_body(symbols, method, written, declared.initialisers if first else [])
 
@@ -98,6 +102,8 @@ def _check_body(
     method.body.extend(statements(body, written.body))
     is_whole = len(symbols.found.found) == before and not (written.broken or symbols.incomplete)
     mark_started_calls(symbols, method.body, whole=is_whole)
+    if symbols.has_futures and not symbols.library.parameters:
+        check_futures(symbols, method.body)
     if len(symbols.found.found) == before and not written.broken:
         check_flow(symbols, method)
 

@@ -18,16 +18,19 @@ from lfield.lang.types import (
     INT,
     REAL,
     STRING,
+    TICKET,
     UNKNOWN,
     VOID,
     ArrayType,
     ClassType,
     DeviceType,
     EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
     array_of,
+    future_of,
     map_of,
 )
 from lfield.manifest import DeviceManifest
@@ -78,6 +81,7 @@ class Symbols:
     #: The types of arrays that the program makes longer or shorter, and what it uses of the library in L.
     growing: set[Type] = field(default_factory=set)
     library: LibraryUses = field(default_factory=LibraryUses)
+    has_futures: bool = False
     _reported: set[tuple[str, str, int, str]] = field(default_factory=set)
 
     def report(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
@@ -126,7 +130,7 @@ class Symbols:
         if name in self.library.parameters:
             return self.library.parameters[name]
         if written.arguments:
-            return self._map(written)
+            return self._future(written) if written.name == "future" else self._map(written)
         if name in BUILTIN_TYPES:
             return BUILTIN_TYPES[name]
         unit = self.units.get(name)
@@ -155,19 +159,39 @@ class Symbols:
         if UNKNOWN in (key, innermost(value)):
             return UNKNOWN
         kind = map_of(key, value)
-        if kind.name not in self.units:
-            self.declare_map(kind)
+        self.library_class(kind)
         return kind
 
-    def declare_map(self, kind: MapType) -> None:
-        """The class of a type of maps: from the text of the library, with its types for K and V."""
-        held = self.unit_of(innermost(kind.value))
-        usage: tree.Usage = "global"
-        if held is not None:
-            usage = "coordinator" if held.kind == "resource" else held.usage
-        with self.library.bound({"K": kind.key, "V": kind.value}):
-            unit = self.library.map_class(kind, usage, self.resolve)
-        self.units[kind.name] = unit
+    def _future(self, written: TypeName) -> Type:
+        """The type of a future; its class is made at the first use."""
+        if len(written.arguments) != 1:
+            self.report(messages.FUTURE_TYPE, written.span)
+            return UNKNOWN
+        value = self.resolve(written.arguments[0])
+        if isinstance(value, DeviceType):
+            self.report(messages.DEVICE_PLACE, written.arguments[0].span, name=value.name)
+            return UNKNOWN
+        if innermost(value) is UNKNOWN:
+            return UNKNOWN
+        kind = future_of(value)
+        self.library_class(kind)
+        return kind
+
+    def library_class(self, kind: MapType | FutureType) -> tree.Unit:
+        """The class of a type of maps or futures: from the text of the library, with types for its names."""
+        if kind.name not in self.units:
+            parameters: dict[str, Type] = {"T": kind.value, "ticket": TICKET}
+            usage: tree.Usage = "coordinator"
+            self.has_futures |= isinstance(kind, FutureType)
+            if isinstance(kind, MapType):
+                parameters = {"K": kind.key, "V": kind.value}
+                held = self.unit_of(innermost(kind.value))
+                usage = "global" if held is None else held.usage
+                if held is not None and held.kind == "resource":
+                    usage = "coordinator"
+            with self.library.bound(parameters):
+                self.units[kind.name] = self.library.class_of(kind, usage, self.resolve)
+        return self.units[kind.name]
 
     def _type_hint(self, name: str) -> str | None:
         if foreign := type_hint(name):

@@ -16,13 +16,21 @@ from pathlib import Path
 
 from lfield.lang import syntax, tree
 from lfield.lang.parser import parse_file
-from lfield.lang.types import INT, STRING, VOID, MapType, Type
+from lfield.lang.types import INT, STRING, VOID, FutureType, MapType, Type
 from lfield.text.source_text import Diagnostics, Source
 
 #: The name of every source of the library.
 LIBRARY_FILE = "<library>"
 #: The name of the constructor of the classes of maps.
 MAP_CONSTRUCTOR = "Map"
+#: The name of the constructor of the classes of futures.
+FUTURE_CONSTRUCTOR = "Future"
+_FUTURE = Path(__file__).with_name("future.L")
+#: In the class of futures of calls without a result: what is left out, and what T stands for.
+_ONLY_WITH_RESULT = re.compile(
+    r"^.*(?:T\[\] result|result = place|return result).*\n|, T\[\] place", re.MULTILINE
+)
+_RETURNS = re.compile(r"return (await\(\));")
 _MAP = Path(__file__).with_name("map.L")
 _REFUSAL = 'if (key == null) throw new NullException("a key of a map is null");'
 #: By type of keys: the bucket of a key among n, the text of a key, and the statement that refuses null.
@@ -31,14 +39,15 @@ _KEYS = {
     INT: ("(key % n + n) % n", "i2s(key)", ""),
 }
 _ENUM_KEY = ("(key.ordinal() % n + n) % n", "key.name()", "")
-_ARRAYS = Path(__file__).with_name("arrays.L")
+_METHODS = (Path(__file__).with_name("arrays.L"), Path(__file__).with_name("futures.L"))
 _NAME = re.compile(r"(\w+)\(")
 
 
 @cache
 def array_texts() -> dict[str, str]:
     """For each method of arrays a class with it alone, by name."""
-    _, *methods = _ARRAYS.read_text(encoding="utf-8").removesuffix("}\n").split("    private ")
+    texts = (file.read_text(encoding="utf-8").removesuffix("}\n") for file in _METHODS)
+    methods = [method for text in texts for method in text.split("    private ")[1:]]
     return {_NAME.findall(method)[0]: f"class Arrays {{\n    private {method}}}\n" for method in methods}
 
 
@@ -61,6 +70,17 @@ def enum_text(name: str, members: Sequence[str]) -> str:
 
 def _lines(statements: Iterable[str]) -> str:
     return "".join(f"        {statement}\n" for statement in statements)
+
+
+def _text_of(kind: MapType | FutureType) -> str:
+    """The text of the class of a type, while its types are bound."""
+    if isinstance(kind, MapType):
+        bucket, text, refuse = _KEYS.get(kind.key, _ENUM_KEY)
+        return _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
+    text = _FUTURE.read_text(encoding="utf-8")
+    if kind.value == VOID:
+        text = _RETURNS.sub(r"\1;", _ONLY_WITH_RESULT.sub("", text)).replace("public T ", "public void ")
+    return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +121,11 @@ class LibraryUses:
             self._unchecked.append(body)
         return self._methods[key]
 
-    def map_class(
-        self, kind: MapType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
+    def class_of(
+        self, kind: MapType | FutureType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
     ) -> tree.Unit:
-        """The class of a type of maps, while K and V are bound; its bodies are checked later."""
-        bucket, text, refuse = _KEYS.get(kind.key, _ENUM_KEY)
-        source = self.source(
-            _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
-        )
+        """The class of a type of maps or futures, while its types are bound; its bodies are checked later."""
+        source = self.source(_text_of(kind))
         written = parse_file(source, Diagnostics()).units[0]
         unit = tree.Unit(kind.name, "class", usage, written.span)
         for number, one in enumerate(written.fields):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from itertools import count
 
 from engine_fuzzer.calculations import random_calculation
-from engine_fuzzer.coordination import RESULTS
+from engine_fuzzer.coordination import FUTURES, RESULTS
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece, written
 from engine_fuzzer.statement_generator import StatementGenerator
@@ -63,11 +63,13 @@ private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
 #
 #
+#
 }"""
 _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
 private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
+private boolean big(int k) { return k > 3; }
 #
 #
 }"""
@@ -77,7 +79,7 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
     """The declarations of what a body uses, and of what those use."""
     text = " ".join(piece.text() for piece in body)
     found: list[ProgramPiece] = []
-    for kind, name, value in reversed(_LOCALS + RESULTS):
+    for kind, name, value in reversed(_LOCALS + RESULTS + FUTURES):
         if re.search(rf"\b{name}\b", text):
             text += f" {value}"
             found.insert(0, ProgramPiece("", [f"{kind} {name} = {value};"]))
@@ -96,6 +98,8 @@ _OF_WALKERS = (
     'st = findStore("" + #);|string',
 )
 _OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+#: What a synchronized method of a resource does besides.
+_IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
 #: What coordinators ask, by how many portals there are.
 _ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
 #: What only coordinators can say, by type.
@@ -133,13 +137,16 @@ class _ProgramGenerator:
         store = [self._method("Store", kind, name) for kind, name in self._all("Store")]
         walker = [self._method("Walker", kind, name) for kind, name in self._all("Walker")]
         portals = [self._portal(number) for number in range(self.portals)]
+        other = ProgramPiece("", [self.rng.choice(("", _OTHER))])
+        init, start = self._init("Store"), self._init("Walker")
+        loops = [self._loop(number) for number in range(self.rng.choice((0, 0, 1, 2)))]
         return written(
             "",
             "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
-            ProgramPiece("", [self.rng.choice(("", _OTHER))]),
+            other,
             written("", _NODE, ProgramPiece("", list(node))),
-            written("", _RESOURCE, self._init("Store"), ProgramPiece("", [*store, *portals])),
-            written("", _COORDINATOR, self._init("Walker"), ProgramPiece("", list(walker))),
+            written("", _RESOURCE, init, ProgramPiece("", [*store, *portals]), ProgramPiece("", list(loops))),
+            written("", _COORDINATOR, start, ProgramPiece("", list(walker))),
         )
 
     def _all(self, unit: str) -> list[tuple[str, str]]:
@@ -159,11 +166,18 @@ class _ProgramGenerator:
         return found
 
     def _body(
-        self, unit: str, result: str, end: str, guarded: bool = False, pauses: bool = False
+        self,
+        unit: str,
+        result: str,
+        end: str,
+        guarded: bool = False,
+        pauses: bool = False,
+        locked: bool = False,
     ) -> ProgramPiece:
         """A method's own: the variables that it uses, statements, and an end."""
         walks = unit == "Walker"
         waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
+        waits += _IN_MONITOR * 3 if locked and unit == "Store" else ()
         variables = _VARIABLES | _PROXIES if walks else _VARIABLES
         grows = self.rng.random() < 0.5
         expressions = ExpressionGenerator(self.rng, variables, self._calls(unit), grows=grows)
@@ -196,7 +210,7 @@ class _ProgramGenerator:
         return written(
             "",
             f"\n{how} {kind} {name}({_PARAMETERS}) {{ if (d <= 0) return {PLAIN[kind]};\n#\n}}",
-            self._body(unit, kind, end),
+            self._body(unit, kind, end, locked="synchronized" in how),
         )
 
     def _init(self, unit: str) -> ProgramPiece:
@@ -210,8 +224,20 @@ class _ProgramGenerator:
     def _portal(self, number: int) -> ProgramPiece:
         how = self.rng.choice(("portal", "portal synchronized"))
         head = ("ask(int m, Node o) emit int", "tell(real y, string t, int[] v)")[number]
-        body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")), pauses=True)
+        result, end = ("int", "return i1;") if number == 0 else ("", "")
+        body = self._body("Store", result, end, pauses=True, locked="synchronized" in how)
         return written("", f"\n{how} {head} {{ int d = 3;\n#\n}}", body)
+
+    def _loop(self, number: int) -> ProgramPiece:
+        """A loop of the resource, which may suppress the other one, or be suppressed."""
+        rate = self.rng.choice(("at 4", "every 0.2", "at 3 + n", "every 0.5", "every x"))
+        when = self.rng.choice((" when (n > 1)", f" when (loop{number}.overruns() < 2 && n > 0)"))
+        priority = f" priority {self.rng.choice((-1, 1, 2))}{when}" if self.rng.random() < 0.7 else when
+        throws = self.rng.choice(
+            ("", 'if (n > 3) throw new DeviceException("f");', f"print(loop{number}.running());")
+        )
+        body = self._body("Store", "", "n = n + 1;", guarded=self.rng.random() < 0.8, pauses=True)
+        return written("", f"\nloop loop{number} {rate}{priority} {{ int d = 3; {throws}\n#\n}}", body)
 
 
 # --- constants, enums and functions -------------------------------------------------------------------------

@@ -14,6 +14,7 @@ _LEAVES = """
     write_int write_float write_str write_bool print_int print_float print_str print_bool
     yield sleep now lived random random_int heartbeat_interval agent host teams
     s2f f2s f2s_digits exc_message exc_type exc_source exc_others noreturn
+    read_line tick suppress control tick_failed
 """
 
 

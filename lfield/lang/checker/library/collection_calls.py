@@ -77,6 +77,13 @@ def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Ex
     return unknown(raw.span)
 
 
+def call_of_text(
+    body: BodyContext, raw: syntax.Call, name: str, text: str, array: tree.Expr, result: Type
+) -> tree.Expr:
+    """The call of a method with this text, of an array without other arguments."""
+    return _call(body, raw, name, text, (array,), result)
+
+
 def _place(raw: syntax.Call) -> Span:
     assert isinstance(raw.function, syntax.Member)
     return raw.function.place
