@@ -63,6 +63,29 @@ class Variable:
     has_parts: bool = False
 
 
+class EnumMember(str):
+    """The name of a member of an enum; members are in the order of their declaration."""
+
+    number: int
+
+    def __new__(cls, name: str, number: int) -> EnumMember:
+        made = super().__new__(cls, name)
+        made.number = number
+        return made
+
+    def __lt__(self, other: object) -> bool:
+        return isinstance(other, EnumMember) and self.number < other.number
+
+    def __le__(self, other: object) -> bool:
+        return isinstance(other, EnumMember) and self.number <= other.number
+
+    def __gt__(self, other: object) -> bool:
+        return isinstance(other, EnumMember) and self.number > other.number
+
+    def __ge__(self, other: object) -> bool:
+        return isinstance(other, EnumMember) and self.number >= other.number
+
+
 #: A type, by index, and the value as in a slot.
 RawValue = tuple[int, int]
 
@@ -190,7 +213,7 @@ class ValueReader:
             return real_from_bits(word)
         if kind == INT or kind not in REFERENCES:
             members = self._program.core.enum_members(value[0])
-            return members[word] if 0 <= word < len(members) else word
+            return EnumMember(members[word], word) if 0 <= word < len(members) else word
         if not word:
             return None
         return self._block.text(word) if kind == STRING else ("object", word)
