@@ -212,6 +212,9 @@ class TextSymbols:
         field = unit.field(name) if unit is not None else None
         if unit is not None and field is not None:
             return self.of_field(unit, field)
+        loop = unit.loop(name) if unit is not None else None
+        if loop is not None:
+            return self.of_method(loop.body)
         return self.top_level.named(name) if name in self._symbols.constants else None
 
     def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
