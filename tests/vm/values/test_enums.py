@@ -76,7 +76,7 @@ def test_a_debugger_has_types_and_names() -> None:
     types = {field.name: field.type for field in record.fields}
     assert [reader.type_name(types[name]) for name in ("now", "all", "number")] == ["Phase", "Phase[]", "int"]
     assert reader.variable("now", types["now"], 2).value == "HOME"
-    assert reader.plain((types["now"], 1)) == "LIFT"
+    assert str(reader.plain((types["now"], 1))) == "LIFT"
     home, search = (reader.plain((types["now"], number)) for number in (2, 0))
     assert home > search  # type: ignore[operator]
     assert not home <= search  # type: ignore[operator]
