@@ -25,7 +25,7 @@ _CHANGES = frozenset(BY_NAME[name].code for name in ("append", "insert", "remove
 _ALLOCATIONS = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine without an effect, except on logs, time and random numbers.
 _QUERIES = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
-_HARMLESS_PREFIXES = ("write", "print", *_QUERIES, "yield", "sleep")
+_HARMLESS_PREFIXES = ("write", "print", *_QUERIES, "yield", "sleep", "wait")
 _HARMLESS = frozenset(
     row.code for row in BY_CODE.values() if row.name.partition("_")[0] in _HARMLESS_PREFIXES
 )

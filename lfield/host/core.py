@@ -25,6 +25,7 @@ from lfield.host.context import (
 )
 from lfield.host.effects import WAKE_WAITERS, Effect, OpenLink
 from lfield.host.events.migration_events import MigrationEvents
+from lfield.host.location.call_watch import CallWatch
 from lfield.host.location.locator import Locator
 from lfield.host.migration.delayed_acks import DelayedAcks
 from lfield.host.migration.init_barrier import InitBarrier
@@ -111,12 +112,14 @@ class HostCore:
         self.sequencing = SequencingService(context, self.coordinators, self.leases, machine)
         self.locator = Locator(context, self.coordinators, self.leases, self.commands)
         self.reachability = Reachability(context, membership, mobility)
+        self.call_watch = CallWatch(context, machine, self.reachability)
         #: When the coordinators of this host start, and what a new start waits for.
         self.startup = Startup(context, self.coordinators, self.leases, membership)
         #: In the order in which they receive events and are polled.
         self._parts: list[Part | QueryRelay[Effect]] = [
             acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
-            self.commands, self.pending_calls, self.reservations, self.locator, self.sequencing,
+            self.commands, self.pending_calls, self.reservations, self.locator, self.call_watch,
+            self.sequencing,
         ]  # fmt: skip
         self._handlers = {kind: handler for part in self._parts for kind, handler in part.handles.items()}
         self._observers: dict[type[HostEvent], list[EventHandler]] = {
@@ -233,7 +236,8 @@ class HostCore:
     def wait_reason(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
-            return self._inits.wait_reason(agent)
+            first = "waits for the first of its calls" if agent.waits_for_any else ""
+            return first or self._inits.wait_reason(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
         reserves = self.reservations.wait_reason(agent) or self.sequencing.wait_reason(agent)
@@ -290,7 +294,7 @@ class HostCore:
     def needed_hosts(self) -> set[str]:
         """The hosts to have links with now: neighbours, and hosts that are waited for."""
         waited = self.mobility.needed_hosts() | self.leases.needed_hosts | self.reservations.needed_hosts
-        waited.update(self.startup.needed_hosts, self.sequencing.needed_hosts)
+        waited.update(*(p.needed_hosts for p in (self.startup, self.call_watch, self.sequencing)))
         waited.update(self.membership.overlay_links(self._clock.monotonic()))
         return waited - {self.name}
 

@@ -31,6 +31,7 @@ from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.golden_sequencer import GoldenSequencer
 from lfield.testing.still_team import still_answers
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, MachineTeam, TeamMember
 from lfield.vm.engine_interface import AgentLimits, Reading, Trap
 from lfield.vm.host_interface import Pending
@@ -87,6 +88,10 @@ class GoldenWorld:
         """Records a printed text, line by line."""
         self.output.extend(text.split("\n"))
 
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """Records the code of a line."""
+        self.output.append(line.code)
+
     def depart(self, agent: Agent, resource: TeamMember) -> None:
         """Records the migration; a test performs it."""
         self.departures.append((agent, resource))
@@ -129,6 +134,9 @@ class GoldenWorld:
     def on_call_completed(self, call: PendingCall) -> None:
         """The result counts as persisted at once: there is no journal."""
         self.machine.pending_calls.on_persisted(call.key)
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """No call runs elsewhere: there is one host."""
 
     def abandon_wait(self, agent: Agent) -> bool:
         """A waiting agent is still here; others are not frozen."""

@@ -208,6 +208,28 @@ OUTPUT_DROPPED = _message(
 AGENT_DIED = _message("agent-died", "{agent} died of an uncaught {report}", "error")
 AGENT_DUMPED = _message("agent-dumped", "{agent} dumped: read it with 'lfield inspect {path}'")
 AGENT_NOT_DUMPED = _message("agent-not-dumped", "{agent} not dumped to {path}: {reason}", "error")
+_OMITTED = Clause(
+    ("omitted",), lambda omitted: f" ({omitted} more since the last such line)" if omitted else ""
+)
+LOOP_OVERRUN = _message(
+    "loop-overrun",
+    "loop {loop} of {agent} overran: its next tick was due {late:.3f} s earlier; {skipped} skipped{more}",
+    meaning="its body or its host took longer than the period; at most one line per loop in 10 s",
+    more=_OMITTED,
+)
+LOOP_FAILED = _message(
+    "loop-failed",
+    "loop {loop} of {agent} failed: {reason}; it continues at its next tick{more}",
+    "warning",
+    "at most one line per loop in 10 s",
+    more=_OMITTED,
+)
+LOOP_SUPPRESSED = _message(
+    "loop-suppressed",
+    "loop {loop} of {agent} suppressed by {by}{more}",
+    meaning="at most one line per loop in 10 s",
+    more=_OMITTED,
+)
 INIT_WAIT = _message(
     "init-wait", "{agent} waiting: the init of {resource} has neither returned nor yielded yet"
 )

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Protocol
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.vm.agent import Agent
+from lfield.vm.agent import CANCELLED, Agent
 from lfield.vm.engine_interface import Trap
 from lfield.vm.memory.layout import (
     BLOCKED,
@@ -20,12 +20,12 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.monitor_waits import wake
 from lfield.vm.scheduler import Scheduler
 
-CANCELLED = "CancelledException"
-
 _DEVICE = BY_NAME["device"].code
-_WAITS = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line"))
+#: The other instructions at which a cancellation is thrown.
+_PAUSES = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line", "wait_leave"))
 
 
 class InputReaders(Protocol):
@@ -50,11 +50,24 @@ class Cancellation:
         thread = serving(resource.block, number)
         if resource.ended or not thread or thread in resource.pending_cancels:
             return
-        resource.pending_cancels[thread] = reason
         tidy = resource.limits.tidy
         self._scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
+        self._interrupt(resource, thread, reason)
+
+    def suppress(self, resource: Agent, thread: int, reason: str) -> None:
+        """Suppress the body of a loop that runs: an exception as above, and no end by force."""
+        if resource.loops is None or thread in resource.loops.suppressed:
+            return
+        resource.loops.suppressed[thread] = reason
+        self._interrupt(resource, thread, reason)
+
+    def _interrupt(self, resource: Agent, thread: int, reason: str) -> None:
+        resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
-        if state == WAITING and not self._input.cancel(resource, thread):
+        if thread in resource.monitor_waits:
+            # The exception is thrown when it would wait again, while it holds the monitor.
+            wake(self._scheduler.run_queue, resource, thread)
+        elif state == WAITING and not self._input.cancel(resource, thread):
             self._scheduler.world.cancel(resource, thread)
         elif state != READY or self._is_queued(resource, thread):
             wake_thread(self._scheduler, resource, thread)
@@ -75,7 +88,7 @@ class Cancellation:
             call = self._scheduler.program.core.device_calls[operand]
             if call.effect == "query":
                 return False
-        elif op not in _WAITS:
+        elif op not in _PAUSES:
             return False
         self.deliver(resource, thread)
         return True

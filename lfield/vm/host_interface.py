@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.manifest import DeviceValue
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.offer_objects import FoundOffer
@@ -62,6 +63,9 @@ class HostInterface(Protocol):
         """The suspended coordinator must migrate to the host of the resource. Answered by `Machine.release`
         when it has left, or `Machine.resume` with the reason of failure."""
 
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the host's log about an agent."""
+
     def may_start_call(self, agent: Agent, has_side_effects: bool) -> bool:
         """Whether the portal of this host that the suspended coordinator calls may start now.
 
@@ -116,6 +120,13 @@ class HostInterface(Protocol):
 
         When the host has stored that, or at once without a journal, it calls `PendingCalls.on_persisted`;
         only then the coordinator can fetch the result.
+        """
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator waits here for the first of several calls; these (resource, number) run elsewhere.
+
+        Until it waits no longer (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers
+        of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
         """
 
     def abandon_wait(self, agent: Agent) -> bool:

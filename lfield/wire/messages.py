@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinator_messages import (
+    CallsEnded,
     CoordinatorState,
     Locate,
     Located,
@@ -24,6 +25,7 @@ from lfield.wire.coordinator_messages import (
     TransferAccepted,
     TransferQuery,
     TransferRefused,
+    WatchCalls,
 )
 from lfield.wire.fields import (
     MAX_LIST,
@@ -298,6 +300,8 @@ Control = (
     | RevocationUpdate
     | QuorumMessage
     | ReservationMessage
+    | WatchCalls
+    | CallsEnded
     | SubscriptionMessage
     | ServiceMessage
 )

@@ -13,13 +13,14 @@ from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
 from lfield.host.team.leases import TeamLeases
-from lfield.host.team.part_interfaces import SequencingDecisions
+from lfield.host.team.part_interfaces import CallWatcher, SequencingDecisions
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
 from lfield.manifest import DeviceValue
 from lfield.replication.membership.membership import Membership
 from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import Pending
@@ -40,6 +41,7 @@ class HostParts(Protocol):
     offers: CapabilityQueries
     reachability: Reachability
     membership: Membership
+    call_watch: CallWatcher
 
     def require_link(self, host: str) -> None:
         """Request a link to this host, if there is none."""
@@ -78,7 +80,11 @@ class HostServices:
         """Other agents than before wait for a line."""
         self._recorder.on_readers_changed(agents)
 
-    def _log_line(self, line: log_messages.LogLine) -> None:
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the log about an agent."""
+        self._log_line(line)
+
+    def _log_line(self, line: LogLine) -> None:
         self._out(WriteLog(line))
 
     def may_start_call(self, agent: Agent, acts: bool) -> bool:
@@ -114,6 +120,10 @@ class HostServices:
     def on_call_completed(self, pending: PendingCall) -> None:
         """A pending call has ended: its result is recorded before it is reported."""
         self._parts.pending_calls.on_call_completed(pending)
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """Report the first of these calls on other hosts that ends."""
+        self._parts.call_watch.watch(agent, calls)
 
     def abandon_wait(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may continue at once, since its wait was cancelled."""
@@ -203,3 +213,7 @@ class HostServices:
         line = log_messages.AGENT_DIED.line(agent=agent.id, report=f"{agent.report}{where}")
         self._out(WriteLog(line, lines=True))
         self._out(DumpAgent(agent))
+        if agent.loops is not None:
+            # Without its loops a device would not react any more.
+            reason = f"{agent.id}, whose loops control it, has died"
+            self._parts.commands.make_safe(agent.id, reason)

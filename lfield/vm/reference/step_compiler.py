@@ -256,6 +256,8 @@ class _Preparer:
                 return {0: "'reserve'"}
             case "start" | "fetch" | "leave" | "settle":
                 return {0: "'together'"}
+            case "launch" | "next" | "ended" | "cancel" | "failure":
+                return {0: "the futures"}
             case "seq_start" | "seq_stop" | "seq_end" | "seq_alive":
                 return {0: f"'{SEQUENCING[row.name]}'"}
             case "write_str" | "print_str" | "find" | "agent" | "host":
