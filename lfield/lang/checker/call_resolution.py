@@ -36,7 +36,7 @@ from lfield.lang.language_library import (
     LibraryFunction,
     array_methods,
 )
-from lfield.lang.parser import foreign_words
+from lfield.lang.parser.foreign import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
     INT,
