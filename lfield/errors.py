@@ -199,6 +199,23 @@ class DamagedFileError(InputFileError):
     code, remedy = "file-damaged", "name the right file, or restore it"
 
 
+class MissionFileError(InputFileError):
+    """A mission, area or parameter file is invalid: `file`, `reason`, and the item it is about.
+
+    `item` is the item's number as ground stations show it, None for the file as a whole; `where` names
+    another place, such as `line 3`.
+    """
+
+    exit_status = exit_status.DATA
+    code, remedy = "mission-file", "correct the file in the program that wrote it"
+
+    def __init__(self, file: str, reason: str, *, item: int | None = None, where: str = "") -> None:
+        self.file, self.item, self.where = file, item, where
+        self.fault = reason
+        place = f"item {item}" if item is not None else where
+        super().__init__(file, f"{place}: {reason}" if place else reason)
+
+
 class OutputFileError(LfieldError):
     """A file or stream cannot be written."""
 

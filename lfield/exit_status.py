@@ -19,7 +19,7 @@ UNSAFE = 3
 UNKNOWN_OUTCOME = 4
 #: The command line makes no sense.
 USAGE = 64
-#: An invalid file: program, deployment, bundle, devices file, registry, dump, journal or key.
+#: An invalid file: program, deployment, bundle, devices file, registry, dump, journal, key or mission file.
 DATA = 65
 #: A file cannot be read.
 NO_INPUT = 66
@@ -44,7 +44,7 @@ MEANINGS: Mapping[int, str] = {
     UNSAFE: "a device is not confirmed to be at rest in its safe state: look at it",
     UNKNOWN_OUTCOME: "a host was unreachable for too long: the state of the mission there is unknown",
     USAGE: "invalid command line",
-    DATA: "invalid program, deployment, bundle, devices file, registry, dump, journal or key",
+    DATA: "invalid program, deployment, bundle, devices file, registry, dump, journal, key or mission file",
     NO_INPUT: "cannot read a file",
     UNAVAILABLE: "a port, address, driver, device, host, mission or journal is unavailable",
     SOFTWARE: "a bug in lfield (`LFIELD_TRACEBACK=1` shows it)",

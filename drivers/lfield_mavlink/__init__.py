@@ -2,7 +2,7 @@
 
 `driver` is the bus and `vehicle` a vehicle on it. They use, in layers: `link` (bytes to messages), `contact`
 (communication with one vehicle), `services` (protocols other than flight), `parts` (instructions by topic).
-`kit` is the conformance kit.
+`files` reads mission and parameter files. `kit` is the conformance kit.
 """
 
 from lfield.driver import Plugin
@@ -16,4 +16,5 @@ PLUGIN = Plugin(
     kit="lfield_mavlink.kit:KIT",
     endpoint="lfield_mavlink.link.links:parse_endpoint",
     conflicts="lfield_mavlink.station_ids:station_conflicts",
+    plans="lfield_mavlink.files.plan_report:read_plan",
 )

@@ -13,7 +13,16 @@ from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
 from lfield.driver.recording import WireLog
 from lfield.driver.settings import Setting
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, MissionFileError
+from lfield.geodata.findings import FileFinding
+from lfield.geodata.mission_files import PlanPoint, PlanReport, PlanRequest, PlanZone, utf8_bytes
+from lfield.geodata.polygons import (
+    LocalPlane,
+    crosses,
+    crossing_edges,
+    distance_to_way,
+    is_inside,
+)
 from lfield.text.input_files import read_within
 from lfield.text.log_messages import LogMessage
 from lfield.text.message_tables import FindingTable
@@ -28,12 +37,19 @@ __all__ = [
     "Diagnostic",
     "Diagnostics",
     "Driver",
+    "FileFinding",
     "FindingTable",
     "Frame",
+    "LocalPlane",
     "LogMessage",
     "Manifest",
+    "MissionFileError",
     "Origin",
     "Placement",
+    "PlanPoint",
+    "PlanReport",
+    "PlanRequest",
+    "PlanZone",
     "Plugin",
     "Pose",
     "Reports",
@@ -42,5 +58,10 @@ __all__ = [
     "Span",
     "Vector",
     "WireLog",
+    "crosses",
+    "crossing_edges",
+    "distance_to_way",
+    "is_inside",
     "read_within",
+    "utf8_bytes",
 ]

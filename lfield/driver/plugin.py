@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfield.errors import DeviceError, PluginError
+from lfield.errors import DeviceError, MissionFileError, PluginError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
     from lfield.driver.driver_index import DriverInfo, ManifestFile
+    from lfield.geodata.mission_files import PlanReport, PlanRequest
     from lfield.text.source_text import Diagnostic
 
 
@@ -35,11 +36,12 @@ class Plugin:
     `extra` is the extra of lfield that installs the vendor modules in `requires`, '' for a third-party
     driver.
 
-    Three optional functions run when missions are built and open nothing ('' for none). `endpoint` parses the
+    Four optional functions run when missions are built and open nothing ('' for none). `endpoint` parses the
     text of an endpoint and raises DeviceError for an invalid one. `conflicts` takes all bindings of the
     driver in a mission and returns those that exclude others, each with a sentence. `files` takes the name of
     an option of type `path` and the file and returns the mistakes in the file, each with its position; it
-    raises DeviceError for a file that cannot be read.
+    raises DeviceError for a file that cannot be read. `plans` takes the name and the bytes of a mission file
+    and a PlanRequest and returns a PlanReport; it raises MissionFileError for a file that is not readable.
     """
 
     name: str
@@ -52,6 +54,7 @@ class Plugin:
     endpoint: str = ""
     conflicts: str = ""
     files: str = ""
+    plans: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -180,6 +183,22 @@ class Plugin:
             raise
         except Exception as error:  # third-party code, as below
             raise PluginError(f"driver '{self.name}' cannot read {file}: {error}") from error
+
+    def read_plan(self, name: str, data: bytes, request: PlanRequest) -> PlanReport:
+        """What a mission file contains, checked for a vehicle.
+
+        Raises MissionFileError, PluginError without such a function or without its vendor modules.
+        """
+        if not self.plans:
+            raise PluginError(f"driver '{self.name}' reads no mission files")
+        read = self._load(self.plans)
+        try:
+            report: PlanReport = read(name, data, request)
+        except MissionFileError:
+            raise
+        except Exception as error:  # third-party code, as below
+            raise PluginError(f"driver '{self.name}' cannot read {name}: {error}") from error
+        return report
 
     def _load(self, path: str) -> Any:
         missing = [vendor for vendor in self.requires if not _importable(vendor)]

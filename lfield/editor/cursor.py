@@ -79,6 +79,18 @@ class Cursor:
         first = _operand_start(self.tokens, self.index - 2) if self.text(-1) == "." else self.index
         return self.part.source.text[self.tokens[first].span.start : self.tokens[last].span.end]
 
+    def called(self) -> str:
+        """The name of the function or method among whose arguments the token is; '' outside of arguments."""
+        depth = 0
+        for at in range(self.index - 1, -1, -1):
+            text = self.tokens[at].text if self.tokens[at].kind is not TokenKind.STRING else ""
+            if text in (";", "{", "}"):
+                return ""
+            depth += (text in (")", "]")) - (text in ("(", "["))
+            if depth < 0:
+                return self.tokens[at - 1].text if at and text == "(" else ""
+        return ""
+
     def locals(self) -> dict[str, DeclaredLocal]:
         """The parameters and variables of the method that are in scope before the token, by name."""
         if self.method is None:

@@ -69,6 +69,8 @@ class ProgramModel:
         self._declared: list[tuple[ProgramPart, DeclaredUnit]] = []
         self._functions: list[tuple[ProgramPart, Function]] = []
         self._declarations: object = None
+        #: Whether a file could not be read.
+        self._is_missing = False
         #: Counts the changes of the declarations.
         self._version = 0
         self._program: CheckedProgram | None = None
@@ -111,7 +113,7 @@ class ProgramModel:
                         is_missing = True
                         self._include_findings.append(messages.INCLUDE_UNKNOWN.at(one.span, path=one.path))
         is_changed |= found.keys() != self.files.keys()
-        self.files = found
+        self.files, self._is_missing = found, is_missing
         return is_changed, is_missing or any(part.file.broken for part in self.parts())
 
     def included(self, include: Include, origin: Path) -> Path | None:
@@ -138,6 +140,7 @@ class ProgramModel:
             self.environment.devices,
             Diagnostics(),
             incomplete=is_incomplete,
+            missing=self._is_missing,
             capabilities=self.capabilities,
             generated=self._generated.names,
         )

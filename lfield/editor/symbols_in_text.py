@@ -194,17 +194,22 @@ class TextSymbols:
         unit = self.unit(cursor)
         if cursor.text(1) == "(" and cursor.text(-1) != "new":
             return self._called(cursor, unit)
-        if cursor.text(-1) != "new":
-            local = cursor.locals().get(name)
-            if local is not None:
-                return self._of_local(local)
-            field = unit.field(name) if unit is not None else None
-            if unit is not None and field is not None:
-                return self.of_field(unit, field)
-            loop = unit.loop(name) if unit is not None else None
-            if loop is not None:
-                return self.of_method(loop.body)
-        return self.top_level.named(name) or self.type_named(name)
+        variable = self.variable(cursor, name) if cursor.text(-1) != "new" else None
+        return variable or self.top_level.named(name) or self.type_named(name)
+
+    def variable(self, cursor: Cursor, name: str) -> TextSymbol | None:
+        """The local, field or constant of a name at a cursor."""
+        local = cursor.locals().get(name)
+        if local is not None:
+            return self._of_local(local)
+        unit = self.unit(cursor)
+        field = unit.field(name) if unit is not None else None
+        if unit is not None and field is not None:
+            return self.of_field(unit, field)
+        loop = unit.loop(name) if unit is not None else None
+        if loop is not None:
+            return self.of_method(loop.body)
+        return self.top_level.named(name) if name in self._symbols.constants else None
 
     def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
         """A name before arguments."""

@@ -1,9 +1,10 @@
-"""What hosts say to whoever looks at them, as it reaches a terminal or a page: `ps`, `events`, `watch`."""
+"""What reaches an operator: events and states on a terminal or page, files of other programs."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -12,7 +13,10 @@ from rich.console import Console
 from targets_of_links import TOKENS, example, pack, sealed, unpack
 
 from lfield.cli.views import event_view, team_state_view, team_status_view
-from lfield.errors import WireError
+from lfield.driver import MissionFileError, PlanRequest
+from lfield.errors import LfieldError, WireError
+from lfield.geodata.area_file import check_shape, is_area_file, read_area_file
+from lfield.geodata.plan_drawing import draw_plan
 from lfield.operator.dashboard.event_stream.stream_cursor import StreamCursor
 from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
 from lfield.operator.team_model.host_model import host_states
@@ -23,6 +27,7 @@ from lfield.wire import codec
 from lfield.wire.events import KINDS, Event
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import EventBatch
+from lfield_mavlink.files.plan_report import read_plan
 
 #: What a terminal would obey.
 _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
@@ -127,7 +132,94 @@ def _batches() -> Sequence[bytes]:
     return [pack([first, each, hop, first]) for each in found]
 
 
+# -- files of ground stations and map programs ---------------------------------------------------------
+
+FILES = Path(__file__).parents[1] / "mavlink" / "files"
+_HOME = (47.3977419, 8.545594, 488.0)
+_REQUEST = PlanRequest("copter", "px4", {"altitude": 30.0, "radius": 100.0, "speed": 5.0}, _HOME)
+
+WAYPOINTS = b"""QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t47.3977419\t8.545594\t488.0\t1
+1\t0\t3\t22\t0\t0\t0\t0\t47.3977419\t8.545594\t10.0\t1
+2\t0\t3\t82\t0\t0\t0\t0\t47.3980\t8.5460\t10.0\t1
+3\t0\t2\t177\t1\t2\t0\t0\t0\t0\t0\t1
+4\t0\t3\t5001\t3\t0\t0\t0\t47.39\t8.54\t0\t1
+5\t0\t3\t5001\t3\t0\t0\t0\t47.40\t8.54\t0\t1
+6\t0\t3\t5001\t3\t0\t0\t0\t47.40\t8.55\t0\t1
+7\t0\t3\t5100\t0\t0\t0\t0\t47.3980\t8.5460\t10.0\t1
+"""
+GEOJSON = b"""{"type": "FeatureCollection", "features": [
+ {"type": "Feature", "properties": {"name": "field"}, "geometry": {"type": "Polygon", "coordinates":
+  [[[8.5, 47.3, 1], [8.6, 47.3], [8.6, 47.4], [8.5, 47.3]], [[8.51, 47.31], [8.52, 47.31], [8.52, 47.32]]]}},
+ {"type": "Feature", "geometry": {"type": "GeometryCollection", "geometries":
+  [{"type": "MultiLineString", "coordinates": [[[8.5, 47.3], [8.6, 47.3]]]}]}}]}
+"""
+
+
+def decode_plan(data: bytes) -> None:
+    """A mission file, its check and its picture."""
+    try:
+        report = read_plan("f.plan", data, _REQUEST)
+    except MissionFileError as error:
+        str(error)
+        return
+    if report.path or report.rally or report.home is not None:
+        draw_plan(report, "f.plan")
+
+
+def decode_area(data: bytes) -> None:
+    """A map file, and the check of each of its shapes."""
+    is_area_file("f.geojson", data)
+    try:
+        shapes = read_area_file("f.geojson", data)
+    except LfieldError as error:
+        str(error)
+        return
+    for shape in shapes[:20]:
+        if shape.corners:
+            draw_plan(check_shape(shape, _REQUEST), shape.label)
+
+
+_OF_PLANS = (
+    "null",
+    "NaN",
+    "1e999",
+    "-1",
+    "65536",
+    "{",
+    "}",
+    "[",
+    "]",
+    '"',
+    "SimpleItem",
+    "ComplexItem",
+    "survey",
+)
+_OF_PLANS += ("StructureScan", "fwLandingPattern", "177", "\ufeff", "9" * 40)
+_OF_ROWS = ("\t", "\n", "nan", "inf", "-1", "1e308", "5001", "5004", "82", "#", "QGC WPL 120", "9" * 40)
+_OF_MAPS = (
+    "<",
+    ">",
+    "</",
+    ",",
+    " ",
+    "nan",
+    "181",
+    "<!DOCTYPE x [",
+    "&x;",
+    "<Placemark>",
+    "<Polygon>",
+    "</Polygon>",
+)
+_OF_MAPS += ("<coordinates>", "</coordinates>", "<innerBoundaryIs>", "<LinearRing>", "null", "[", "]", "-180")
+
 TARGETS = (
     Target("ps", _statuses, decode_statuses, True, (*TOKENS, *_ESCAPES)),
     Target("events", _batches, decode_batches, True, (*TOKENS, *_ESCAPES)),
+    Target(
+        "plan", lambda: [(FILES / "north-field.plan").read_bytes()], decode_plan, tokens=_OF_PLANS, share=2
+    ),
+    Target("waypoints", lambda: [WAYPOINTS], decode_plan, tokens=_OF_ROWS),
+    Target("kml", lambda: [(FILES / "north.kml").read_bytes()], decode_area, tokens=_OF_MAPS),
+    Target("geojson", lambda: [GEOJSON], decode_area, tokens=_OF_MAPS),
 )

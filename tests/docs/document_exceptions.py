@@ -276,6 +276,10 @@ FILES: dict[str, dict[str, str]] = {
         "mission.dL": "examples/02-equivalent-lift/mission.dL",
         "mission.capabilities.yaml": "examples/02-equivalent-lift/mission.capabilities.yaml",
     },
+    "lfield/docs/mission-files.md": {
+        "north-field.plan": "tests/mavlink/files/north-field.plan",
+        "north.kml": "tests/mavlink/files/north.kml",
+    },
     "drivers/lfield_can/README.md": {"gripper.dbc": "sim-adapters/lfield_sim/can/gripper.dbc"},
     "drivers/lfield_mavlink/README.md": {"keys/alpha.key": "LICENSE"},
 }

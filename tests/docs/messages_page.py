@@ -15,6 +15,7 @@ import lfield_dynamixel.log_messages
 import lfield_mavlink.log_messages
 from lfield.capability.registry_reader import messages as registry_messages
 from lfield.errors import LfieldError, SystemRefusal
+from lfield.geodata.findings import FILE_FINDINGS
 from lfield.lang import messages as program_messages
 from lfield.operator.diagnostics import DIAGNOSES
 from lfield.service.messages import SERVICE_MESSAGES
@@ -39,7 +40,7 @@ every command that fails prints `{"error": ..., "code": ..., "exit_status": ...}
 
 
 def page() -> str:
-    """The whole page: errors, log lines, then the diagnostics of programs, registries and YAML files."""
+    """The whole page: errors, log lines, then the diagnostics of programs and of files."""
     return "\n".join(
         (
             _HEAD,
@@ -61,6 +62,9 @@ def page() -> str:
             _table(("code", "message", "hint"), _findings(registry_messages.TABLE.values())),
             "## Diagnostics of YAML files\n",
             _table(("code", "meaning"), YAML_CODES.items()),
+            "## Findings of `lfield plan check`\n",
+            "Codes from M901 on are warnings.\n",
+            _table(("code", "meaning"), ((f"`{code}`", text) for code, text in FILE_FINDINGS.items())),
             "## Findings without a position in a file\n",
             _table(("code", "meaning"), FINDING_CODES.items()),
         )

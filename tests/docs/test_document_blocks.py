@@ -32,7 +32,7 @@ REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
 #: Seconds for a line to end.
 PATIENCE = 60.0
 #: Subcommands that start no process: they run in this one.
-IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "query", "sign"})
+IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "plan", "query", "sign"})
 _RUNS: dict[str, tuple[int | str, str]] = {}
 #: Pages whose lines run a mission in processes. The same missions run on virtual time beside their pages, and
 #: the README runs that of examples/10-client-server in processes.

@@ -171,6 +171,47 @@ def test_a_constant_of_another_file_is_renamed_in_both(workspace: Workspace) -> 
     assert sorted(edit.place.path.name for edit in edits) == ["mission.L", "shared.L", "shared.L"]
 
 
+QUERY = """include <can/winch.L>;
+
+const real LEAST = 2.0;
+const string ABLE = "payload >= $far";
+
+coordinator Boss {
+    real far = 3.0;
+    init(string[] arg) {
+        string name = arg[0];
+        findLift("payload >= $LEAST && agent != $name && agent != $arg[1]");
+        print("$name");
+        findLift(ABLE);
+    }
+}
+"""
+
+
+def test_variables_in_queries(workspace: Workspace) -> None:
+    workspace.put(MISSION, QUERY)
+    assert findings_of(workspace, "mission.L") == []
+    for marked, hover in (
+        ("$LE|AST", "const real LEAST = 2.0"),
+        ("!= $na|me", "string name"),
+        ("$ar|g[1]", "string[] arg"),
+    ):
+        assert hover in workspace.hover(MISSION, offset(QUERY, marked))
+    (found,) = workspace.definitions(MISSION, offset(QUERY, "!= $na|me"))
+    assert found.start == QUERY.index("name = arg")
+    for marked, name in (("string na|me", "id"), ("$LE|AST", "LOWEST")):
+        after = QUERY
+        edits = workspace.rename(MISSION, offset(QUERY, marked), name)
+        for edit in sorted(edits, key=lambda one: -one.place.start):
+            after = after[: edit.place.start] + edit.text + after[edit.place.end :]
+        old = QUERY[edits[0].place.start : edits[0].place.end]
+        changed = QUERY.replace(f"{old} =", f"{name} =").replace(f"${old} ", f"${name} ")
+        assert after == changed
+    assert workspace.hover(MISSION, offset(QUERY, 'print("$na|me"')) == ""
+    with pytest.raises(UsageError, match="ABLE has"):
+        workspace.rename(MISSION, offset(QUERY, "real fa|r"), "near")
+
+
 @pytest.mark.parametrize(
     ("marked", "name"),
     [

@@ -39,7 +39,8 @@ class Situation:
 
     `home` is None while unknown, `here` (metres of home) likewise. `loiter` is the default radius of a circle
     in metres, `climb` the height of a return; None if unknown. `rally` are its rally points. `starts_here`:
-    the mission starts now at the vehicle's position.
+    the mission starts now at the vehicle's position. `first_number` is the number of the first item in
+    messages and jumps; None for a vehicle: messages count from 0, jumps as its autopilot does.
     """
 
     kind: str
@@ -50,6 +51,14 @@ class Situation:
     climb: Climb | None = None
     rally: Sequence[Item] = ()
     starts_here: bool = False
+    first_number: int | None = None
+
+    @property
+    def first_target(self) -> int:
+        """The number of the first item in jumps."""
+        if self.first_number is not None:
+            return self.first_number
+        return 0 if self.px4 else 1
 
 
 class MissionCheck:
@@ -63,7 +72,8 @@ class MissionCheck:
         error: Callable[[str], DeviceError],
         situation: Situation,
     ) -> None:
-        self._what, self._items, self._limits, self._error = what, items, limits, error
+        self._prefix = f"{what}: " if what else ""
+        self._items, self._limits, self._error = items, limits, error
         self._at = situation
         self._path: list[tuple[int, Vector]] | None = None
 
@@ -73,7 +83,7 @@ class MissionCheck:
         """Raises DeviceError when an item is invalid regardless of limits."""
         if item.command in PLACED:
             self._check_place(number, item)
-        first = 0 if self._at.px4 else 1
+        first = self._at.first_target
         jumps = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
         if item.command in jumps and not first <= item.parameters[0] < len(self._items) + first:
             raise self._error_for(
@@ -170,7 +180,7 @@ class MissionCheck:
         for start, before in self._starts(number, item):
             goal, after = self._position(item), self._after(number)
             for corner in spline_corners(before, start, goal, after):
-                self._limits.check_goal(f"{self._what}: the curve of item {number}", corner)
+                self._limits.check_goal(f"{self._prefix}the curve of item {self._shown(number)}", corner)
 
     def arc(self, number: int, item: Item) -> None:
         """An arc from the previous position to this one; parameter 1 is its angle in degrees."""
@@ -180,7 +190,7 @@ class MissionCheck:
             if corners is None:
                 raise self._error_for(number, item, f"there is no arc of {item.parameters[0]:g} degrees")
             for corner in corners:
-                self._limits.check_goal(f"{self._what}: the arc of item {number}", corner)
+                self._limits.check_goal(f"{self._prefix}the arc of item {self._shown(number)}", corner)
 
     def speed(self, number: int, item: Item) -> None:
         """Airspeed (0) and ground speed (1) are checked; climb (2) and descent (3) are not.
@@ -208,11 +218,11 @@ class MissionCheck:
             climb = self._at.climb
             if climb is None:
                 raise self._error_for(number, item, "the height of its return is not known")
-            self._limits.check_return(f"{self._what}: item {number}", climb.height, climb.name)
+            self._limits.check_return(f"{self._prefix}item {self._shown(number)}", climb.height, climb.name)
             if climb.least:
                 highest = max((-place[2] for _, place in self._places()), default=0.0)
                 self._limits.check_return(
-                    f"{self._what}: item {number}", highest + climb.least, climb.least_name
+                    f"{self._prefix}item {self._shown(number)}", highest + climb.least, climb.least_name
                 )
         for index, point in enumerate(self._at.rally):
             self.rally_point(index, point)
@@ -221,7 +231,7 @@ class MissionCheck:
         """A destination of a return; PX4's heights of a return are relative to its destination."""
         if self._at.px4 and self._at.climb is not None:
             item = replace(item, z=item.z + self._at.climb.height)
-        self._check_goal(number, item, subject=f"{self._what}: rally point {number}")
+        self._check_goal(number, item, subject=f"{self._prefix}rally point {number}")
 
     def fence(self, number: int, item: Item) -> None:
         """Disabling the autopilot's own fence removes the protection for a failure of this computer."""
@@ -234,7 +244,7 @@ class MissionCheck:
         if highest and self._at.home is not None:
             self._check_height(number, item, highest - self._at.home.altitude)
         if farthest:
-            self._limits.check_goal(f"{self._what}: item {number}", (farthest, 0.0, 0.0))
+            self._limits.check_goal(f"{self._prefix}item {self._shown(number)}", (farthest, 0.0, 0.0))
 
     # -- steps --------------------------------------------------------------------------------------------
 
@@ -253,7 +263,7 @@ class MissionCheck:
         if away is None and extent and self._limits.bounds_radius:
             raise self._error_for(number, item, "it circles its position at that time, which is not known")
         north, east = away or (0.0, 0.0)
-        label = subject or f"{self._what}: waypoint {number}"
+        label = subject or f"{self._prefix}waypoint {self._shown(number)}"
         self._limits.check_goal(label, (north, east, -height), extent if self._limits.bounds_radius else 0.0)
 
     def _away(self, number: int, item: Item) -> tuple[float, float] | None:
@@ -266,10 +276,14 @@ class MissionCheck:
         north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
         return north, east
 
+    def _shown(self, number: int) -> int:
+        """The number of an item in messages."""
+        return number + (self._at.first_number or 0)
+
     @property
     def _home(self) -> Place:
         if self._at.home is None:
-            raise self._error(f"{self._what}: the home position is unknown; call waitReady()")
+            raise self._error(f"{self._prefix}the home position is unknown; call waitReady()")
         return self._at.home
 
     def _above_home(self, item: Item, height: float) -> float | None:
@@ -286,14 +300,14 @@ class MissionCheck:
         if height is None:
             raise self._error_for(number, item, "the height of this item is not known")
         if not math.isnan(height):
-            self._limits.check_goal(f"{self._what}: item {number}", (0.0, 0.0, -height))
+            self._limits.check_goal(f"{self._prefix}item {self._shown(number)}", (0.0, 0.0, -height))
 
     def _check_speed(self, number: int, item: Item, speed: float) -> None:
         if not self._limits.bounds_speed:
             return
         if not speed >= 0.0:
             raise self._error_for(number, item, f"{speed:g} is not known to be within the speed limit")
-        self._limits.check_speed(f"{self._what}: item {number}", speed)
+        self._limits.check_speed(f"{self._prefix}item {self._shown(number)}", speed)
 
     def _circle(self, item: Item, radius: float) -> float:
         """The radius flown around an item; a copter stays on the spot except for LOITER_TURNS."""
@@ -346,4 +360,6 @@ class MissionCheck:
         return next((place for index, place in self._places() if index > number), None)
 
     def _error_for(self, number: int, item: Item, reason: str) -> DeviceError:
-        return self._error(f"{self._what}: item {number}, {command_name(item.command)}, refused: {reason}")
+        return self._error(
+            f"{self._prefix}item {self._shown(number)}, {command_name(item.command)}, refused: {reason}"
+        )

@@ -17,7 +17,7 @@ from lfield.lang.language_library import (
     array_methods,
     library_of_array,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_STATEMENTS, variable_hint
 from lfield.lang.types import (
     LIBRARY_CLASSES,
     LOOP,
@@ -63,7 +63,7 @@ def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
         body.report(messages.CALL_WITHOUT_PARENTHESES, raw.span, name=name, call=f"{name}()")
     elif name in body.symbols.units:
         _type_as_value(body, raw, body.symbols.units[name])
-    elif not (body.scope.is_uncertain() or body.is_broken()):
+    elif not (body.scope.is_uncertain() or body.is_broken() or body.symbols.missing):
         body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, raw), name=name)
 
 

@@ -11,6 +11,7 @@ from lfield.lang.checker.control_flow import check_flow
 from lfield.lang.checker.declaration_pass import DeclaredUnit
 from lfield.lang.checker.expressions import assigned
 from lfield.lang.checker.library.future_calls import check_futures
+from lfield.lang.checker.library.sequencing_calls import make_stoppable
 from lfield.lang.checker.loops.loop_thread import check_loop
 from lfield.lang.checker.scope import BodyContext, Scope
 from lfield.lang.checker.statements import statements
@@ -37,7 +38,14 @@ def check_program(
     `complete` is False when a file is missing. `generated` are the classes made from `capabilities`.
     """
     incomplete = not complete or any(file.broken for file in files)
-    symbols = Symbols(devices, found, incomplete=incomplete, capabilities=capabilities, generated=generated)
+    symbols = Symbols(
+        devices,
+        found,
+        incomplete=incomplete,
+        missing=not complete,
+        capabilities=capabilities,
+        generated=generated,
+    )
     declared_program = declare_program(symbols, files)
     units = declared_program.units
     for declared in units:
@@ -45,6 +53,7 @@ def check_program(
     for function in declared_program.functions:
         check_function(symbols, function)
     check_library(symbols)
+    make_stoppable([declared.unit for declared in units])
     sources = [*(file.source for file in files), *symbols.library.sources.values()]
     all_units = [*(declared.unit for declared in units), *symbols.library.units]
     return CheckedProgram(all_units, sources, frozenset(symbols.growing), tuple(symbols.enums.values()))

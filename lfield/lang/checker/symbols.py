@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.language_library import FUNCTIONS
-from lfield.lang.parser.foreign_words import type_hint
+from lfield.lang.parser.foreign.foreign_words import type_hint
 from lfield.lang.standard_library.instances import LibraryUses
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (
@@ -63,7 +63,8 @@ class Symbols:
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
     `incomplete`: declarations may be missing (a syntax error, a missing include), so unknown types are not
-    reported. `broken_units` may lack members for the same reason.
+    reported; `missing`: a file is, so unknown names are not reported either. `broken_units` may lack members
+    for the same reason.
     """
 
     devices: Mapping[str, DeviceManifest]
@@ -74,6 +75,7 @@ class Symbols:
     functions: dict[str, list[Function]] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
+    missing: bool = False
     capabilities: CapabilityTypes | None = None
     generated: frozenset[str] = frozenset()
     #: The types of arrays that the program makes longer or shorter, and what it uses of the library in L.

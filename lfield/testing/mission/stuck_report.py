@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from lfield.simulate.host_fleet import Fleet, HostLife
 from lfield.testing.mission.recorders import Hop
 from lfield.text.suggestions import listed
-from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.agent import POLLS, WAITS, Agent, TeamMember
 from lfield.vm.inspection import traceback
 from lfield.vm.memory.layout import (
     BLOCKED,
     CALLING,
     STATE_NAMES,
+    THREAD_ID,
     THREAD_PC,
     THREAD_STATE,
     W_GENERATION,
@@ -41,7 +42,7 @@ def stuck_report(fleet: Fleet, ended: Mapping[str, str], hops: Sequence[Hop]) ->
             if not _has_left(fleet, agent):
                 lines += _agent(fleet, life, agent)
     present = {id for life in fleet.lives.values() for id in life.core.machine.agents}
-    missing = (member for member in fleet.mission.team.coordinators if member.id not in present)
+    missing = (member for member in fleet.mission.team.initial_coordinators if member.id not in present)
     return lines + [_missing(fleet, member, ended.get(member.id, ""), hops) for member in missing]
 
 
@@ -104,6 +105,8 @@ def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
         return f"waits for {_instruction(life, agent, place)}"
     if agent.id in life.core.machine.hooks.stubs:
         return "its double has not returned yet"
+    if agent.monitor_waits.get(agent.block.w[place + THREAD_ID]) in (WAITS, POLLS):
+        return "waits until its condition holds,"
     if state == BLOCKED:
         return f"waits for the lock {_holder(life, agent)},"
     if agent.member.kind == "coordinator":
@@ -138,7 +141,7 @@ def _holder(life: HostLife, agent: Agent) -> str:
     place = place_of(agent.block, thread)
     if not place:
         return "that is free"
-    caller = life.core.machine.caller(agent, thread)
+    caller = life.core.machine.served_calls.caller(agent, thread)
     return f"that {caller.id if caller else agent.id} holds {_position(life, agent, place)}"
 
 

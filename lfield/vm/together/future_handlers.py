@@ -63,9 +63,11 @@ class FutureHandlers:
     def _on_next(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         running = self._fetch(agent, thread)
         index = self._first_returned(agent, thread)
+        if agent.overdue and self._deadlines.expire(agent):
+            return
         if index is not None:
             self._complete(agent, thread, index)
-        elif not (agent.overdue and self._deadlines.expire(agent)):
+        else:
             self._await_any(agent, thread, running)
 
     def _on_ended(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:

@@ -91,6 +91,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("query", 69): ("query Lift", "no mission is running"),
     ("capabilities", 65): ("capabilities check latin.yaml", "latin.yaml:1:4: error["),
     ("capabilities", 66): ("capabilities check none.yaml", "cannot read none.yaml"),
+    ("plan", 65): ("plan check latin.L", "latin.L: it is neither"),
+    ("plan", 66): ("plan check none.plan", "cannot read none.plan"),
+    ("plan", 73): ("plan show area.geojson --out none/x.svg", "cannot write none/x.svg"),
     ("inventory", 65): ("inventory show --inventory latin.yaml", "latin.yaml:1:4: error["),
     ("inventory", 66): ("inventory show --inventory none.yaml", "cannot read none.yaml"),
     ("inventory", 69): ("inventory check --inventory team.yaml --json", "127.0.0.1:1"),
@@ -159,6 +162,7 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("recover", 1): "operations/test_recover_command.py",
     ("start", 1): "stops/test_start_command.py",
     ("watch", 69): "watch/test_watch.py",
+    ("plan", 69): "device/test_plan_command.py",
     ("setup", 1): "device/test_setup_command.py",
     ("setup", 73): "device/test_setup_command.py",
     ("kit", 1): "device/test_kit_command.py",
@@ -205,6 +209,7 @@ def files(lfield):
     lfield.write("team.yaml", "hosts: {alpha: {addresses: ['127.0.0.1:1'], service_port: 2, ssh_port: 3}}\n")
     lfield.write("nowhere.yaml", "hosts: {alpha: {addresses: [no.such.host.invalid]}}\n")
     lfield.write("away.yaml", "hosts:\n  alpha:\n    addresses: [127.0.0.1]\n    ssh_port: 1\n")
+    lfield.write("area.geojson", '{"type": "Polygon", "coordinates": [[[8, 47], [8.1, 47], [8, 47.1]]]}')
     for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
         lfield.write(f"latin.{ending}", b"abc\xe9")
     return lfield

@@ -11,6 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lfield.lang.language_library import (
+    ENUM_METHODS,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
     LIBRARY_OF_ARRAYS,
@@ -44,6 +46,8 @@ def library_table() -> str:
         ("future", LIBRARY_OF_FUTURES),
         ("futures", RACES),
         ("string", STRING_METHODS),
+        ("member", ENUM_VALUE_METHODS),
+        ("Enum", ENUM_METHODS),
         ("exception", EXCEPTION_METHODS),
         ("loop", LOOP_METHODS),
         ("proxy", PROXY_METHODS),

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import random
 import re
+import zlib
+from collections.abc import Iterator
 from itertools import count
 
 from engine_fuzzer.calculations import random_calculation
@@ -95,7 +97,10 @@ _OF_WALKERS = (
     # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
     'st = findStore("" + #);|string',
 )
-_OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+_OF_STORES = (
+    *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
+    *("write(read(0.25));|", "s0 = read(#);|real"),
+)
 #: What a synchronized method of a resource does besides.
 _IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
 #: What coordinators ask, by how many portals there are.
@@ -238,6 +243,100 @@ class _ProgramGenerator:
         return written("", f"\nloop loop{number} {rate}{priority} {{ int d = 3; {throws}\n#\n}}", body)
 
 
+# --- constants, enums and functions -------------------------------------------------------------------------
+
+#: Which of so many programs has them.
+_TOP_LEVEL_EVERY = 3
+_TOP_LEVEL = """
+const int MANY = 5 * LEAST - 3;
+const int LEAST = -2;
+const real CALM = 2.5 / 4;
+const string LABEL = "l" + "ö";
+const boolean LOUD = !(MANY > 0) && LABEL != "";
+const Phase FIRST = Phase.HOME;
+enum Phase { SEARCH, LIFT, HOME }
+
+int squared(int n) { return n * n % 1000003; }
+real squared(real x) { return x * x; }
+int steps(int n) { if (n < 2) return n; return steps(n - 1) + steps(n - 2); }
+boolean isEven(int n) { if (n < 0) return isEven(-n % 50); return n == 0 || isOdd(n % 50 - 1); }
+boolean isOdd(int n) { return n != 0 && isEven(n % 50 - 1); }
+string doubled(string s) { if (s.length() > 40) return LABEL; return s + s; }
+boolean larger(int a, int b) { return a > b; }
+int[] copied(int[] given) {
+int[] made = new int[0];
+for (int n : given) made.append(squared(n));
+if (made.length() < 20) made.sort(larger);
+return made; }
+int[] sliced(int[] given) {
+if (given.length() < 2) throw new IndexException(LABEL);
+return given.slice(0, 2); }
+Phase following(Phase p) { if (p == Phase.HOME) return Phase.SEARCH; return Phase.values()[p.ordinal() + 1]; }
+Phase ranked(int n) {
+Phase p = FIRST;
+for (int i = 0; i < abs(n % 4); i += 1) p = following(p);
+return p; }
+int counted(int[] given) {
+map<Phase, int> found = new map<Phase, int>();
+for (int n : given) { Phase p = ranked(n); if (!found.contains(p)) found[p] = 0; found[p] += 1; }
+int sum = 0;
+for (Phase p : found) sum = sum * 7 + found[p] + p.ordinal();
+return sum; }
+int attempted(string s) {
+try { return Phase.of(s).ordinal(); }
+catch (ConversionException e) { return s.length(); } finally { s = ""; } }
+"""
+#: By type, what an expression becomes: `#` is what it was.
+_TOP_LEVEL_FORMS = {
+    "int": (
+        *("squared(#)", "steps(# % 12)", "(# + MANY)", "ranked(#).ordinal()", "attempted(i2s(#))"),
+        *("counted(new int[] {#, MANY, 1, 4})", "copied(new int[] {#, LEAST})[1]", "(# * LEAST)"),
+    ),
+    "real": ("squared(#)", "(# * CALM)", "i2f(squared(f2i(#)))"),
+    "boolean": (
+        "(isEven(MANY) == #)",
+        "(# || ranked(MANY) > FIRST)",
+        "(LOUD && #)",
+        "(# != (FIRST == Phase.LIFT))",
+    ),
+    "string": ("doubled(#)", "(# + LABEL)", "(ranked(#.length()).name() + #)", "(FIRST.name() + #)"),
+    "int[]": ("copied(#)", "sliced(#)"),
+}
+
+
+def _with_top_level(program: ProgramPiece) -> ProgramPiece:
+    """The program, or one of every few with constants, enums and functions, which get some expressions.
+
+    Which ones is decided by the text of the program, so that the dice give the same programs as before.
+    """
+    text = program.text()
+    chance = zlib.crc32(text.encode("utf-8"))
+    if chance % _TOP_LEVEL_EVERY:
+        return program
+    rng = random.Random(chance)
+    places = [piece for piece in _values(program) if piece.kind in _TOP_LEVEL_FORMS]
+    for piece in rng.sample(places, min(len(places), rng.randint(1, 12))):
+        form = rng.choice(_TOP_LEVEL_FORMS[piece.kind])
+        piece.parts = written(
+            piece.kind, form, *([ProgramPiece(piece.kind, piece.parts)] * form.count("#"))
+        ).parts
+    return written("", "##", program, ProgramPiece("", [_TOP_LEVEL]))
+
+
+def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:
+    """The expressions that are read, not assigned to or changed."""
+    for piece in program.pieces():
+        for at, part in enumerate(piece.parts):
+            following = piece.parts[at + 1] if at + 1 < len(piece.parts) else ""
+            before = following.lstrip() if isinstance(following, str) else ""
+            is_read = before[:1] not in (".", "[", "=") or before[:2] == "=="
+            for one in part if isinstance(part, list) else [part]:
+                if isinstance(one, ProgramPiece) and one.kind and is_read:
+                    yield one
+
+
 def random_program(rng: random.Random) -> ProgramPiece:
     """A program by what the dice say; `ProgramPiece.text` is its L."""
-    return random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
+    return _with_top_level(
+        random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
+    )
