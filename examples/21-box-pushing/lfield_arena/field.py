@@ -83,6 +83,8 @@ class Field:
     all_prey: list[Prey] = field(default_factory=list)
     ball: Ball | None = None
     world: World = field(default_factory=World)
+    #: The sides whose teams have reported to the referee.
+    ready: set[str] = field(default_factory=set)
     #: Seconds since the start.
     now: float = field(default=0.0)
 
@@ -99,12 +101,19 @@ class Field:
         )
 
     @property
+    def plays(self) -> bool:
+        """Whether a match has begun, where it needs a referee."""
+        return not self.world.referee or len(self.ready) == 2
+
+    @property
     def free_prey(self) -> list[Prey]:
         """The prey that is not caught."""
         return [prey for prey in self.all_prey if not prey.caught]
 
     def step(self, seconds: float) -> None:
-        """Advances time."""
+        """Advances time; before a kick-off nothing moves."""
+        if not self.plays:
+            return
         self.now += seconds
         hunters = [robot.place for robot in self.robots.values()]
         for prey in self.free_prey:

@@ -1,6 +1,6 @@
 """Marches over terrain that slows rovers, and through wind that moves copters.
 
-`python examples/20-formation/terrain.py` prints a table.
+`python examples/20-formation/terrain_marches.py` prints a table.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ TERRAINS: tuple[tuple[str, Terrain], ...] = (
 
 @dataclass(frozen=True)
 class March:
-    """A march: how many arrived, its seconds, the longest step of a rover in seconds, hops."""
+    """A march: how many arrived, its end in s, the greatest distance from the middle in m, hops."""
 
     arrived: int
     seconds: float

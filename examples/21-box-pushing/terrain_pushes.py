@@ -1,6 +1,6 @@
 """Boxes on slopes and in mud: how near to its goal three rovers bring one.
 
-`python examples/21-box-pushing/terrain.py` prints a table.
+`python examples/21-box-pushing/terrain_pushes.py` prints a table.
 """
 
 from __future__ import annotations
