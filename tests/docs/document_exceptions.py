@@ -186,6 +186,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "examples/20-formation/README.md": {
         "lfield up --deploy examples/20-formation/mission.dL --all --sim --until-done": FORMATION,
         "lfield test examples/20-formation": SUITE,
+        "python examples/20-formation/terrain_marches.py": FORMATION,
         "carol | march: the march is over; the coordinator migrated 100 times": FORMATION,
     },
     "examples/20-gps-driver/README.md": {
@@ -200,6 +201,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/21-box-pushing/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/21-box-pushing": ARENA,
+        "python examples/21-box-pushing/terrain_pushes.py": ARENA,
         "centre    | movers: the box is at (2.99, 1.00), heading 0.50 after 24 steps and 101 hops": ARENA,
     },
     "examples/22-predators/README.md": {
@@ -213,6 +215,9 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/23-soccer/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/23-soccer": ARENA,
+        "lfield up --deploy examples/23-soccer/red.dL --all --sim --until-done &": ARENA,
+        "lfield up --deploy examples/23-soccer/blue.dL --all --sim --until-done": ARENA,
+        "python examples/23-soccer/league.py": ARENA,
     },
     "drivers/lfield_mavlink/README.md": {
         "lfield setup --deploy mission.dL": SETUP,
