@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lfield.driver import Clock, DeviceBinding, DeviceError, Frame, Manifest, Reports, Setting
+from lfield.driver import (
+    Clock,
+    DeviceBinding,
+    DeviceError,
+    Frame,
+    Manifest,
+    Reports,
+    Setting,
+    SettingsComparison,
+)
 from lfield_mavlink import log_messages
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.exchange import is_for_us
@@ -36,6 +45,7 @@ from lfield_mavlink.services.autopilot_version import AutopilotVersion
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_transfer import PlanTransfer
+from lfield_mavlink.setting_store import SettingStore
 from lfield_mavlink.vehicle_facts import VehicleFacts
 from lfield_mavlink.watchdog import Watchdog
 
@@ -83,6 +93,7 @@ class MavlinkVehicle(Contact):
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
         self.motion = Motion(self, self.parameters, links.others)
         self.watchdog = Watchdog(self, self.parameters)
+        self._store = SettingStore(self, self.parameters, self.watchdog)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
         returns = Returns(self, limits, self.parameters, self.plans)
@@ -288,6 +299,14 @@ class MavlinkVehicle(Contact):
 
     async def _write_setting(self, name: str, value: float) -> None:
         await self.parameters.write(name, value)
+
+    async def stored_settings(self, names: Iterable[str]) -> Mapping[str, float]:
+        """See `StoredSettings`."""
+        return await self._store.values(names)
+
+    async def compare_settings(self, file: str, data: bytes) -> SettingsComparison:
+        """See `StoredSettings`."""
+        return await self._store.compare(file, data)
 
     def _in_use(self) -> str:
         return "its motors are on" if self.state.armed else ""
