@@ -62,6 +62,8 @@ class HybridClock:
         #: Wall-clock time minus monotonic time; the same at the last report of a jump, and when that was.
         self._offset = self._known_offset = wall - now
         self._reported_at = -math.inf
+        #: These three, as another tuple after each change.
+        self.settings = self._offset, self._known_offset, self._reported_at
         #: The hosts that are too far ahead.
         self._reported: set[str] = set()
         #: The greatest timestamp that this clock has given or followed.
@@ -71,18 +73,22 @@ class HybridClock:
     @property
     def state(self) -> tuple[int, float, float, float]:
         """All that its next timestamps depend on, for `restore`."""
-        return self.last, self._offset, self._known_offset, self._reported_at
+        return self.last, *self.settings
 
     def restore(self, state: tuple[int, float, float, float]) -> None:
         """Continue from a `state`."""
         self.last, self._offset, self._known_offset, self._reported_at = state
+        self.settings = self._offset, self._known_offset, self._reported_at
 
     def set_wall_time(self, now: float, wall: float) -> None:
         """Read the wall clock again."""
         self._offset = wall - now
         jump = self._offset - self._known_offset
-        if abs(jump) >= MIN_JUMP and now - self._reported_at >= REPORT_INTERVAL:
+        is_reported = abs(jump) >= MIN_JUMP and now - self._reported_at >= REPORT_INTERVAL
+        if is_reported:
             self._known_offset, self._reported_at = self._offset, now
+        self.settings = self._offset, self._known_offset, self._reported_at
+        if is_reported:
             self._on_jump(jump)
 
     def wall_time(self, now: float) -> float:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hunts
 import pytest
 
 #: The radii of a predator and of the prey, in metres.
@@ -118,3 +119,22 @@ def test_who_is_back_hunts_again(lfield_mission):
     assert team.said("black hunts again") == 1
     assert team.said("caught by 4") == 1
     assert surrounded(team)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    "world", ["mind=random size=8", "prey=2", "predators=5 mind=away", "moves=4 prey_moves=4 predators=3"]
+)
+def test_they_catch_in_other_worlds(world):
+    end = hunts.hunt(world, 1)
+    assert end.caught == end.prey
+    assert 0 < end.steps < 200 * end.prey
+
+
+@pytest.mark.few(0)
+def test_the_table_of_the_page_is_that_of_the_script():
+    (world,) = [world for name, world in hunts.WORLDS if name == "prey stands still"]
+    page = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
+    ends = [hunts.hunt(world, seed) for seed in range(hunts.RUNS)]
+    assert hunts.row("prey stands still", ends) in page
+    assert all(f"| {name} | " in page for name, _ in hunts.WORLDS)

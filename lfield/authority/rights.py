@@ -13,6 +13,7 @@ from lfield.wire.observer_messages import (
     BallotHold,
     EmergencyStop,
     ForgetRequest,
+    InputLine,
     Pause,
     RecoverRequest,
     StartRequest,
@@ -51,6 +52,8 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     ForgetRequest: (Right.OPERATE, None),
     RecoverRequest: (Right.OPERATE, None),
     StartRequest: (Right.OPERATE, None),
+    # Programs act on it.
+    InputLine: (Right.OPERATE, None),
     ServiceQuery: (Right.OBSERVE, None),
     BundleOffer: (Right.COMMAND, None),
     BundlePiece: (Right.COMMAND, None),

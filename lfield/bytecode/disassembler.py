@@ -73,13 +73,17 @@ def type_name(program: Program, index: int) -> str:
 def _plain_name(program: Program, record: TypeRecord) -> str:
     if record.kind == TICKET:
         return "ticket"
-    if record.kind < len(_SIMPLE_TYPES):
+    if record.kind < len(_SIMPLE_TYPES) and not record.of:
         return _SIMPLE_TYPES[record.kind]
     return program.core.classes[record.of].name
 
 
 def _class_lines(program: Program, index: int) -> Iterator[str]:
     record = program.core.classes[index]
+    if index in program.core.enum_classes:
+        yield f"enum {record.name}"
+        yield from (f"  {number:>3}  {field.name}" for number, field in enumerate(record.fields))
+        return
     usage = f" {record.usage} specific" if record.kind == "class" and record.usage != "global" else ""
     label = "capability" if record.capability else record.kind
     yield f"{label} {record.name}{usage}"

@@ -356,6 +356,96 @@ TABLE: tuple[Opcode, ...] = (
         "Releases these resources without waiting: replaces the numbers by 0.",
         exits=True,
     ),
+    # loops of resources
+    _head(
+        1870,
+        "tick",
+        "int int->int",
+        "Ends a tick of a loop and waits for the next one: 1 is the time of this tick (-1: none), 2 the "
+        "period, the result the time of the next one, in ns of the resource; ArithmeticException.",
+        exits=True,
+    ),
+    _head(
+        1871,
+        "suppress",
+        "",
+        "Suppresses the body of another loop: CancelledException at its next pause and acting device "
+        "instructions, until its tick ends.",
+        "M",
+        True,
+    ),
+    _head(
+        1872,
+        "control",
+        "",
+        "Until its tick ends only loops of this resource command its devices; DeviceException for others.",
+        exits=True,
+    ),
+    _head(1873, "tick_failed", "ref", "Reports the exception that has ended a tick of a loop.", exits=True),
+    # the operator's input
+    _head(
+        1850,
+        "read_line",
+        "real->string",
+        "A line of the operator's input at this host, within a time in seconds; TimeLimitException.",
+        exits=True,
+    ),
+    # calls that are begun now and fetched later: the ticket of a future is a sentinel with one call
+    _head(1830, "launch", "ref", "Starts the call of a ticket: goes to its host.", exits=True),
+    _head(
+        1831,
+        "next",
+        "ref->int",
+        "Waits until a call of a ticket, or of an array of futures, has ended, and fetches its result: its "
+        "index, or -1 if there is none.",
+        exits=True,
+    ),
+    _head(
+        1832,
+        "ended",
+        "ref->boolean",
+        "Goes to the host of the call of a ticket, and fetches its result if it has ended.",
+        exits=True,
+    ),
+    _head(
+        1833,
+        "cancel",
+        "ref",
+        "Cancels the calls of a ticket, or of an array of futures, waits until they have ended, and fetches "
+        "their results.",
+        exits=True,
+    ),
+    _head(
+        1834,
+        "failure",
+        "ref->ref",
+        "The exception of the first fetched call of a ticket, or of an array of futures, that has failed, "
+        "with those of the others suppressed; null without one.",
+        exits=True,
+    ),
+    # waiting in a monitor
+    _head(
+        1840,
+        "wait_limit",
+        "real->int",
+        "The end of a wait of so many seconds on the clock of the host, in ns; ArithmeticException for NaN.",
+        exits=True,
+    ),
+    _head(
+        1841,
+        "wait_leave",
+        "int boolean->int",
+        "Leaves the monitor, however often it was entered, and returns how often; TimeLimitException after "
+        "the end 1 (0: none). 2: the awaited condition reads a clock or a device.",
+        exits=True,
+    ),
+    _head(
+        1842,
+        "wait_enter",
+        "int int",
+        "Waits until another thread has left the monitor, at most to the end 2, and enters it 1 times.",
+        exits=True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

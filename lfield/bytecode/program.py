@@ -90,7 +90,10 @@ class Quad(NamedTuple):
 
 class TypeRecord(msgspec.Struct, frozen=True, array_like=True):
     """A type: its kind, and the element type of an ARRAY, the ARRAY of a GROWABLE, or the class of an OBJECT
-    or PROXY."""
+    or PROXY.
+
+    An INT with a class is an enum: an int like any other to the machine. The class has its members as fields.
+    """
 
     kind: int
     of: int = 0
@@ -154,7 +157,8 @@ class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
     """A subroutine: instructions entry..end-1. Slot 0 is the object; slots 1..parameters its arguments.
 
     `slots` are the type indexes of all slots; `result` a type index (VOID for none). `kind` is "method",
-    "constructor", "init" or "portal". Handlers are ordered innermost first.
+    "constructor", "init", "portal", "loop" (its body) or "ticks" (its thread). Handlers are ordered innermost
+    first.
     """
 
     name: str
@@ -238,6 +242,17 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
             self.types[record.of].of: i for i, record in enumerate(self.types) if record.kind == GROWABLE
         }
         return plain | growing
+
+    def enum_members(self, index: int) -> tuple[str, ...]:
+        """The names of the members of an enum by the index of its type; () for any other type."""
+        record = self.types[index]
+        is_enum = record.kind == INT and record.of
+        return tuple(field.name for field in self.classes[record.of].fields) if is_enum else ()
+
+    @property
+    def enum_classes(self) -> frozenset[int]:
+        """The classes that have the members of enums."""
+        return frozenset(record.of for record in self.types if record.kind == INT and record.of)
 
     @property
     def builtins(self) -> int:

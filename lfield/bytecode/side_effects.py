@@ -17,7 +17,7 @@ from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program, Quad
 
 _CALL, _MOVE, _PUSH, _DEVICE = (BY_NAME[name].code for name in ("call", "move", "push", "device"))
-_HEARTBEAT = BY_NAME["heartbeat_interval"].code
+_HEARTBEAT, _READ = BY_NAME["heartbeat_interval"].code, BY_NAME["read_line"].code
 _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
 #: Heads that change their first argument.
 _CHANGES = frozenset(BY_NAME[name].code for name in ("append", "insert", "remove", "remove_last"))
@@ -25,7 +25,7 @@ _CHANGES = frozenset(BY_NAME[name].code for name in ("append", "insert", "remove
 _ALLOCATIONS = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine without an effect, except on logs, time and random numbers.
 _QUERIES = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
-_HARMLESS_PREFIXES = ("write", "print", *_QUERIES, "yield", "sleep")
+_HARMLESS_PREFIXES = ("write", "print", *_QUERIES, "yield", "sleep", "wait")
 _HARMLESS = frozenset(
     row.code for row in BY_CODE.values() if row.name.partition("_")[0] in _HARMLESS_PREFIXES
 )
@@ -78,15 +78,26 @@ def fenced_classes(program: Program) -> frozenset[str]:
 
     Every method of the class counts, also uncalled ones and constructors.
     """
+    return _classes_leading_to(program, _HEARTBEAT, "coordinator")
+
+
+@lru_cache(maxsize=8)
+def reading_classes(program: Program) -> frozenset[str]:
+    """The resources of a verified program with a method that leads to a `read`."""
+    return _classes_leading_to(program, _READ, "resource")
+
+
+def _classes_leading_to(program: Program, code: int, kind: str) -> frozenset[str]:
+    """The classes of a kind with a method that leads to an instruction."""
     methods = program.core.methods
     heads = [{(quad.op, quad.a) for quad in program.quads[m.entry : m.end]} for m in methods]
-    leads = {i for i, found in enumerate(heads) if any(op == _HEARTBEAT for op, _ in found)}
+    leads = {i for i, found in enumerate(heads) if any(op == code for op, _ in found)}
     before = -1
     while before != len(leads):
         before = len(leads)
         leads |= {i for i, found in enumerate(heads) if any(op == _CALL and a in leads for op, a in found)}
     classes = [program.core.classes[methods[i].owner] for i in leads]
-    return frozenset(record.name for record in classes if record.kind == "coordinator")
+    return frozenset(record.name for record in classes if record.kind == kind)
 
 
 def _changes_of_call(changes: int, arguments: list[int]) -> int:

@@ -8,6 +8,7 @@ from lfield.capability import condition_parser
 from lfield.capability.condition_tree import Mistake
 from lfield.capability.matching.condition_checker import NameScope, check_expression
 from lfield.capability.model import Attribute, Expression, OfferQuery, SortKey
+from lfield.capability.query_values import SEPARATOR, standalone
 from lfield.errors import ConstraintError
 
 
@@ -23,31 +24,49 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
 
 def compile_query(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
     """A wish over the attributes of offers. Raises ConstraintError with everything wrong in it."""
-    question, mistakes = read_query(text, attributes)
-    if question is None or mistakes:
+    query, mistakes = read_query(text, attributes)
+    if query is None or mistakes:
         raise _constraint_error(text, mistakes)
-    return question
+    return query
 
 
-def read_query(text: str, attributes: Mapping[str, Attribute]) -> tuple[OfferQuery | None, list[Mistake]]:
-    """The wish in a text, or None and everything wrong in it."""
-    written, mistakes = condition_parser.parse_query(text)
+def compile_template(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
+    """A compiled query whose values are not bound yet. Raises ConstraintError."""
+    query, mistakes = read_query(text, attributes, parameters=True)
+    if query is None or mistakes:
+        raise _constraint_error(text, mistakes)
+    return query
+
+
+def read_query(
+    text: str, attributes: Mapping[str, Attribute], *, parameters: bool = False
+) -> tuple[OfferQuery | None, list[Mistake]]:
+    """The wish in a text, or None and everything wrong in it.
+
+    With `parameters`, it is a compiled query, with `$n0` for the first value.
+    """
+    written, mistakes = condition_parser.parse_query(text, parameters=parameters)
     if written is None:
         return None, mistakes
     scope = NameScope.of_offer(attributes)
     wished = written.condition
     condition = None if wished is None else Expression(written.text, wished)
-    keys = tuple(SortKey(Expression(tree.span.text, tree), descending) for tree, descending in written.order)
     if condition is not None:
         mistakes += check_expression(condition, scope, "boolean")
-    for key in keys:
-        mistakes += check_expression(key.value, scope, "number")
+    for tree, _ in written.order:
+        mistakes += check_expression(Expression(tree.span.text, tree), scope, "number")
+    keys = tuple(SortKey(standalone(tree), descending) for tree, descending in written.order)
     return (None if mistakes else OfferQuery(condition, keys, written.limit)), mistakes
 
 
 def _constraint_error(text: str, mistakes: list[Mistake]) -> ConstraintError:
     shown = text if len(text) <= 80 else f"{text[:77]}..."
     return ConstraintError(shown, [str(mistake) for mistake in mistakes])
+
+
+def _compiled(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery | None:
+    query = text.removesuffix(SEPARATOR)
+    return read_query(query, attributes, parameters=query != text)[0]
 
 
 def parse_expression(text: str) -> tuple[Expression | None, list[Mistake]]:
@@ -59,7 +78,10 @@ def parse_expression(text: str) -> tuple[Expression | None, list[Mistake]]:
 def compile_constants(
     constants: Iterable[object], attributes: Mapping[str, Attribute]
 ) -> dict[str, OfferQuery]:
-    """Those constants of a program that are valid queries, compiled. Other texts are left out."""
+    """Those constants of a program that are valid queries, compiled. Other texts are left out.
+
+    A text that ends with a SEPARATOR is a query with parameters.
+    """
     texts = (constant for constant in constants if isinstance(constant, str))
-    found = ((text, read_query(text, attributes)[0]) for text in sorted(texts))
+    found = ((text, _compiled(text, attributes)) for text in sorted(texts))
     return {text: query for text, query in found if query is not None}

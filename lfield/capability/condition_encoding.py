@@ -16,10 +16,13 @@ from lfield.capability.condition_tree import (
     ConditionLiteral,
     ConditionMember,
     ConditionName,
+    ConditionParameter,
     ConditionUnary,
 )
 from lfield.text.source_text import Source, Span
 
+#: The longest name of a parameter.
+MAX_PARAMETER = 6
 _UNARY_OPERATORS = ("!", "-")
 _BINARY_OPERATORS = ("||", "&&", "==", "!=", "<", "<=", ">", ">=", "+", "-", "*", "/")
 
@@ -32,6 +35,8 @@ def encode_tree(tree: ConditionExpr) -> list[object]:
             return ["literal", *place, value]
         case ConditionName(name=name):
             return ["name", *place, name]
+        case ConditionParameter(path=path):
+            return ["parameter", *place, path]
         case ConditionUnary(operator=operator, operand=operand):
             return ["unary", *place, operator, encode_tree(operand)]
         case ConditionBinary(operator=operator, sign=sign, left=left, right=right):
@@ -63,6 +68,10 @@ def _decode(source: Source, data: object, depth: int) -> ConditionExpr:
             return ConditionLiteral(span, 1, value)
         case "name", [str(name)]:
             return ConditionName(span, 1, name)
+        case "parameter", [str(path)] if (
+            len(path) <= MAX_PARAMETER and (parameter := ConditionParameter(span, 1, path)).sort
+        ):
+            return parameter
         case "unary", [str(operator), operand] if operator in _UNARY_OPERATORS:
             inner = _decode(source, operand, depth + 1)
             return ConditionUnary(span, inner.height + 1, operator, inner)

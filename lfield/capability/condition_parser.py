@@ -21,6 +21,7 @@ from lfield.capability.condition_tree import (
     ConditionLiteral,
     ConditionMember,
     ConditionName,
+    ConditionParameter,
     ConditionUnary,
     ConditionUnsupported,
     Mistake,
@@ -70,12 +71,17 @@ def parse_condition(text: str) -> tuple[ConditionExpr | None, list[Mistake]]:
     return _parse(text, _condition)
 
 
-def parse_query(text: str) -> tuple[ParsedQuery | None, list[Mistake]]:
-    """`payload >= 2 order by distance(12, 4), battery desc limit 100`; each part may be left out."""
-    return _parse(text, _query)
+def parse_query(text: str, *, parameters: bool = False) -> tuple[ParsedQuery | None, list[Mistake]]:
+    """`payload >= 2 order by distance(12, 4), battery desc limit 100`; each part may be left out.
+
+    With `parameters`, `$kg` is a value that the program passes.
+    """
+    return _parse(text, _query, parameters=parameters)
 
 
-def _parse(text: str, parse: Callable[[TokenStream], _Parsed]) -> tuple[_Parsed | None, list[Mistake]]:
+def _parse(
+    text: str, parse: Callable[[TokenStream], _Parsed], *, parameters: bool = False
+) -> tuple[_Parsed | None, list[Mistake]]:
     """The result, or None and the first mistake: later ones could be its consequences."""
     if len(text) > MAX_LENGTH:
         return None, [Mistake(0, len(text), f"this is longer than {MAX_LENGTH} characters")]
@@ -84,7 +90,8 @@ def _parse(text: str, parse: Callable[[TokenStream], _Parsed]) -> tuple[_Parsed 
             Mistake(0, len(text), "the condition is empty", "write a condition, as in payload >= 2.0")
         ]
     found, mistakes = Diagnostics(), list[Mistake]()
-    stream = TokenStream(scan(Source("", text), found, end="the end of the text"), found, _END_WORDS)
+    scanned = scan(Source("", text), found, end="the end of the text", parameters=parameters)
+    stream = TokenStream(scanned, found, _END_WORDS)
     result = None
     try:
         result = parse(stream)
@@ -176,6 +183,8 @@ def _mapped(raw: syntax.Expr, depth: int) -> ConditionExpr:
     """The condition; `depth` is the number of operators around it, on which L sets no limit in a chain."""
     if depth > MAX_HEIGHT:
         raise _too_deep(raw.span)
+    if (parameter := _parameter(raw)) is not None:
+        return parameter
     match raw:
         case syntax.Literal_(value=value):
             return ConditionLiteral(raw.span, 1, value)
@@ -205,6 +214,46 @@ def _mapped(raw: syntax.Expr, depth: int) -> ConditionExpr:
             raise _ConditionError(raw.sign, f"a condition has no operator '{operator}'")
         case _:
             return ConditionUnsupported(raw.span, 1)
+
+
+def _parameter(raw: syntax.Expr) -> ConditionParameter | None:
+    """`$kg`, `$at[0].north`, `$mass[g]`; None for anything else."""
+    if not raw.span.text.startswith("$"):
+        return None
+    match raw:
+        case syntax.Index(array=array, index=index) if not _is_index(index):
+            inner = _parameter(array)
+            return None if inner is None else ConditionParameter(raw.span, 1, inner.path, index.span.text)
+        case syntax.Name() | syntax.Member() | syntax.Index():
+            _check_path(raw)
+            return ConditionParameter(raw.span, 1, raw.span.text[1:])
+        case syntax.Call():
+            hint = "put the result into a variable, and the variable into the query"
+            raise _ConditionError(raw.span, "a parameter is a variable, not a call", hint)
+    return None
+
+
+def _is_index(raw: syntax.Expr) -> bool:
+    """Whether what is in brackets is an index, and not a unit."""
+    return isinstance(raw, syntax.Literal_) or raw.span.text.startswith("$")
+
+
+def _check_path(raw: syntax.Expr) -> None:
+    """Refuse what a path of names and indexes cannot have."""
+    match raw:
+        case syntax.Member(object=owner):
+            _check_path(owner)
+        case syntax.Index(array=array, index=index) if _is_index(index):
+            _check_path(array)
+            if not isinstance(index, syntax.Literal_):
+                _check_path(index)
+        case syntax.Name(name=name) if name.startswith("$"):
+            return
+        case _:
+            message = "a parameter is a variable with its fields and elements"
+            raise _ConditionError(
+                raw.span, message, "such as $kg, $victim.north or $at[0]; $mass[g] in grams"
+            )
 
 
 def _member(raw: syntax.Member, depth: int) -> ConditionMember:

@@ -51,6 +51,27 @@ class ConditionName(ConditionExpr):
     name: str
 
 
+#: The sorts of values of parameters, by the letter that begins their names in a compiled query.
+PARAMETER_SORTS = {"n": "number", "t": "text", "b": "boolean"}
+
+
+@dataclass(slots=True, eq=False)
+class ConditionParameter(ConditionExpr):
+    """A value that the program passes: `$kg`, `$at[0]`, `$mass[g]` with its unit.
+
+    `path` is what it is in the program; in a compiled query a letter and a number, `n0`, and no unit.
+    """
+
+    path: str
+    unit: str = ""
+
+    @property
+    def sort(self) -> str:
+        """The sort of the value in a compiled query; '' in one that is not compiled."""
+        is_compiled = self.path[1:].isdecimal()
+        return PARAMETER_SORTS.get(self.path[:1], "") if is_compiled else ""
+
+
 @dataclass(slots=True, eq=False)
 class ConditionUnary(ConditionExpr):
     """`!x` or `-x`."""

@@ -1,30 +1,33 @@
-"""The recording of live events in an MCAP file, for `lfield events --mcap`."""
+"""The recording of live events in an MCAP file, for `lfield events --mcap`. Its log times never decrease."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from lfield.cli.output_files import RecordingFile
-from lfield.export.export_input import NO_INFO, MissionInfo, StreamNotice
+from lfield.clock import Clock, SystemClock
+from lfield.export.export_input import NO_INFO, MissionInfo, StreamItem, StreamNotice
 from lfield.export.mcap_writer import END_WITHOUT_SUMMARY, McapRecording, require_mcap
+from lfield.export.message_order import MessageOrder
 from lfield.operator.dashboard.event_feed import FeedNotice
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 
-#: Seconds between two flushes: so much is lost when the process is killed.
+#: Seconds between two flushes: so much is lost when the process is killed, and the window of `MessageOrder`.
 FLUSH_INTERVAL = 1.0
 
 
 class EventRecording:
     """Events as they come, in an MCAP file. Methods raise OutputFileError."""
 
-    def __init__(self, path: Path, info: MissionInfo = NO_INFO) -> None:
+    def __init__(self, path: Path, info: MissionInfo = NO_INFO, clock: Clock | None = None) -> None:
         """Creates the file. Raises PluginError without the package `mcap`."""
         require_mcap()
+        self._clock = clock or SystemClock()
+        self._order = MessageOrder(self._clock)
         self._path, self._file = path, RecordingFile(path, END_WITHOUT_SUMMARY)
         self._mcap = McapRecording(info, self._file)
         self._mcap.flush()
@@ -34,19 +37,35 @@ class EventRecording:
         """The next event, or a notice about a host."""
         if isinstance(item, FeedNotice):
             # Events before it may still be held back.
-            self._mcap.add(StreamNotice(self._newest or time.time(), item.host, item.text))
+            self._add(StreamNotice(self._newest or self._clock.time(), item.host, item.text))
         else:
             self._newest = max(self._newest, item.time)
-            self._mcap.add(item)
+            self._add(item)
+
+    def _add(self, item: StreamItem) -> None:
+        for message in self._mcap.messages_of(item):
+            self._order.add(message)
+        if self._order.is_full:
+            self._write()
+
+    def _write(self, *, everything: bool = False) -> None:
+        for message, log_time in self._order.drain(everything=everything):
+            self._mcap.add_message(message, log_time)
+
+    def flush(self) -> None:
+        """Write what waits for nothing else."""
+        self._write()
+        self._mcap.flush()
 
     async def flush_regularly(self) -> None:
         """Flush until this is cancelled."""
         while True:
             await asyncio.sleep(FLUSH_INTERVAL)
-            self._mcap.flush()
+            self.flush()
 
     def finish(self) -> str:
         """Complete the file; returns what it contains."""
+        self._write(everything=True)
         self._mcap.finish()
         self._file.finish()
         recorded = self._mcap

@@ -9,7 +9,18 @@ from collections.abc import Sequence
 
 from lfield.compiler.method_frame import Evaluator, MethodFrame
 from lfield.lang.language_library import GROWTH
-from lfield.lang.tree import Call, DeviceCall, Expr, Find, LibraryCall, Literal_, PortalCall, Query
+from lfield.lang.tree import (
+    Call,
+    DeviceCall,
+    Expr,
+    Find,
+    LibraryCall,
+    Literal_,
+    LoopCall,
+    Method,
+    PortalCall,
+    Query,
+)
 from lfield.lang.types import NULL, Type
 
 
@@ -47,6 +58,8 @@ class CallEmitter:
                 constraint = expr.constraint or Literal_(expr.span, NULL, None)
                 query = [constraint] if expr.size is None else [constraint, expr.size]
                 self._evaluated(head, query, tables.class_index(expr.capability.name))
+            case LoopCall(other=Method() as other):
+                self._evaluated(expr.operation, [], tables.method_index(other))
             case LibraryCall(operation=operation) if operation in GROWTH:
                 self._evaluated(operation, expr.arguments, tables.type_index(expr.arguments[0].type))
             case LibraryCall():

@@ -31,7 +31,8 @@ def comparison(expr: Binary) -> tuple[str, Expr, Expr]:
     """The comparison instruction, and its source operands in order."""
     left, right = constant_last(expr)
     op = expr.op if left is expr.left else _MIRRORED[expr.op]
-    return _NAMES[op] + _SUFFIXES.get(expr.left.type, "r"), left, right
+    plain = types.INT if isinstance(expr.left.type, types.EnumType) else expr.left.type
+    return _NAMES[op] + _SUFFIXES.get(plain, "r"), left, right
 
 
 def tested_for_null(expr: Expr) -> Expr | None:

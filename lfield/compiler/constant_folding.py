@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from enum import Enum
 
-from lfield.lang.tree import Binary, Expr, Literal_, Negate, Not, ToReal
+from lfield.lang.tree import Binary, Expr, Literal_, Negate, Not, Relabel, ToReal
 from lfield.lang.tree_traversal import left_spine
 
 Constant = bool | int | float | str | None
@@ -31,6 +31,8 @@ def fold(expr: Expr) -> Constant | NotConstant:
             return expr.value
         case Negate():
             return _negate(fold(expr.operand))
+        case Relabel():
+            return fold(expr.operand)
         case ToReal():
             value = fold(expr.operand)
             return float(value) if isinstance(value, int) else NotConstant.VALUE

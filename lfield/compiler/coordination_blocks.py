@@ -1,5 +1,5 @@
 """`together` collects calls, starts them and awaits all; `within` sets a time limit; `reserve` locks
-resources.
+resources; `wait until` waits in a monitor.
 
     gather; pop ^sentinel          then the body, in which `begin` collects a call
     start                          before a side effect: starts the collected calls
@@ -9,6 +9,11 @@ resources.
     hold; pop ^held                the resources of a `reserve`
     take                           and then its body
     drop                           on every exit, as the code of a `finally`
+
+    test: bnz end, ^condition      a `wait until`
+    wait_leave; pop ^entries       leaves the monitor, or throws at the end of the time
+    wait_enter                     waits until another thread has left it, and enters it again
+    jmp test
 
 A call's result is stored into an element of an array. A local that receives one has an array of length 1, and
 is assigned from it after the block.
@@ -216,6 +221,31 @@ class CoordinationEmitter:
         if start < code.position:
             frame.handlers.append(Handler(start, code.position, 0, 0, end, LIMIT))
         frame.slots.release(end)
+
+    # --- wait until -----------------------------------------------------------------------------------
+
+    def wait_until(self, stmt: tree.WaitUntil, branch: Callable[[tree.Expr, bool, Label], None]) -> None:
+        """`wait until (condition) within (seconds);`: `branch` compiles the condition."""
+        frame, code = self._frame, self._frame.code
+        limit = frame.constant(0)
+        if stmt.seconds is not None:
+            seconds = self._evaluator.operand(stmt.seconds)
+            self._calls.push("wait_limit", [seconds])
+            frame.slots.release(seconds)
+            limit = frame.slots.temporary(INT)
+            code.emit("pop", limit)
+        polls = frame.constant(frame.tables.effect_analysis.reads_outside(stmt.condition))
+        entries = frame.slots.temporary(INT)
+        test, end = Label(), Label()
+        code.place(test, entered=True)
+        branch(stmt.condition, True, end)
+        code.set_line(stmt.span.line)
+        self._calls.push("wait_leave", [limit, polls])
+        code.emit("pop", entries)
+        self._calls.push("wait_enter", [entries, limit])
+        code.jump("jmp", test)
+        code.place(end)
+        frame.slots.release(entries, *([limit] if limit >= 0 else []))
 
     # --- reserve --------------------------------------------------------------------------------------
 

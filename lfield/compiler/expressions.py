@@ -12,11 +12,13 @@ from bisect import bisect_left
 from lfield.compiler.call_emitter import CallEmitter
 from lfield.compiler.condition_emitter import ConditionEmitter, comparison, constant_last, tested_for_null
 from lfield.compiler.constant_folding import NotConstant, fold
+from lfield.compiler.future_emitter import FutureEmitter
 from lfield.compiler.method_frame import Label, MethodFrame
 from lfield.compiler.object_emitter import ObjectEmitter, needs_several_steps
 from lfield.lang import types
 from lfield.lang.tree import (
     Assign,
+    Async,
     Binary,
     Call,
     DeviceCall,
@@ -34,6 +36,7 @@ from lfield.lang.tree import (
     Not,
     PortalCall,
     Query,
+    Relabel,
     This,
     ToReal,
 )
@@ -57,6 +60,7 @@ class ExpressionEmitter:
         self._code = frame.code
         self._calls = CallEmitter(frame, self)
         self._objects = ObjectEmitter(frame, self, self._calls)
+        self._futures = FutureEmitter(frame, self._calls)
         self._conditions = ConditionEmitter(frame, self)
         #: Slots of values that were computed in advance, before the expressions that start with them
         #: (tree_traversal.py).
@@ -133,6 +137,8 @@ class ExpressionEmitter:
                 return self._unary("not", expr.operand, expr, target)
             case Logical():
                 return self._logical(expr, target)
+            case Relabel():
+                return self.value(expr.operand, target)
             case ToReal():
                 return self._calls.library("i2f", [expr.operand], expr.type, target)
             case New():
@@ -141,6 +147,8 @@ class ExpressionEmitter:
                 return self._objects.new_array(expr, target)
             case Elements():
                 return self._objects.elements(expr, target)
+            case Async():
+                return self._futures.start(expr, target)
             case Call() | PortalCall() | Find() | Query() | LibraryCall() | DeviceCall():
                 return self._calls.value(expr, target)
         raise AssertionError(f"a {type(expr).__name__} has no value")

@@ -37,7 +37,7 @@ def compile_program(checked: CheckedProgram) -> Program:
 
     Raises ProgramError (L499) for methods that exceed a limit of the machine.
     """
-    tables = ProgramTables(checked.units, checked.growing)
+    tables = ProgramTables(checked.units, checked.growing, checked.enums)
     frames: list[MethodFrame] = []
     problems: list[Diagnostic] = []
     quads: list[Quad] = []

@@ -31,6 +31,7 @@ from lfield.lang.tree import (
     Throw,
     Together,
     Try,
+    WaitUntil,
     Within,
 )
 from lfield.lang.tree_traversal import statement_expressions, subexpressions
@@ -96,6 +97,9 @@ class StatementEmitter:
             case Reserve():
                 self._prepare(stmt.target)
                 self._parallel.reserve(stmt, lambda: self.block(stmt.body))
+            case WaitUntil():
+                self._prepare(*statement_expressions(stmt))
+                self._parallel.wait_until(stmt, self._branch)
             case StartCall():
                 self._prepare(*statement_expressions(stmt))
                 self._parallel.collect_call(stmt)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 
 from lfield.bytecode.program import (
     ANY,
@@ -28,12 +28,11 @@ from lfield.bytecode.program import (
     TypeRecord,
 )
 from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
-from lfield.compiler.async_variants.async_methods import TICKET as TICKET_TYPE
 from lfield.compiler.async_variants.async_methods import async_variants_of
 from lfield.compiler.async_variants.effect_analysis import EffectAnalysis
 from lfield.compiler.constant_folding import ConstantPool
 from lfield.lang import tree, types
-from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type
+from lfield.lang.types import ArrayType, ClassType, DeviceType, EnumType, ResourceType, Type
 
 _SIMPLE = {
     types.VOID: VOID,
@@ -67,22 +66,28 @@ class ProgramTables:
     `growing` are the types of arrays that the program makes longer or shorter.
     """
 
-    def __init__(self, units: list[tree.Unit], growing: Collection[Type] = ()) -> None:
+    def __init__(
+        self,
+        units: list[tree.Unit],
+        growing: Collection[Type] = (),
+        enums: Sequence[tree.Enumeration] = (),
+    ) -> None:
         self._growing = growing
         self.pool = ConstantPool()
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCallRecord] = []
         written = [method for unit in units for method in (*unit.methods, *unit.library_methods)]
-        self._async_variants = async_variants_of(written)
+        has_futures = any(unit.name.startswith("future<") for unit in units)
+        self._async_variants = async_variants_of(written, has_futures=has_futures)
         self._tickets = {twin.method: twin.ticket for twin in self._async_variants.values()}
         self.methods = [*written, *self._tickets]
         self.effect_analysis = EffectAnalysis(written)
         self._type_indexes: dict[TypeRecord, int] = {record: i for i, record in enumerate(self.types)}
         self._device_indexes: dict[DeviceCallRecord, int] = {}
         self._methods = {method: i for i, method in enumerate(self.methods)}
-        names = [*BUILTIN_CLASSES, *(unit.name for unit in units)]
+        names = [*BUILTIN_CLASSES, *(unit.name for unit in units), *(enum.name for enum in enums)]
         self._classes = {name: i for i, name in enumerate(names)}
-        self.classes = [*BUILTIN_RECORDS, *map(self._class_record, units)]
+        self.classes = [*BUILTIN_RECORDS, *map(self._class_record, units), *map(_enum_record, enums)]
 
     def class_index(self, name: str) -> int:
         """The index of a class, resource or coordinator."""
@@ -102,7 +107,7 @@ class ProgramTables:
     @property
     def ticket_type(self) -> int:
         """The type of a ticket of a `together`."""
-        return self.type_index(TICKET_TYPE)
+        return self.type_index(types.TICKET)
 
     def type_index(self, kind: Type) -> int:
         """The index of a type; its record is added at the first use."""
@@ -114,11 +119,13 @@ class ProgramTables:
                 return self._type(TypeRecord(GROWABLE, plain)) if kind in self._growing else plain
             case ClassType():
                 return self.object_type(kind.name)
+            case EnumType():
+                return self._type(TypeRecord(INT, self.class_index(kind.name)))
             case ResourceType():
                 return self._type(TypeRecord(PROXY, self.class_index(kind.name)))
             case DeviceType():
                 return DEVICE
-            case Type(name=TICKET_TYPE.name):
+            case types.TICKET:
                 return self._type(TypeRecord(TICKET))
         raise AssertionError(f"the checker let the type {kind} through")
 
@@ -173,3 +180,8 @@ class ProgramTables:
             ),
             unit.capability,
         )
+
+
+def _enum_record(enum: tree.Enumeration) -> ClassRecord:
+    """The names of the members, for listings and debuggers: no object has this class."""
+    return ClassRecord(enum.name, "class", "global", tuple(FieldRecord(name, INT) for name in enum.members))

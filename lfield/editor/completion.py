@@ -15,13 +15,15 @@ from lfield.lang import tree
 from lfield.lang.capability_port import VERBS
 from lfield.lang.checker.symbols import BUILTIN_TYPES
 from lfield.lang.language_library import FUNCTIONS
+from lfield.lang.parser.loop_members import LOOP_WORDS
 
 _STATEMENTS = (
     *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "finally", "throw"),
     *("new", "this", "true", "false", "null", "together", "within", "reserve"),
+    *("async", "wait until"),
 )
-_MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit")
-_UNITS = ("resource", "coordinator", "class", "include")
+_MEMBERS = ("portal", "public", "private", "init", "synchronized", "emit", *LOOP_WORDS)
+_UNITS = ("resource", "coordinator", "class", "include", "const", "enum")
 #: The text of the line before the position, in an include of a driver's file.
 _INCLUDE = re.compile(r"\binclude\s*<[\w./-]*$")
 _NAME_END = re.compile(r"\w*$")
@@ -78,7 +80,7 @@ def _proposals(symbols: TextSymbols, cursor: Cursor, before: str) -> Iterator[Co
         yield from map(_proposal, symbols.members(cursor))
     elif re.search(r"\bnew$", text):
         yield from _types(symbols, classes_only=True)
-    elif cursor.unit is None:
+    elif cursor.unit is None and cursor.method is None:
         yield from (CompletionProposal(keyword, "keyword") for keyword in _UNITS)
     elif cursor.method is None:
         yield from (CompletionProposal(keyword, "keyword") for keyword in (*_MEMBERS, *_UNITS))
@@ -94,15 +96,22 @@ def _in_method(symbols: TextSymbols, cursor: Cursor) -> Iterator[CompletionPropo
     for local in cursor.locals().values():
         made = symbols.local(local)
         yield CompletionProposal(made.name, "local", f"{made.type} {made.name}")
+    yield from map(_proposal, symbols.top_level.all())
     unit = symbols.unit(cursor)
     if unit is None:
+        yield from _functions_of_library("global")
         return
-    yield from (_proposal(symbols.of_field(unit, field)) for field in unit.fields)
-    yield from (_proposal(symbols.of_method(one)) for one in unit.methods if one.kind == "method")
+    yield from (_proposal(symbols.of_field(unit, field)) for field in unit.named_fields)
+    yield from (_proposal(symbols.of_method(one)) for one in unit.methods if one.kind in ("method", "loop"))
     if unit.usage == "coordinator":
         yield from _queries(symbols)
+    yield from _functions_of_library(unit.usage)
+
+
+def _functions_of_library(usage: str) -> Iterator[CompletionProposal]:
+    """What code of a usage may call."""
     for function in FUNCTIONS:
-        if function.scope in ("any", unit.usage):
+        if function.scope in ("any", usage):
             types = ", ".join(map(str, function.parameters))
             detail = f"{function.result} {function.name}({types})"
             yield CompletionProposal(function.name, "library", detail, function.meaning)
@@ -124,6 +133,8 @@ def _types(symbols: TextSymbols, *, classes_only: bool = False) -> Iterator[Comp
             yield _proposal(symbols.of_unit(unit))
     yield from (CompletionProposal(name, "builtin") for name in BUILTIN_TYPES)
     if not classes_only:
+        top_level = symbols.top_level
+        yield from (_proposal(one) for one in top_level.all() if one.kind == "enum")
         yield from (CompletionProposal(name, "device", one.meaning) for name, one in program.devices.items())
 
 

@@ -33,7 +33,10 @@ class DeclaredLocal:
 
 @dataclass(slots=True)
 class Cursor:
-    """A token of a part, by its index, with the unit and the method around it."""
+    """A token of a part, by its index, with the unit and the method around it.
+
+    The method may be a function of the top level: then there is no unit.
+    """
 
     part: ProgramPart
     index: int
@@ -75,6 +78,18 @@ class Cursor:
             return ""
         first = _operand_start(self.tokens, self.index - 2) if self.text(-1) == "." else self.index
         return self.part.source.text[self.tokens[first].span.start : self.tokens[last].span.end]
+
+    def called(self) -> str:
+        """The name of the function or method among whose arguments the token is; '' outside of arguments."""
+        depth = 0
+        for at in range(self.index - 1, -1, -1):
+            text = self.tokens[at].text if self.tokens[at].kind is not TokenKind.STRING else ""
+            if text in (";", "{", "}"):
+                return ""
+            depth += (text in (")", "]")) - (text in ("(", "["))
+            if depth < 0:
+                return self.tokens[at - 1].text if at and text == "(" else ""
+        return ""
 
     def locals(self) -> dict[str, DeclaredLocal]:
         """The parameters and variables of the method that are in scope before the token, by name."""
@@ -123,13 +138,20 @@ def cursor_at_token(part: ProgramPart, index: int) -> Cursor:
     """A token of a part with what is around it."""
     start = part.tokens[index].span.start
     unit = next((one for one in reversed(part.file.units) if one.span.start <= start), None)
-    method = None
+    method = next((one for one in part.file.functions if _is_within(one, start)), None)
+    if method is not None:
+        return Cursor(part, index, None, method)
     for one in unit.methods if unit is not None else ():
         if one.span.start <= start and (method is None or one.span.start > method.span.start):
             method = one
     if method is not None and start > method.end.end and not method.broken:
         method = None
     return Cursor(part, index, unit, method)
+
+
+def _is_within(function: syntax.Method, start: int) -> bool:
+    """Whether a place is between the name of a function and its end."""
+    return function.span.start <= start <= function.end.end
 
 
 def _operand_start(tokens: Sequence[Token], at: int) -> int:

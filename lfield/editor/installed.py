@@ -8,7 +8,14 @@ from pathlib import Path
 from lfield.capability.program_types.registry_types import RegistryTypes
 from lfield.driver.plugins import discover
 from lfield.errors import InputFileError, LfieldError
-from lfield.lang.capability_port import CapabilityTypes, ConstraintProblem, GeneratedClasses
+from lfield.lang.capability_port import (
+    CapabilityTypes,
+    CompiledQuery,
+    ConstraintProblem,
+    GeneratedClasses,
+    PlaceholderSort,
+    QueryPlaceholders,
+)
 from lfield.lang.includes import FindInclude
 from lfield.lang.syntax import ParsedFile
 from lfield.manifest import DeviceManifest
@@ -99,3 +106,11 @@ class _ReadableRegistry:
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in a condition."""
         return () if self._types is None else self._types.mistakes(constraint)
+
+    def placeholders(self, text: str) -> QueryPlaceholders:
+        """The placeholders in a condition."""
+        return QueryPlaceholders() if self._types is None else self._types.placeholders(text)
+
+    def compile_query(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuery:
+        """A condition whose placeholders have values of these sorts."""
+        return CompiledQuery() if self._types is None else self._types.compile_query(text, sorts)

@@ -24,6 +24,10 @@ _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.Diagnos
 _COMPLETION = types.CompletionItemKind
 _COMPLETION_KINDS = {
     "unit": _COMPLETION.Class,
+    "enum": _COMPLETION.Enum,
+    "member": _COMPLETION.EnumMember,
+    "constant": _COMPLETION.Constant,
+    "function": _COMPLETION.Function,
     "resource": _COMPLETION.Interface,
     "coordinator": _COMPLETION.Module,
     "device": _COMPLETION.Interface,
@@ -45,6 +49,10 @@ _OUTLINE_KINDS = {
     "field": types.SymbolKind.Field,
     "constructor": types.SymbolKind.Constructor,
     "init": types.SymbolKind.Constructor,
+    "enum": types.SymbolKind.Enum,
+    "member": types.SymbolKind.EnumMember,
+    "constant": types.SymbolKind.Constant,
+    "function": types.SymbolKind.Function,
     "agent": types.SymbolKind.Object,
     "witness": types.SymbolKind.Object,
 }

@@ -1,12 +1,14 @@
-"""The outline of a program: its units with their members."""
+"""The outline of a program: its units with their members, its constants, enums and functions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lfield.editor.program_parts import ProgramFile, ProgramPart, file_offsets
 from lfield.lang import syntax
 from lfield.lang.deployment_line import DeploymentEntry
+
+_TopLevel = syntax.Constant | syntax.Enumeration | syntax.Method
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,14 +26,16 @@ class OutlineEntry:
 
 
 def program_outline(file: ProgramFile) -> list[OutlineEntry]:
-    """The units of a file."""
+    """The units, constants, enums and functions of a file."""
     found = []
     for part in file.parts:
-        units = part.file.units
-        for number, unit in enumerate(units):
-            following = units[number + 1] if number + 1 < len(units) else None
+        others: list[_TopLevel] = [*part.file.constants, *part.file.enums, *part.file.functions]
+        starts = sorted(one.span.start for one in (*part.file.units, *others))
+        for unit in part.file.units:
+            following = next((start for start in starts if start > unit.span.start), None)
             found.append(_unit(part, unit, following))
-    return found
+        found += map(_top_level, others)
+    return sorted(found, key=lambda one: one.start)
 
 
 def deployment_outline(entries: list[DeploymentEntry]) -> list[OutlineEntry]:
@@ -46,9 +50,27 @@ def deployment_outline(entries: list[DeploymentEntry]) -> list[OutlineEntry]:
     return found
 
 
-def _unit(part: ProgramPart, unit: syntax.Unit, following: syntax.Unit | None) -> OutlineEntry:
+def _top_level(one: _TopLevel) -> OutlineEntry:
+    start, end = file_offsets(one.span)
+    match one:
+        case syntax.Constant(value=value):
+            last = file_offsets(value.span)[1]
+            return OutlineEntry(one.name, str(one.type), "constant", start, last, start, end)
+        case syntax.Enumeration(members=members):
+            children = tuple(_member(member) for member in members)
+            last = max((child.end for child in children), default=end)
+            return OutlineEntry(one.name, "enum", "enum", start, last, start, end, children)
+    return replace(_method(one), kind="function")
+
+
+def _member(member: syntax.EnumMember) -> OutlineEntry:
+    start, end = file_offsets(member.span)
+    return OutlineEntry(member.name, "", "member", start, end, start, end)
+
+
+def _unit(part: ProgramPart, unit: syntax.Unit, following: int | None) -> OutlineEntry:
     start, end = file_offsets(unit.span)
-    last = part.source.place.offset + (following.span.start if following else len(part.source.text.rstrip()))
+    last = part.source.place.offset + (following or len(part.source.text.rstrip()))
     children = [_field(one) for one in unit.fields] + [_method(one) for one in unit.methods]
     ordered = tuple(sorted(children, key=lambda one: one.start))
     return OutlineEntry(unit.name, unit.kind, unit.kind, start, max(last, end), start, end, ordered)

@@ -15,9 +15,10 @@ from lfield.editor.program_parts import PartPlace, ProgramFile, ProgramPart, par
 from lfield.lang import messages, tree
 from lfield.lang.capability_port import CapabilityTypes, unknown_names
 from lfield.lang.checker import check_program
-from lfield.lang.checker.declaration_pass import DeclaredUnit, declare_units
-from lfield.lang.checker.program_checker import check_bodies
-from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
+from lfield.lang.checker.declaration_pass import DeclaredUnit
+from lfield.lang.checker.program_checker import check_bodies, check_function
+from lfield.lang.checker.symbols import BUILTIN_TYPES, Function, Symbols
+from lfield.lang.checker.top_level.declared_program import declare_program
 from lfield.lang.includes import FindInclude
 from lfield.lang.syntax import Include, ParsedFile
 from lfield.lang.tree import CheckedProgram
@@ -66,7 +67,10 @@ class ProgramModel:
         self._include_findings: list[Diagnostic] = []
         self._generated = _Generated(None, [], frozenset(), [])
         self._declared: list[tuple[ProgramPart, DeclaredUnit]] = []
+        self._functions: list[tuple[ProgramPart, Function]] = []
         self._declarations: object = None
+        #: Whether a file could not be read.
+        self._is_missing = False
         #: Counts the changes of the declarations.
         self._version = 0
         self._program: CheckedProgram | None = None
@@ -109,7 +113,7 @@ class ProgramModel:
                         is_missing = True
                         self._include_findings.append(messages.INCLUDE_UNKNOWN.at(one.span, path=one.path))
         is_changed |= found.keys() != self.files.keys()
-        self.files = found
+        self.files, self._is_missing = found, is_missing
         return is_changed, is_missing or any(part.file.broken for part in self.parts())
 
     def included(self, include: Include, origin: Path) -> Path | None:
@@ -136,6 +140,7 @@ class ProgramModel:
             self.environment.devices,
             Diagnostics(),
             incomplete=is_incomplete,
+            missing=self._is_missing,
             capabilities=self.capabilities,
             generated=self._generated.names,
         )
@@ -145,12 +150,14 @@ class ProgramModel:
         self.symbols = self._new_symbols(is_incomplete=is_incomplete)
         parts = [*self._generated.parts, *self.parts()]
         owners = {part.source: part for part in parts}
-        declared = declare_units(self.symbols, [unit for part in parts for unit in part.file.units])
-        self._declared = [(owners[one.unit.span.source], one) for one in declared]  # type: ignore[index]
+        program = declare_program(self.symbols, [part.file for part in parts])
+        self._declared = [(owners[one.unit.span.source], one) for one in program.units]  # type: ignore[index]
+        self._functions = [(owners[one.head.span.source], one) for one in program.functions]  # type: ignore[index]
         declarations = (
             is_incomplete,
             self._generated.names,
-            tuple(_fingerprint(one.unit) for one in declared),
+            tuple(_fingerprint(one.unit) for one in program.units),
+            _top_level(self.symbols),
             frozenset(self.symbols.broken_units),
         )
         if declarations != self._declarations:
@@ -211,6 +218,9 @@ class ProgramModel:
         for owner, declared in self._declared:
             if owner is part:
                 check_bodies(symbols, declared)
+        for owner, function in self._functions:
+            if owner is part:
+                check_function(symbols, function)
         part.store(found.found, self._version)
 
     def findings(self) -> list[Diagnostic]:
@@ -251,3 +261,11 @@ def _fingerprint(unit: tree.Unit) -> tuple[object, ...]:
         for method in unit.methods
     )
     return unit.name, unit.kind, unit.usage, unit.capability, fields, methods
+
+
+def _top_level(symbols: Symbols) -> tuple[object, ...]:
+    """What units know of constants, enums and functions."""
+    constants = tuple((one.name, one.type, one.value) for one in symbols.constants.values())
+    enums = tuple((one.name, one.members) for one in symbols.enums.values())
+    heads = [one.head for functions in symbols.functions.values() for one in functions]
+    return constants, enums, tuple((head.signature, head.result) for head in heads)

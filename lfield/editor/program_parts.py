@@ -16,9 +16,10 @@ from lfield.lang.scanner import Token, scan
 from lfield.lang.syntax import ParsedFile
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
-#: Where a unit begins a line, and what may hide such a line.
+#: Where a unit, a constant or an enum begins a line, and what may hide such a line.
 _BOUNDARY = re.compile(
-    r"//[^\n]*|/\*(?s:.*?)(?:\*/|\Z)|\"(?:[^\"\\\n]|\\.)*\"?|^(?=(?:resource|coordinator|class)\b)",
+    r"//[^\n]*|/\*(?s:.*?)(?:\*/|\Z)|\"(?:[^\"\\\n]|\\.)*\"?"
+    r"|^(?=(?:resource|coordinator|class)\b|const\s+\w+\s+\w+\s*=|enum\s+\w+\s*\{)",
     re.MULTILINE,
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 from lfield.editor.program_parts import PartSource
@@ -41,6 +42,12 @@ def signature(symbol: TextSymbol) -> str:
             return f"{field.type} {field.name}"
         case tree.Local() as local:
             return f"{local.type} {local.name}"
+        case tree.Constant() as constant:
+            return f"const {constant.type} {constant.name} = {_constant_text(constant)}"
+        case tree.Enumeration() as enum if symbol.kind == "member":
+            return f"{enum.name}.{symbol.name}  // {enum.members.index(symbol.name)}"
+        case tree.Enumeration() as enum:
+            return f"enum {enum.name} {{ {', '.join(enum.members)} }}"
         case Instruction() as instruction:
             return _instruction_signature(instruction, symbol.owner)
         case DeviceManifest() as device:
@@ -63,12 +70,24 @@ def _unit_signature(unit: tree.Unit, prefix: str) -> str:
     return f"{unit.kind} {unit.name}{usage}"
 
 
+def _constant_text(constant: tree.Constant) -> str:
+    """The value of a constant as L; of an enum's member its number."""
+    value = constant.value
+    if isinstance(value, bool | str):
+        return json.dumps(value, ensure_ascii=False)
+    return str(value)
+
+
 def _method_signature(method: tree.Method) -> str:
     parameters = ", ".join(f"{one.type} {one.name}" for one in method.parameters)
+    if method.unit.function:
+        return f"{method.result} {method.name}({parameters})"
     guarded = "synchronized " if method.synchronized else ""
     if method.kind == "portal":
         emit = "" if method.result == VOID else f" emit {method.result}"
         return f"portal {guarded}{method.unit.name}.{method.name}({parameters}){emit}"
+    if method.kind == "loop":
+        return f"loop {method.unit.name}.{method.name}"
     if method.kind in ("init", "constructor"):
         return f"{method.name}({parameters})"
     access = "public" if method.public else "private"

@@ -11,31 +11,62 @@ from lfield.editor.program_model import ProgramModel
 from lfield.lang import tree
 from lfield.lang.capability_port import parse_query_name
 from lfield.lang.checker.expressions import evaluated
-from lfield.lang.checker.scope import BodyContext, Scope
+from lfield.lang.checker.scope import BodyContext, Scope, function_unit
 from lfield.lang.checker.symbols import BUILTIN_TYPES, Symbols
 from lfield.lang.language_library import (
+    ENUM_METHODS,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
-    LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_FUTURES,
     LIBRARY_OF_MAPS,
+    LOOP_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     LibraryFunction,
     array_methods,
+    library_of_array,
 )
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import TokenKind, scan
-from lfield.lang.types import UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
+from lfield.lang.types import (
+    LOOP,
+    UNKNOWN,
+    ArrayType,
+    ClassType,
+    DeviceType,
+    EnumType,
+    FutureType,
+    MapType,
+    ResourceType,
+    Type,
+)
 from lfield.manifest import DeviceManifest, Instruction
 from lfield.text.source_text import Diagnostics, Source, Span
 
-Kind = Literal["unit", "method", "field", "local", "library", "instruction", "device", "builtin", "file"]
+Kind = Literal[
+    "unit",
+    "method",
+    "field",
+    "local",
+    "library",
+    "instruction",
+    "device",
+    "builtin",
+    "file",
+    "enum",
+    "member",
+    "constant",
+    "function",
+]
 Meaning = (
     tree.Unit
     | tree.Method
     | tree.Field
     | tree.Local
+    | tree.Constant
+    | tree.Enumeration
     | tuple[LibraryFunction, ...]
     | Instruction
     | DeviceManifest
@@ -60,12 +91,66 @@ class TextSymbol:
     owner: str = ""
 
 
+class TopLevelSymbols:
+    """Constants, enums with their members, and functions."""
+
+    def __init__(self, symbols: Symbols) -> None:
+        self._symbols = symbols
+
+    def named(self, name: str) -> TextSymbol | None:
+        """The constant, enum or function of a name."""
+        if (constant := self._symbols.constants.get(name)) is not None:
+            return TextSymbol("constant", name, ("top", name), constant.span, constant)
+        if (enum := self._symbols.enums.get(name)) is not None:
+            return TextSymbol("enum", name, ("top", name), enum.span, enum)
+        return self.function(name)
+
+    def function(self, name: str) -> TextSymbol | None:
+        """The first function of a name; overloads are renamed together."""
+        found = self._symbols.functions.get(name)
+        return None if found is None else self._of_function(found[0].head)
+
+    def all(self) -> Iterator[TextSymbol]:
+        """All of them, without the members of enums."""
+        for name in (*self._symbols.constants, *self._symbols.enums, *self._symbols.functions):
+            if (found := self.named(name)) is not None:
+                yield found
+
+    def members(self, enum: tree.Enumeration) -> list[TextSymbol]:
+        """The members of an enum, and its methods."""
+        found = [self._member(enum, number) for number in range(len(enum.members))]
+        return [*found, *(_of_library(one.name, [one]) for one in ENUM_METHODS)]
+
+    def declared_at(self, span: Span) -> TextSymbol | None:
+        """The symbol whose declaration has its name at a place."""
+        for constant in self._symbols.constants.values():
+            if constant.span == span:
+                return self.named(constant.name)
+        for enum in self._symbols.enums.values():
+            if enum.span == span:
+                return self.named(enum.name)
+            if span in enum.spans:
+                return self._member(enum, enum.spans.index(span))
+        heads = (one.head for functions in self._symbols.functions.values() for one in functions)
+        found = next((head for head in heads if head.span == span), None)
+        return None if found is None else self._of_function(found)
+
+    def _of_function(self, head: tree.Method) -> TextSymbol:
+        return TextSymbol("function", head.name, ("top", head.name), head.span, head)
+
+    def _member(self, enum: tree.Enumeration, number: int) -> TextSymbol:
+        name = enum.members[number]
+        key = ("member", enum.name, name)
+        return TextSymbol("member", name, key, enum.spans[number], enum, owner=enum.name)
+
+
 class TextSymbols:
     """The symbols of a program as it is now."""
 
     def __init__(self, model: ProgramModel) -> None:
         self._model = model
         self._symbols = replace(model.symbols, found=Diagnostics(), _reported=set())
+        self.top_level = TopLevelSymbols(self._symbols)
 
     @property
     def program(self) -> Symbols:
@@ -86,8 +171,11 @@ class TextSymbols:
     def _declared_here(self, cursor: Cursor) -> TextSymbol | None:
         """The symbol whose declaration has the name at the cursor."""
         unit, token = cursor.unit, cursor.token
-        if unit is None:
-            return None
+        if (declared := self.top_level.declared_at(token.span)) is not None:
+            return declared
+        if unit is None or cursor.method in cursor.part.file.functions:
+            local = cursor.local_here()
+            return None if local is None else self._of_local(local)
         made = self._symbols.units.get(unit.name)
         if token.span == unit.span or made is None:
             return None if made is None else self.of_unit(made)
@@ -106,14 +194,22 @@ class TextSymbols:
         unit = self.unit(cursor)
         if cursor.text(1) == "(" and cursor.text(-1) != "new":
             return self._called(cursor, unit)
-        if cursor.text(-1) != "new":
-            local = cursor.locals().get(name)
-            if local is not None:
-                return self._of_local(local)
-            field = unit.field(name) if unit is not None else None
-            if unit is not None and field is not None:
-                return self.of_field(unit, field)
-        return self.type_named(name)
+        variable = self.variable(cursor, name) if cursor.text(-1) != "new" else None
+        return variable or self.top_level.named(name) or self.type_named(name)
+
+    def variable(self, cursor: Cursor, name: str) -> TextSymbol | None:
+        """The local, field or constant of a name at a cursor."""
+        local = cursor.locals().get(name)
+        if local is not None:
+            return self._of_local(local)
+        unit = self.unit(cursor)
+        field = unit.field(name) if unit is not None else None
+        if unit is not None and field is not None:
+            return self.of_field(unit, field)
+        loop = unit.loop(name) if unit is not None else None
+        if loop is not None:
+            return self.of_method(loop.body)
+        return self.top_level.named(name) if name in self._symbols.constants else None
 
     def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
         """A name before arguments."""
@@ -121,6 +217,8 @@ class TextSymbols:
         methods = unit.overloads(name, "method") if unit is not None else ()
         if methods:
             return self.of_method(self._chosen(cursor, methods))
+        if (function := self.top_level.function(name)) is not None:
+            return function
         if name.startswith("find") and (found := self._symbols.resource(name[4:])) is not None:
             return self.of_unit(found, "find")
         query = parse_query_name(name)
@@ -130,7 +228,9 @@ class TextSymbols:
         return _of_library(name, functions) if functions else None
 
     def type_named(self, name: str) -> TextSymbol | None:
-        """The unit, device type or built-in type of a name."""
+        """The unit, enum, device type or built-in type of a name."""
+        if name in self._symbols.enums:
+            return self.top_level.named(name)
         if (unit := self._symbols.units.get(name)) is not None:
             return self.of_unit(unit)
         if (device := self._symbols.devices.get(name)) is not None:
@@ -153,10 +253,15 @@ class TextSymbols:
     def members(self, cursor: Cursor) -> list[TextSymbol]:
         """What can follow the dot before a cursor."""
         owner = cursor.owner()
+        if owner in self._symbols.enums and owner not in cursor.locals():
+            return self.top_level.members(self._symbols.enums[owner])
         kind = self.type_of(cursor, owner)
         unit = self.unit(cursor) if owner == "this" else self._symbols.unit_of(kind)
         if isinstance(kind, MapType):
             return [_of_library(one.name, [one]) for one in LIBRARY_OF_MAPS]
+        if isinstance(kind, FutureType):
+            names = dict.fromkeys(one.name for one in LIBRARY_OF_FUTURES)
+            return [_of_library(n, [one for one in LIBRARY_OF_FUTURES if one.name == n]) for n in names]
         if unit is not None:
             return list(self._unit_members(unit, kind, is_own=unit is self.unit(cursor)))
         match kind:
@@ -177,7 +282,10 @@ class TextSymbols:
                 return [_of_library(name, _array_functions(kind, name)) for name in _array_names(kind)]
             case ClassType():
                 return [_of_library(one.name, [one]) for one in EXCEPTION_METHODS]
-        return [_of_library(one.name, [one]) for one in STRING_METHODS] if kind.name == "string" else []
+            case EnumType():
+                return [_of_library(one.name, [one]) for one in ENUM_VALUE_METHODS]
+        functions = {"string": STRING_METHODS, LOOP.name: LOOP_METHODS}.get(kind.name, ())
+        return [_of_library(one.name, [one]) for one in functions]
 
     def _unit_members(self, unit: tree.Unit, kind: Type, *, is_own: bool) -> Iterator[TextSymbol]:
         is_proxy = isinstance(kind, ResourceType)
@@ -187,7 +295,7 @@ class TextSymbols:
         if is_proxy:
             yield from (_of_library(one.name, [one]) for one in PROXY_METHODS)
         else:
-            yield from (self.of_field(unit, one) for one in unit.fields if one.public or is_own)
+            yield from (self.of_field(unit, one) for one in unit.named_fields if one.public or is_own)
 
     def _chosen(self, cursor: Cursor, methods: Sequence[tree.Method]) -> tree.Method:
         """The overload that a call selects; the first one if that is not known."""
@@ -212,6 +320,8 @@ class TextSymbols:
 
     def _evaluated(self, cursor: Cursor, text: str) -> tree.Expr | None:
         unit = self.unit(cursor)
+        if unit is None and cursor.method is not None:
+            unit = function_unit(cursor.method.name, cursor.method.span)
         if unit is None or not text:
             return None
         quiet = Diagnostics()
@@ -223,7 +333,8 @@ class TextSymbols:
         known = {name: self.local(local) for name, local in cursor.locals().items()}
         span = unit.span
         method = tree.Method("", "method", unit, [], UNKNOWN, False, False, span, span)
-        return evaluated(BodyContext(symbols, unit, method, Scope(None, known)), raw)
+        context = BodyContext(symbols, unit, method, Scope(None, known), function=unit.function)
+        return evaluated(context, raw)
 
     def local(self, written: DeclaredLocal) -> tree.Local:
         """A variable with its type."""
@@ -262,8 +373,8 @@ def _of_library(name: str, functions: Sequence[LibraryFunction]) -> TextSymbol:
 
 def _array_functions(kind: ArrayType, name: str) -> list[LibraryFunction]:
     """The methods of arrays of that name."""
-    return [one for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS) if one.name == name]
+    return [one for one in (*array_methods(kind), *library_of_array(kind)) if one.name == name]
 
 
 def _array_names(kind: ArrayType) -> list[str]:
-    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *LIBRARY_OF_ARRAYS)))
+    return list(dict.fromkeys(one.name for one in (*array_methods(kind), *library_of_array(kind))))

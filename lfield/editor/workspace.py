@@ -209,9 +209,9 @@ class Workspace:
                 target = model.included(one, path)
                 if first <= start <= last and target is not None:
                     return [TextPlace(target, 0, 0)]
-        if cursor.token.kind is TokenKind.STRING:
+        symbol = symbol_at(model, path, offset)
+        if cursor.token.kind is TokenKind.STRING and symbol is None:
             return self._agents(model.root, "id", str(cursor.token.value))
-        symbol = TextSymbols(model).at(cursor)
         declared = None if symbol is None else self._declaration(model, symbol)
         if symbol is None or declared is None:
             return []

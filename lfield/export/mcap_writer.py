@@ -7,7 +7,7 @@ The file consists of chunks, each complete in itself, and a summary with indexes
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
@@ -87,8 +87,12 @@ class McapRecording:
 
     def add(self, item: StreamItem) -> None:
         """The next item of the stream."""
-        for message in self._stream.messages(item):
-            self._add_message(message)
+        for message in self.messages_of(item):
+            self.add_message(message, message.time)
+
+    def messages_of(self, item: StreamItem) -> Iterator[ChannelMessage]:
+        """The messages of the next item of the stream, for `add_message`."""
+        return self._stream.messages(item)
 
     def flush(self) -> None:
         """End the chunk, so that all items so far are in the file even if its end is never written."""
@@ -98,16 +102,17 @@ class McapRecording:
         """Write the summary; nothing can be added after it."""
         self._writer.finish()  # type: ignore[no-untyped-call]  # as above
 
-    def _add_message(self, message: ChannelMessage) -> None:
+    def add_message(self, message: ChannelMessage, log_time: float) -> None:
+        """Write a message with that log time, in seconds since 1970, and its own time as publish time."""
         channel = self._channels.get(message.channel)
         if channel is None and len(self._channels) >= MAX_CHANNELS:
             self.dropped += 1
             return
         if channel is None:
             channel = self._channels[message.channel] = self._register(message.channel)
-        time = nanoseconds(message.time)
+        logged, published = nanoseconds(log_time), nanoseconds(message.time)
         self._writer.add_message(
-            channel, time, msgspec.json.encode(message.data), time, self.messages & 0xFFFFFFFF
+            channel, logged, msgspec.json.encode(message.data), published, self.messages & 0xFFFFFFFF
         )
         self.messages += 1
 

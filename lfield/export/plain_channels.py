@@ -17,8 +17,9 @@ from lfield.export.channels import Channel, ChannelMessage, JsonSchema, MessageS
 from lfield.export.export_input import MissionInfo, TelemetrySample
 from lfield.manifest import Quantity
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
-from lfield.wire.events import AgentActivity, LinkTelemetry, StateEvent, as_fields
+from lfield.wire.events import AgentActivity, LinkTelemetry, StateEvent
 from lfield.wire.fields import Telemetry
+from lfield.wire.subscription_messages import as_fields
 
 #: JSON types of L's types.
 _JSON_TYPES: Mapping[str, JsonSchema] = {

@@ -25,6 +25,7 @@ from lfield.host.context import (
 )
 from lfield.host.effects import WAKE_WAITERS, Effect, OpenLink
 from lfield.host.events.migration_events import MigrationEvents
+from lfield.host.location.call_watch import CallWatch
 from lfield.host.location.locator import Locator
 from lfield.host.migration.delayed_acks import DelayedAcks
 from lfield.host.migration.init_barrier import InitBarrier
@@ -109,12 +110,13 @@ class HostCore:
         self.commands = DeviceCommands(context, machine, self.leases, membership, mobility)
         self.locator = Locator(context, self.coordinators, self.leases, self.commands)
         self.reachability = Reachability(context, membership, mobility)
+        self.call_watch = CallWatch(context, machine, self.reachability)
         #: When the coordinators of this host start, and what a new start waits for.
         self.startup = Startup(context, self.coordinators, self.leases, membership)
         #: In the order in which they receive events and are polled.
         self._parts: list[Part | QueryRelay[Effect]] = [
             acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
-            self.commands, self.pending_calls, self.reservations, self.locator,
+            self.commands, self.pending_calls, self.reservations, self.locator, self.call_watch,
         ]  # fmt: skip
         self._handlers = {kind: handler for part in self._parts for kind, handler in part.handles.items()}
         self._observers: dict[type[HostEvent], list[EventHandler]] = {
@@ -229,7 +231,8 @@ class HostCore:
     def wait_reason(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
-            return self._inits.wait_reason(agent)
+            first = "waits for the first of its calls" if agent.waits_for_any else ""
+            return first or self._inits.wait_reason(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
         reserves = self.reservations.wait_reason(agent)
@@ -285,7 +288,8 @@ class HostCore:
     def needed_hosts(self) -> set[str]:
         """The hosts to have links with now: neighbours, and hosts that are waited for."""
         waited = self.mobility.needed_hosts() | self.leases.needed_hosts | self.reservations.needed_hosts
-        waited.update(self.startup.needed_hosts, self.membership.overlay_links(self._clock.monotonic()))
+        waited.update(self.startup.needed_hosts, self.call_watch.needed_hosts)
+        waited.update(self.membership.overlay_links(self._clock.monotonic()))
         return waited - {self.name}
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
@@ -343,6 +347,13 @@ class HostCore:
             self.recorder.hybrid_clock.merge(host, answer.stamp, self._clock.monotonic())
         if (handler := self._handlers.get(type(message))) is not None:
             handler(host, message)
+
+    def on_line_entered(self, text: str, *, is_kept: bool) -> str:
+        """A line of the operator's input; returns why no agent gets it, '' if one does."""
+        trouble = self.machine.operator_input.enter(text, is_kept=is_kept)
+        if trouble:
+            self._log(log_messages.INPUT_DROPPED.line(host=self.name, reason=trouble))
+        return trouble
 
     def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
         """The result of the device call of that number."""

@@ -249,7 +249,7 @@ class Host:
                     self._execute(effect)
             if self.logbook.pending:
                 self.logbook.flush()
-            if self._turns.flight is not None:
+            if (flight := self._turns.flight) is not None and flight.complete_turn():
                 self._recording.write_due(self.clock.monotonic())
             self._schedule_step(pause)
         except Exception as error:

@@ -281,6 +281,16 @@ class RunEnds(HostInput, frozen=True, tag=27):
         core.coordinators.end_run()
 
 
+class LineEntered(HostInput, frozen=True, tag=28):
+    """A line of the operator's input; without `is_kept` only an agent that waits for one gets it."""
+
+    text: str
+    is_kept: bool = True
+
+    def enter(self, core: HostCore) -> str:
+        return core.on_line_entered(self.text, is_kept=self.is_kept)
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -309,4 +319,5 @@ RecordedInput = (
     | ContactRestored
     | BallotHeld
     | RunEnds
+    | LineEntered
 )

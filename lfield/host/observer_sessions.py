@@ -11,7 +11,7 @@ from lfield.devices.device_guards import DeviceGuards
 from lfield.errors import AddressError
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
-from lfield.host.inputs import ForgetOrdered, HostInput, RecoveryOrdered, StartOrdered
+from lfield.host.inputs import ForgetOrdered, HostInput, LineEntered, RecoveryOrdered, StartOrdered
 from lfield.host.stop_orders.order_executor import Dispatch, OrderExecutor
 from lfield.host.subscriptions.subscription_server import SubscriptionServer
 from lfield.net.link_manager import LinkManager
@@ -24,6 +24,8 @@ from lfield.wire.observer_messages import (
     EmergencyStop,
     ForgetRequest,
     ForgetResponse,
+    InputLine,
+    InputResult,
     Pause,
     RecoverRequest,
     RecoverResponse,
@@ -88,6 +90,10 @@ class ObserverSessions:
                 spawn(self._answer_when_durable(link, ForgetOrdered(message.agent), _forget_response))
             case RecoverRequest():
                 spawn(self._answer_when_durable(link, RecoveryOrdered(message), _recover_response))
+            case InputLine():
+                self._note(log_messages.INPUT_RECEIVED.line(operator=link.who))
+                entry = LineEntered(message.text, is_kept=False)
+                self._dispatch(entry, lambda found: self._answer(link, InputResult(cast(str, found))))
             case StartRequest():
                 spawn(self._start_coordinators(message, link))
 

@@ -13,6 +13,7 @@ from lfield.capability.matching.explanation import no_provider_note, render_refu
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import ANY_OFFER, OfferQuery, Registry, Value
 from lfield.capability.offer import AgentSource, Fact, Offer
+from lfield.capability.query_values import SEPARATOR, bind, split_values
 from lfield.errors import ConstraintError
 from lfield.host.team_directory import TeamDirectory
 from lfield.mission.mission import Mission
@@ -110,12 +111,19 @@ class MatchResults:
     def _compile(self, constraint: str | None) -> OfferQuery:
         if constraint is None:
             return ANY_OFFER
-        if (compiled := self._registry.constraints.get(constraint)) is not None:
-            return compiled
-        # Only a condition that the program computes needs the parser of L.
-        from lfield.capability.condition_compiler import compile_query
+        text, values = split_values(constraint)
+        compiled = self._registry.constraints.get(text)
+        if compiled is None:
+            compiled = self._parsed(text)
+        return compiled if values is None else bind(compiled, values)
 
-        return compile_query(constraint, self._registry.attributes)
+    def _parsed(self, text: str) -> OfferQuery:
+        """The query in a text: only one that the program computes needs the parser of L."""
+        from lfield.capability.condition_compiler import compile_query, compile_template
+
+        if text.endswith(SEPARATOR):
+            return compile_template(text.removesuffix(SEPARATOR), self._registry.attributes)
+        return compile_query(text, self._registry.attributes)
 
 
 def to_vm_offer(offer: Offer, numbers: Mapping[str, int], count: int = 0, note: str = "") -> FoundOffer:

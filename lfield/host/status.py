@@ -98,6 +98,7 @@ def status_of(
         epochs=core.orders.epochs,
         ballot=core.coordinators.ballot,
         observers=links.monitor.observers.by_name(),
+        reads=core.machine.operator_input.waiting_agents,
     )
 
 

@@ -6,7 +6,7 @@ and read as if it had been included; so are the files of the classes that put se
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -43,6 +43,46 @@ class ConstraintProblem(Protocol):
         """What to write instead, or ''."""
 
 
+#: What the value of a placeholder is in a query; 'nothing' for one that is reported already.
+PlaceholderSort = Literal["number", "text", "boolean", "nothing"]
+
+
+@dataclass(frozen=True, slots=True)
+class Placeholder:
+    """`$kg` or `$at[0].north` in a query: characters `start` to `end` of it."""
+
+    path: str
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class QueryPlaceholders:
+    """A query that is read: its placeholders, and those within quotes; or what is wrong with it."""
+
+    placeholders: tuple[Placeholder, ...] = ()
+    quoted: tuple[Placeholder, ...] = ()
+    mistakes: tuple[ConstraintProblem, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceholderValue:
+    """A value that a query needs: that of a path, times the factor plus the offset."""
+
+    path: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledQuery:
+    """A query with numbers for its placeholders, and their values in this order; or what is wrong."""
+
+    text: str = ""
+    values: tuple[PlaceholderValue, ...] = ()
+    mistakes: tuple[ConstraintProblem, ...] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class GeneratedClasses:
     """The classes of capabilities: their texts by name, and what they need besides.
@@ -75,6 +115,12 @@ class CapabilityTypes(Protocol):
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in the text of a condition over attributes."""
 
+    def placeholders(self, text: str) -> QueryPlaceholders:
+        """The placeholders in the text of a condition."""
+
+    def compile_query(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuery:
+        """A condition whose placeholders have values of these sorts, by path."""
+
 
 def is_portal(method: tree.Method) -> bool:
     """Whether a method represents a portal of an offer: a call goes to the resource that serves it."""
@@ -94,7 +140,9 @@ def unknown_names(files: Sequence[syntax.ParsedFile], known: Collection[str]) ->
     """The names of types and queries in some files that are neither known nor declared there."""
     units = [unit for file in files for unit in file.units]
     methods = {method.name for unit in units for method in unit.methods}
+    methods.update(function.name for file in files for function in file.functions)
+    enums = {enum.name for file in files for enum in file.enums}
     named = {name for file in files for name in file.types}
     asked = (parse_query_name(name) for file in files for name in file.called - methods)
     named.update(query[1] for query in asked if query is not None)
-    return named - {unit.name for unit in units} - set(known)
+    return named - {unit.name for unit in units} - enums - set(known)

@@ -9,7 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, STRING, VOID, ArrayType, Type, array_of
+from lfield.lang.types import (
+    BOOLEAN,
+    EXCEPTION,
+    INT,
+    REAL,
+    STRING,
+    VOID,
+    ArrayType,
+    FutureType,
+    Type,
+    array_of,
+)
 
 Scope = Literal["any", "resource", "coordinator"]
 
@@ -31,6 +42,14 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
     LibraryFunction("write", (REAL,), VOID, "write_float", "resource", "writes a number to standard output"),
     LibraryFunction("write", (STRING,), VOID, "write_str", "resource", "writes text to standard output"),
     LibraryFunction("write", (BOOLEAN,), VOID, "write_bool", "resource", "writes true or false"),
+    LibraryFunction(
+        "read",
+        (REAL,),
+        STRING,
+        "read_line",
+        "resource",
+        "a line of the operator's input at its host, within this many seconds; TimeLimitException",
+    ),
     LibraryFunction("print", (INT,), VOID, "print_int", "any", "a line in the log of the host it runs on"),
     LibraryFunction("print", (REAL,), VOID, "print_float", "any", "a line in the log of the host it runs on"),
     LibraryFunction("print", (STRING,), VOID, "print_str", "any", "a line in the log of the host it runs on"),
@@ -97,6 +116,9 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
     ),
 )
 
+#: Functions that lfield 0.4 lacks: a method of this name is allowed, and takes precedence in its unit.
+YIELDING = frozenset({"read"})
+
 #: Methods of strings: `s.length()`. The receiver is the first argument of the operation.
 STRING_METHODS: tuple[LibraryFunction, ...] = (
     LibraryFunction("length", (), INT, "str_len", meaning="number of characters"),
@@ -128,6 +150,21 @@ PROXY_METHODS: tuple[LibraryFunction, ...] = (
     LibraryFunction("host", (), STRING, "host", "coordinator", "the name of its host"),
 )
 
+#: Methods of a loop of the same resource: fields of the resource.
+LOOP_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("running", (), BOOLEAN, "", "resource", "whether the body of the loop runs now"),
+    LibraryFunction(
+        "overruns", (), INT, "", "resource", "how often the body of the loop ended after its next tick"
+    ),
+)
+
+#: Methods of tickets, in the library only: result and operation.
+TICKET_METHODS: dict[str, tuple[Type, str]] = {
+    "wait": (INT, "next"),
+    "ended": (BOOLEAN, "ended"),
+    "cancel": (VOID, "cancel"),
+    "thrown": (EXCEPTION, "failure"),
+}
 #: `a.length()` of any array.
 ARRAY_LENGTH = "array_len"
 #: The operations that make an array longer or shorter.
@@ -153,7 +190,48 @@ LIBRARY_OF_MAPS: tuple[LibraryFunction, ...] = (
     LibraryFunction("keys", (), array_of(_K), "", meaning="the keys in the order of their insertion"),
     LibraryFunction("values", (), array_of(_V), "", meaning="the values in the order of their keys"),
 )
+_E = Type("E")
+#: The methods of a member of an enum, and those of the enum itself; `name` and `of` are texts of L.
+ENUM_VALUE_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("name", (), STRING, "", meaning="the name of the member"),
+    LibraryFunction("ordinal", (), INT, "", meaning="its place in the declaration, from 0"),
+)
+ENUM_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("values", (), array_of(_E), "", meaning="a new array of all members, in their order"),
+    LibraryFunction("of", (STRING,), _E, "", meaning="the member of that name; ConversionException"),
+)
+#: The methods of futures, and of arrays of futures, for the page of L.
+LIBRARY_OF_FUTURES: tuple[LibraryFunction, ...] = (
+    LibraryFunction("await", (), _T, "", "coordinator", "waits for the call: its result, or what it threw"),
+    LibraryFunction("await", (REAL,), _T, "", "coordinator", "the same, at most seconds; TimeLimitException"),
+    LibraryFunction("done", (), BOOLEAN, "", "coordinator", "whether the call has ended; goes to its host"),
+    LibraryFunction("cancel", (), VOID, "", "coordinator", "cancels the call and waits until it has ended"),
+)
+RACES: tuple[LibraryFunction, ...] = (
+    LibraryFunction("race", (), INT, "", "coordinator", "the first that returns; cancels the others"),
+    LibraryFunction(
+        "race",
+        (Type("method"),),
+        INT,
+        "",
+        "coordinator",
+        "the first whose result a method of this unit accepts, or -1; cancels the others",
+    ),
+    LibraryFunction(
+        "next",
+        (),
+        INT,
+        "",
+        "coordinator",
+        "the first that has ended; the others go on; -1 if all are null",
+    ),
+)
 ARRAY_LIBRARY = tuple(dict.fromkeys(f.name for f in LIBRARY_OF_ARRAYS))
+
+
+def library_of_array(array: ArrayType) -> tuple[LibraryFunction, ...]:
+    """The methods of an array that are in L."""
+    return (*LIBRARY_OF_ARRAYS, *(RACES if isinstance(array.element, FutureType) else ()))
 
 
 def array_methods(array: ArrayType) -> tuple[LibraryFunction, ...]:

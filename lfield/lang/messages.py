@@ -54,7 +54,7 @@ NOT_TEXT = _message(
 EXPECTED_UNIT = _message(
     "L201",
     "expected resource, coordinator, class or include, found {found}",
-    "a program consists of resources, coordinators and classes",
+    "a program consists of resources, coordinators, classes, constants, enums and functions",
 )
 EXPECTED_MEMBER = _message(
     "L202",
@@ -123,6 +123,10 @@ LEAVES_FINALLY = _message(
     "'{keyword}' would leave this finally and discard a pending exception or result",
     "set a variable in the finally, and write the {keyword} after the try",
 )
+CONSTANT_SHAPE = _message(
+    "L234", "a constant needs a type and a value", "write const int {name} = 1; with the type of the value"
+)
+EMPTY_ENUM = _message("L235", "the enum {name} has no members", "write enum {name} {{ FIRST, SECOND }}")
 
 # --- L3xx: names and declarations -----------------------------------------------------------------------
 
@@ -141,7 +145,7 @@ UNKNOWN_FIELD = _message("L304", "{type} has no field '{name}'", "{known}")
 UNKNOWN_METHOD = _message("L305", "{type} has no {kind} '{name}'", "{known}")
 DUPLICATE_LOCAL = _message("L306", "'{name}' is already declared on line {line}", "choose another name")
 DUPLICATE_UNIT = _message(
-    "L307", "'{name}' is already declared in {place}", "names of units are unique: rename one"
+    "L307", "'{name}' is already declared in {place}", "names at the top level are unique: rename one"
 )
 NAME_IN_USE = _message("L308", "'{name}' is already {what}", "choose another name for this {kind}")
 DUPLICATE_FIELD = _message(
@@ -167,6 +171,13 @@ CONSTRUCTOR_NAME = _message(
     "L318", "this method has no result type", "write void {name}(...); a constructor is named like its class"
 )
 NOT_A_METHOD = _message("L319", "'{name}' is a variable, not a method", "remove the ( )")
+CONSTANT_CYCLE = _message(
+    "L320", "the value of '{name}' depends on itself: {path}", "write one of these values as a literal"
+)
+DUPLICATE_MEMBER = _message(
+    "L321", "the member '{name}' is already declared on line {line}", "rename or remove one"
+)
+UNKNOWN_MEMBER = _message("L322", "the enum {enum} has no member '{name}'", "{known}")
 
 # --- L4xx: types ----------------------------------------------------------------------------------------
 
@@ -245,8 +256,134 @@ MAP_TYPES = _message(
 )
 MAP_KEY = _message(
     "L433",
-    "the keys of a map are string or int, not {given}",
+    "the keys of a map are string, int or an enum, not {given}",
     "use an id or a number of it as the key, and the object as the value",
+)
+NOT_CONSTANT = _message(
+    "L434",
+    "the value of the constant '{name}' must be known before the program runs",
+    "write literals, other constants and members of enums, joined by operators",
+)
+CONSTANT_TYPE = _message(
+    "L435", "a constant cannot be {given}", "constants are boolean, int, real, string or of an enum"
+)
+CONSTANT_VALUE = _message("L436", "the value of the constant '{name}' is {problem}", "{hint}")
+IMPURE = _message(
+    "L437",
+    "the function '{function}' {what}",
+    "a function computes its result from its arguments alone; write a method of the unit for the rest",
+)
+CHANGES_ARGUMENT = _message(
+    "L438",
+    "the function '{function}' would change {what}, which its caller has",
+    "change a copy: a.slice(0, a.length()), or a new array",
+)
+NO_THIS = _message("L439", "the function '{function}' has no this", "pass what it needs as a parameter")
+ENUM_NAME = _message("L440", "'{name}' is an enum, not a value", "write one of its members: {name}.{member}")
+PARAMETER_TYPE = _message(
+    "L441",
+    "a query cannot have {given}",
+    "its parameters are numbers, text, true or false, and members of enums",
+)
+QUOTED_PARAMETER = _message(
+    "L442",
+    "'${name}' within quotes is text, not the value of '{name}'",
+    "leave the quotes out: the value of a string variable is text already",
+)
+COMPUTED_QUERY = _message(
+    "L443",
+    "'${name}' is in a text that is not known before the program runs",
+    "write the query as one literal, or as a sum of literals and constants",
+)
+
+LOOP_PLACE = _message(
+    "L470",
+    "{unit} cannot have a loop",
+    "only resources have loops; a coordinator enables one through a portal of its resource",
+)
+LOOP_RATE = _message(
+    "L471",
+    "the loop '{name}' has no rate",
+    "write loop {name} at 10.0 {{ ... }}, in hertz, or loop {name} every 0.1 {{ ... }}, in seconds; priority "
+    "and when follow",
+)
+LOOP_PERIOD = _message(
+    "L472",
+    "the period of a loop is {given}: it must be from 0.001 s to 1000 s",
+    "at is followed by hertz, every by seconds",
+)
+LOOP_PRIORITY = _message(
+    "L473",
+    "the priority of a loop is a whole number",
+    "write priority 2, a constant: a loop suppresses those with lower numbers; portals have 0",
+)
+LOOP_UNCONDITIONAL = _message(
+    "L474",
+    "the loop '{name}' has no `when`, so {lower} with a lower priority can never run",
+    "add when (condition), or give it the lowest priority",
+)
+LOOP_NAME = _message("L475", "'{name}' is a field already (line {line})", "choose another name for the loop")
+LOOP_MEMBER = _message("L476", "a loop has no method '{name}'", "it has running() and overruns()")
+LOOP_VALUE = _message(
+    "L477", "the loop '{name}' is not a value", "call its methods: {name}.running() and {name}.overruns()"
+)
+LOOP_CALL = _message(
+    "L478",
+    "the loop '{name}' cannot be called",
+    "its thread calls it at each tick; move the code into a method that both can call",
+)
+TOO_MANY_LOOPS = _message(
+    "L479", "a resource has at most {limit} loops", "put what has the same rate into one loop"
+)
+
+LIMIT_OVER = _message(
+    "L460",
+    "the limit of {name} must be more than 0 seconds, this is {given}",
+    "write how long it waits at most, as in {example}; after that it throws TimeLimitException",
+)
+
+ASYNC_CALL = _message(
+    "L450",
+    "async begins the call of a portal, and this is none",
+    "call a portal of a proxy or of an offer: async arm.lift(1.5); other methods are called without async",
+)
+ASYNC_TOGETHER = _message(
+    "L451",
+    "a together begins its calls itself",
+    "leave async out, or begin the call before the block",
+)
+FUTURE_DROPPED = _message(
+    "L452",
+    "the future of this call is not kept, so its result and its failure would be lost",
+    "write {type} f = {call}; and f.await() later; without async the call is awaited here",
+)
+RACE_EMPTY = _message(
+    "L453",
+    "this array has no futures, so {name} has nothing to wait for",
+    "add calls first: futures.append(async arm.lift(1.5));",
+)
+FUTURE_TWICE = _message(
+    "L454",
+    "the future '{name}' is twice in this array",
+    "write each future once, or begin a second call: async arm.lift(1.5)",
+)
+RACE_ARGUMENT = _message(
+    "L455",
+    "{name} has {argument}",
+    "futures.race(), futures.race(enough) with a method boolean enough(real result), futures.next()",
+)
+RACE_METHOD = _message(
+    "L456",
+    "race needs a method that has a {of} and returns boolean; {found}",
+    "write private boolean {name}({of} result) {{ ... }} in this unit: whether a result wins",
+)
+FUTURE_TYPE = _message(
+    "L457",
+    "the type of a future has one type: that of the result",
+    "write future<real>, or future<void> for a call without a result",
+)
+FUTURE_NEW = _message(
+    "L458", "a {type} is not created with new", "begin a call: {type} f = async arm.lift(1.5);"
 )
 
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
@@ -373,6 +510,24 @@ CAPABILITY_OUTSIDE = _message(
     "L526",
     "{viewer} cannot name the capability '{name}'",
     "only coordinators find and call offers of a capability; a resource has portals",
+)
+FUTURE_PORTAL = _message(
+    "L528",
+    "a {type} cannot pass through a portal: its call belongs to the coordinator that began it",
+    "pass the result: f.await()",
+)
+ASYNC_PLACE = _message(
+    "L529", "{viewer} cannot begin calls", "offer portals; a coordinator begins calls of several resources"
+)
+WAIT_PLACE = _message(
+    "L530",
+    "wait until leaves the monitor, and {method} of {viewer} does not hold it",
+    "write it in a synchronized portal or method of a resource or of a resource specific class",
+)
+WAIT_SECONDS = _message(
+    "L531",
+    "the time of a wait until must be more than 0 seconds, this is {given}",
+    "write wait until (...) within (5.0);",
 )
 
 # --- L6xx: files ----------------------------------------------------------------------------------------

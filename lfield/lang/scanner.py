@@ -92,15 +92,24 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE | re.ASCII,
 )
+#: The same with parameters of queries, `$kg`, as names.
+_QUERY_TOKEN = re.compile(
+    _TOKEN.pattern.replace("(?P<name>          [A-Za-z_]", r"(?P<name>  \$?+[A-Za-z_]"), re.VERBOSE | re.ASCII
+)
 _SKIPPED = frozenset({"space", "comment"})
 _NOT_TEXT = re.compile("[\0\ud800-\udfff]")
 _ESCAPE = re.compile(r"\\(u\{[0-9a-fA-F]{1,6}\}|u\{?|.)", re.DOTALL)
 _SIMPLE_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", '"': '"', "\\": "\\"}
 
 
-def scan(source: Source, found: Diagnostics, *, end: str = "the end of the file") -> Scan:
-    """All tokens of the source. Errors go to `found`; only a file that is not text stops the scan."""
-    scanner = _Scanner(source, found)
+def scan(
+    source: Source, found: Diagnostics, *, end: str = "the end of the file", parameters: bool = False
+) -> Scan:
+    """All tokens of the source. Errors go to `found`; only a file that is not text stops the scan.
+
+    With `parameters`, `$kg` is a name.
+    """
+    scanner = _Scanner(source, found, _QUERY_TOKEN if parameters else _TOKEN)
     scanner.run(end)
     return scanner.result
 
@@ -108,8 +117,8 @@ def scan(source: Source, found: Diagnostics, *, end: str = "the end of the file"
 class _Scanner:
     """One run over one source."""
 
-    def __init__(self, source: Source, found: Diagnostics) -> None:
-        self.source, self.found = source, found
+    def __init__(self, source: Source, found: Diagnostics, token: re.Pattern[str]) -> None:
+        self.source, self.found, self.pattern = source, found, token
         self.result = Scan()
 
     def run(self, end_name: str) -> None:
@@ -121,7 +130,7 @@ class _Scanner:
             self.result.bad_lines.add(end.line)
             self.result.cut = True
         else:
-            for match in _TOKEN.finditer(text):
+            for match in self.pattern.finditer(text):
                 group = str(match.lastgroup)
                 if group not in _SKIPPED:
                     self.token(group, match.group(), self.span(*match.span()))

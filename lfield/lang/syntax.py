@@ -110,6 +110,14 @@ class Call(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call begins, its value is a future; `keyword` is `async`."""
+
+    keyword: Span
+    call: Expr
+
+
+@dataclass(slots=True, eq=False)
 class Index(Expr):
     """`array[index]`."""
 
@@ -289,6 +297,14 @@ class Reserve(Stmt):
     body: Stmt
 
 
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """`wait until (condition) within (seconds);`, without `within`: None; `span` is the keyword."""
+
+    condition: Expr
+    seconds: Expr | None
+
+
 # --- declarations -------------------------------------------------------------------------------------
 
 
@@ -313,8 +329,23 @@ class Field:
 
 
 @dataclass(slots=True, eq=False)
+class LoopHead:
+    """The clauses of a loop. `rate` is in hertz, or with `every` a period in seconds.
+
+    `place` is the number behind `priority`.
+    """
+
+    rate: Expr
+    every: bool
+    priority: int | None = None
+    place: Span | None = None
+    condition: Expr | None = None
+
+
+@dataclass(slots=True, eq=False)
 class Method:
-    """A method, constructor, init or portal. `result` is None where none is written; `span` is its name."""
+    """A method, constructor, init, portal or loop. `result` is None where none is written; `span` is its
+    name."""
 
     kind: MethodKind
     name: str
@@ -326,6 +357,7 @@ class Method:
     body: list[Stmt] = field(default_factory=list)
     end: Span = field(init=False)
     broken: bool = False
+    loop: LoopHead | None = None
 
     def __post_init__(self) -> None:
         self.end = self.span
@@ -345,6 +377,33 @@ class Unit:
 
 
 @dataclass(slots=True, eq=False)
+class Constant:
+    """`const T NAME = value;` at the top level; `span` is the name."""
+
+    type: TypeName
+    name: str
+    value: Expr
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class EnumMember:
+    """A member of an enum; `span` is its name."""
+
+    name: str
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Enumeration:
+    """`enum NAME { A, B }`; `span` is the name."""
+
+    name: str
+    members: list[EnumMember]
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
 class Include:
     """`include "path";` or, with `library`, `include <path>;`."""
 
@@ -355,14 +414,18 @@ class Include:
 
 @dataclass(slots=True, eq=False)
 class ParsedFile:
-    """One parsed file; `broken` when units may be missing.
+    """One parsed file; `broken` when declarations may be missing.
 
-    `types` are the names of types it mentions, `called` the names it calls without an object.
+    `functions` are those of the top level. `types` are the names of types it mentions, `called` the names it
+    calls without an object.
     """
 
     source: Source
     includes: list[Include] = field(default_factory=list)
     units: list[Unit] = field(default_factory=list)
+    constants: list[Constant] = field(default_factory=list)
+    enums: list[Enumeration] = field(default_factory=list)
+    functions: list[Method] = field(default_factory=list)
     broken: bool = False
     types: set[str] = field(default_factory=set)
     called: set[str] = field(default_factory=set)

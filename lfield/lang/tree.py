@@ -7,6 +7,7 @@ spelled out, so the compiler has one way to read each idea. Nodes are compared b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -17,7 +18,8 @@ from lfield.text.source_text import Source, Span
 
 UnitKind = Literal["class", "resource", "coordinator"]
 Usage = Literal["global", "resource", "coordinator"]
-MethodKind = Literal["method", "constructor", "init", "portal"]
+#: A loop is its body; the method of its thread has the kind `ticks`.
+MethodKind = Literal["method", "constructor", "init", "portal", "loop", "ticks"]
 
 
 # --- declarations -------------------------------------------------------------------------------------
@@ -65,10 +67,31 @@ class Method:
 
 
 @dataclass(slots=True, eq=False)
+class ResourceLoop:
+    """A loop of a resource: its body, the method of its thread, and its fields, which no name leads to.
+
+    `running`: the body runs now; `engaged`: it suppresses loops of lower priority.
+    """
+
+    body: Method
+    ticks: Method
+    priority: int | None
+    running: Field
+    engaged: Field
+    overruns: Field
+
+    @property
+    def controls(self) -> bool:
+        """Whether only loops command the devices while its body runs: portals have priority 0."""
+        return self.priority is not None and self.priority > 0
+
+
+@dataclass(slots=True, eq=False)
 class Unit:
     """A class (always with a constructor; offers are of a `capability`), resource or coordinator.
 
-    Objects of a class that is `thrown` become exceptions somewhere.
+    Objects of a class that is `thrown` become exceptions somewhere. A `function` of the top level is checked
+    in a unit of its own, which is not in the program.
     """
 
     name: str
@@ -79,7 +102,9 @@ class Unit:
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
     thrown: bool = False
+    function: bool = False
     library_methods: list[Method] = field(default_factory=list)
+    loops: list[ResourceLoop] = field(default_factory=list)
     _fields: dict[str, Field] = field(default_factory=dict)
     _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
 
@@ -96,9 +121,36 @@ class Unit:
         """Add a method of the library for arrays, which no name of the program leads to."""
         self.library_methods.append(made)
 
+    def add_hidden_field(self, name: str, kind: Type, span: Span) -> Field:
+        """Add a field that no name of the program leads to; its own name is not in use."""
+        known = {field.name for field in self.fields}
+        while name in known:
+            name += "_"
+        made = Field(name, kind, len(self.fields), public=False, span=span)
+        self.fields.append(made)
+        return made
+
+    def add_loop(self, made: ResourceLoop) -> None:
+        """Add a loop; those with the highest priority come first."""
+        self.loops.append(made)
+        self.loops.sort(key=lambda loop: -math.inf if loop.priority is None else loop.priority, reverse=True)
+        self.library_methods = [
+            *(method for method in self.library_methods if method.kind != "ticks"),
+            *(loop.ticks for loop in self.loops),
+        ]
+
+    def loop(self, name: str) -> ResourceLoop | None:
+        """The loop of that name."""
+        return next((loop for loop in self.loops if loop.body.name == name), None)
+
     def mark_thrown(self) -> None:
         """Objects of this class become exceptions."""
         self.thrown = True
+
+    @property
+    def named_fields(self) -> list[Field]:
+        """The fields without the hidden ones."""
+        return list(self._fields.values())
 
     def field(self, name: str) -> Field | None:
         return self._fields.get(name)
@@ -106,6 +158,26 @@ class Unit:
     def overloads(self, name: str, kind: MethodKind) -> Sequence[Method]:
         """The methods of that name and kind, in source order."""
         return self._methods.get((name, kind), ())
+
+
+@dataclass(slots=True, eq=False)
+class Enumeration:
+    """An enum: the names of its members in their order; `spans` are the names in the declaration."""
+
+    name: str
+    members: tuple[str, ...]
+    span: Span
+    spans: tuple[Span, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class Constant:
+    """A constant of the top level; an enum's member is its number. UNKNOWN while its value is not known."""
+
+    name: str
+    type: Type
+    value: bool | int | float | str | None
+    span: Span
 
 
 @dataclass(slots=True, eq=False)
@@ -118,6 +190,7 @@ class CheckedProgram:
     units: list[Unit]
     sources: list[Source]
     growing: frozenset[Type] = frozenset()
+    enums: tuple[Enumeration, ...] = ()
 
 
 # --- expressions --------------------------------------------------------------------------------------
@@ -132,8 +205,15 @@ class Expr:
 
 
 @dataclass(slots=True, eq=False)
+class EnumName(Expr):
+    """The name of an enum, before a member or a method. Only the checker sees it."""
+
+    enum: Enumeration
+
+
+@dataclass(slots=True, eq=False)
 class Literal_(Expr):
-    """A constant: bool, int, float, str, or None for null."""
+    """A constant: bool, int, float, str, or None for null. A member of an enum is its number."""
 
     value: bool | int | float | str | None
 
@@ -218,6 +298,13 @@ class ToReal(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Relabel(Expr):
+    """A member of an enum as its number, or the other way round: the value stays as it is."""
+
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
 class New(Expr):
     """`new C(args)`. For a built-in exception class, `constructor` is None and args are () or (message)."""
 
@@ -251,6 +338,14 @@ class PortalCall(Expr):
 
 
 @dataclass(slots=True, eq=False)
+class Async(Expr):
+    """`async call`: the call of a portal, or of an offer, begins; the value is a new future."""
+
+    call: PortalCall | Call
+    constructor: Method
+
+
+@dataclass(slots=True, eq=False)
 class Find(Expr):
     """`findR(id)` gives a proxy, `findR()` (id None) all of them as an array."""
 
@@ -274,6 +369,20 @@ class LibraryCall(Expr):
 
     operation: str
     arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class LoopCall(LibraryCall):
+    """An instruction of the thread of a loop; `other` is the method of another loop's thread."""
+
+    other: Method | None = None
+
+
+@dataclass(slots=True, eq=False)
+class LoopName(Expr):
+    """The name of a loop, whose `running()` and `overruns()` can be called."""
+
+    loop: ResourceLoop
 
 
 @dataclass(slots=True, eq=False)
@@ -410,6 +519,14 @@ class Reserve(Stmt):
 
     target: Expr
     body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class WaitUntil(Stmt):
+    """Leave the monitor until the condition holds, at most `seconds` (None: without limit)."""
+
+    condition: Expr
+    seconds: Expr | None
 
 
 @dataclass(slots=True, eq=False)

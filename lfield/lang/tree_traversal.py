@@ -52,7 +52,7 @@ def first_evaluated_operand(expr: tree.Expr) -> tree.Expr | None:
             return expr.proxy
         case tree.Element():
             return expr.array
-        case tree.ToReal():
+        case tree.ToReal() | tree.Relabel():
             return expr.operand
         case tree.LibraryCall(arguments=[first, *_]):
             return first
@@ -84,7 +84,7 @@ def subexpressions(expr: tree.Expr) -> list[tree.Expr]:
             return [expr.target, expr.value]
         case tree.Binary() | tree.Logical():
             return [expr.left, expr.right]
-        case tree.Not() | tree.Negate() | tree.ToReal():
+        case tree.Not() | tree.Negate() | tree.ToReal() | tree.Relabel():
             return [expr.operand]
         case tree.FieldGet():
             return [expr.object]
@@ -106,6 +106,8 @@ def subexpressions(expr: tree.Expr) -> list[tree.Expr]:
             return [argument]
         case tree.Query(constraint=constraint, size=size):
             return [argument for argument in (constraint, size) if argument is not None]
+        case tree.Async():
+            return [expr.call]
     return []
 
 
@@ -120,6 +122,8 @@ def statement_expressions(one: tree.Stmt) -> list[tree.Expr]:
             return [one.condition]
         case tree.Within():
             return [one.seconds]
+        case tree.WaitUntil():
+            return [one.condition] if one.seconds is None else [one.seconds, one.condition]
         case tree.Reserve():
             return [one.target]
         case tree.StartCall():

@@ -36,6 +36,18 @@ class MapType(ClassType):
 
 
 @dataclass(frozen=True, slots=True)
+class EnumType(Type):
+    """A member of an enum of the program, represented by its number from 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class FutureType(ClassType):
+    """`future<T>`; write `future_of(T)`. Its class is of the library (standard_library/future.L)."""
+
+    value: Type
+
+
+@dataclass(frozen=True, slots=True)
 class ResourceType(Type):
     """A proxy for a resource somewhere in the team."""
 
@@ -53,8 +65,14 @@ VOID = Type("void")
 NULL = Type("null")
 #: The type of an expression that already has an error; it fits everywhere, so one mistake is reported once.
 UNKNOWN = Type("unknown")
+#: The type of the tickets of portal calls: in the library, and in what the compiler makes.
+TICKET = Type("ticket")
+#: The types whose classes are of the library: only their public methods are visible.
+LIBRARY_CLASSES = (MapType, FutureType)
 #: `Exception`: what `catch (Exception e)` binds; every object fits it, only throw and three methods take it.
 EXCEPTION = ClassType("Exception")
+#: What the name of a loop has; no value has it.
+LOOP = Type("loop")
 
 #: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and what each
 #: is a kind of: a catch of that catches both. A robot in trouble with its hardware is one case, however
@@ -90,9 +108,14 @@ def map_of(key: Type, value: Type) -> MapType:
     return MapType(f"map<{key.name}, {value.name}>", key, value)
 
 
+def future_of(value: Type) -> FutureType:
+    """`future<value>`."""
+    return FutureType(f"future<{value.name}>", value)
+
+
 def is_reference(kind: Type) -> bool:
     """Whether values of the type are references into the block (null is one of them)."""
-    return kind not in (BOOLEAN, INT, REAL, VOID)
+    return kind not in (BOOLEAN, INT, REAL, VOID) and not isinstance(kind, EnumType)
 
 
 def distance(given: Type, expected: Type) -> int | None:

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from lfield.bytecode.program import Program
-from lfield.bytecode.side_effects import fenced_classes
+from lfield.bytecode.side_effects import fenced_classes, reading_classes
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.driver_index import DriverIndex, DriverLookup, installed_drivers
@@ -88,6 +88,13 @@ class Mission:
     def devices_of(self, host: str) -> list[DeviceBinding]:
         """The devices of the agents that are deployed on a host."""
         return self.bindings.of([member.id for member in self.team.members_on(self.team.number(host))])
+
+    @cached_property
+    def reading_hosts(self) -> Sequence[str]:
+        """The hosts with resources that read the operator's input, in order."""
+        classes, team = reading_classes(self.program), self.team
+        found = {member.host for member in team.members if member.type in classes}
+        return tuple(team.hosts[number] for number in sorted(found))
 
     @cached_property
     def hosts_with_vehicles(self) -> Sequence[str]:

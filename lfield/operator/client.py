@@ -27,6 +27,7 @@ from lfield.wire.observer_messages import (
     EmergencyStopResult,
     ForgetRequest,
     ForgetResponse,
+    InputResult,
     Pause,
     RecoverRequest,
     RecoverResponse,
@@ -41,7 +42,8 @@ if TYPE_CHECKING:
     from lfield.operator.orders.order_datagrams import OrderDatagrams
     from lfield.operator.orders.order_sender import OrderSender
 
-T = TypeVar("T", bound=EventBatch | EmergencyStopResult | ForgetResponse | RecoverResponse | StartResponse)
+_Response = ForgetResponse | RecoverResponse | StartResponse | InputResult
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response)
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError, NoListener, WireError
 from lfield.net.handshake import Handshake
+from lfield.wire.fields import MAX_INPUT
 from lfield.wire.messages import HandshakeRefused, Hello, Message, RevocationUpdate
 from lfield.wire.observer_messages import (
     EmergencyStop,
     EmergencyStopResult,
     ForgetResponse,
+    InputLine,
+    InputResult,
     OrderChallenge,
     Pause,
     RecoverResponse,
@@ -27,7 +30,8 @@ if TYPE_CHECKING:
     from lfield.net.transport import Link, Transport
     from lfield.wire.coordinator_messages import Transfer
 
-T = TypeVar("T", bound=EventBatch | EmergencyStopResult | ForgetResponse | RecoverResponse | StartResponse)
+_Response = ForgetResponse | RecoverResponse | StartResponse | InputResult
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response)
 
 #: Seconds between two attempts.
 RETRY_DELAY = 0.1
@@ -47,6 +51,14 @@ class Request(Generic[T]):
     answer: type[T]
     timeout: float
     is_retried: bool = False
+
+
+def input_line(text: str) -> Request[InputResult]:
+    """Gives an agent of the host a line of input.
+
+    It is not retried: a repeated line could answer another question.
+    """
+    return Request(InputLine(text[:MAX_INPUT]), InputResult, 8.0)
 
 
 class PresentedCrl(NamedTuple):

@@ -7,13 +7,14 @@ recorded turn, for minutes.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from lfield.vm.engine_interface import (
     BUDGET_EXHAUSTED,
     AgentLimits,
+    Engine,
     EngineExit,
     Engines,
+    EngineWrapper,
     HeapExhausted,
     MonitorBlocked,
     Reading,
@@ -73,15 +74,12 @@ class ComputationLimit:
         self._on_over(key[0], block, thread, self._spent[key][1])
 
 
-class _LimitedEngine:
+class _LimitedEngine(EngineWrapper):
     """An engine that does not run threads which have exceeded a limit."""
 
-    def __init__(self, engine: Any, limit: ComputationLimit) -> None:
-        self._engine, self._limit = engine, limit
-        self.unused_budget = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._engine, name)
+    def __init__(self, engine: Engine, limit: ComputationLimit) -> None:
+        super().__init__(engine)
+        self._limit = limit
 
     def run(
         self,
@@ -94,10 +92,9 @@ class _LimitedEngine:
         """See `Engine`."""
         key = block.text(block.w[W_ID]), block.w[thread + THREAD_ID]
         if self._limit.is_over(key):
-            self.unused_budget = budget
+            self.has_read_external, self.unused_budget = False, budget
             return BUDGET_EXHAUSTED
-        leave: EngineExit = self._engine.run(block, thread, budget, limits, readings)
-        self.unused_budget = self._engine.unused_budget
-        if self._limit.on_run(key, self._engine.pace, budget - self.unused_budget, leave):
+        leave = super().run(block, thread, budget, limits, readings)
+        if self._limit.on_run(key, self.pace, budget - self.unused_budget, leave):
             self._limit.report(key, block, thread)
         return leave

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
+from lfield.bytecode.program import Program
 from lfield.errors import RecordingError
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
@@ -27,7 +28,7 @@ from lfield.recording.turn_clocks import ReplayClock, ReplayedTimes
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.replay_environment import ReplayedBytes, ReplayEnvironment
 from lfield.replication.membership.overlay import Overlay
-from lfield.vm.engine_interface import Engines
+from lfield.vm.engine_interface import Engine, Engines, EngineWrapper
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.turns.run_limit import ReplayedRunLimit
 
@@ -223,20 +224,18 @@ class HostReplay:
 def with_pace(engines: Engines, pace: int) -> Engines:
     """The same engines with the pace of another one: turns then have the same budgets."""
 
-    def make(program: Any, now: Callable[[], float]) -> Any:
+    def make(program: Program, now: Callable[[], float]) -> Engine:
         return PacedEngine(engines(program, now), pace)
 
     return make
 
 
-class PacedEngine:
+class PacedEngine(EngineWrapper):
     """An engine with another pace."""
 
-    def __init__(self, engine: Any, pace: int) -> None:
-        self._engine, self.pace = engine, pace
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._engine, name)
+    def __init__(self, engine: Engine, pace: int) -> None:
+        super().__init__(engine)
+        self.pace = pace
 
 
 def _plain(effects: list[Effect]) -> list[list[Any]]:

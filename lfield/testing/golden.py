@@ -4,6 +4,7 @@
     throw new NullException("x"); // throws: NullException: x
     // deploy: Server:s1?5&3      (optional; else one agent of each unit, its id the type in lower case)
     // registry: lifting.yaml     (optional; a registry of capabilities, beside the program)
+    // input: yes                 (optional; a line of operator input that is entered at the start)
 
 `expect` lines are compared with everything the agents write and print, in order; `throws` with what
 agents died of. The program runs on one host in memory, with a clock that jumps to the next timer.
@@ -28,6 +29,7 @@ from lfield.host.offer_queries import MatchResults
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.still_team import still_answers
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, MachineTeam, TeamMember
 from lfield.vm.engine_interface import AgentLimits, Reading, Trap
 from lfield.vm.host_interface import Pending
@@ -43,6 +45,7 @@ ROUNDS = 500
 _EXPECT = re.compile(r"//\s*expect:\s?(.*?)\s*$", re.MULTILINE)
 _THROWS = re.compile(r"//\s*throws:\s*(.*?)\s*$", re.MULTILINE)
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
+_INPUT = re.compile(r"//\s*input:\s?(.*?)\s*$", re.MULTILINE)
 _REGISTRY = re.compile(r"//\s*registry:\s*(\S+)\s*$", re.MULTILINE)
 
 
@@ -68,9 +71,22 @@ class GoldenWorld:
         """Records written text, line by line."""
         self.output.extend(text.removesuffix("\n").split("\n"))
 
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """No operator is asked."""
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """Its program shows the line."""
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """There is no page."""
+
     def log(self, agent: Agent, text: str) -> None:
         """Records a printed text, line by line."""
         self.output.extend(text.split("\n"))
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """Records the code of a line."""
+        self.output.append(line.code)
 
     def depart(self, agent: Agent, resource: TeamMember) -> None:
         """Records the migration; a test performs it."""
@@ -114,6 +130,9 @@ class GoldenWorld:
     def on_call_completed(self, call: PendingCall) -> None:
         """The result counts as persisted at once: there is no journal."""
         self.machine.pending_calls.on_persisted(call.key)
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """No call runs elsewhere: there is one host."""
 
     def abandon_wait(self, agent: Agent) -> bool:
         """A waiting agent is still here; others are not frozen."""
@@ -181,6 +200,8 @@ def run_text(
     if registry is not None:
         desk.answers = still_answers(registry, program, team)
     machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
+    for line in _INPUT.findall(text):
+        machine.operator_input.enter(line, is_kept=True)
     for member in team:
         machine.start(member, limits or AgentLimits(), generation=1)
     run_until_idle(machine, clock)

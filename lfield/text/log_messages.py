@@ -135,6 +135,24 @@ CLOCK_AHEAD = _message(
     "the order of its events and those of this host is not certain",
 )
 CLOCK_SET = _message("clock-set", "system clock set: it changed by {seconds:+.0f} s", "warning")
+INPUT_AWAITED = _message(
+    "input-awaited",
+    "{agent} waits for a line of input, at most {seconds:g} s: type it where this host runs, or on the page "
+    "of lfield watch",
+    meaning="of `read` in the program",
+)
+INPUT_READ = _message("input-read", "{agent} has read: {text}", meaning="a line of the operator's input")
+INPUT_DROPPED = _message("input-dropped", "line of input for {host} ignored: {reason}", "warning")
+INPUT_RECEIVED = _message("input-received", "line of input received from {operator}")
+INPUT_CUT = _message(
+    "input-cut", "line of input for {host} shortened to {length} characters", "warning", "the rest is dropped"
+)
+INPUT_UNADDRESSED = _message(
+    "input-unaddressed",
+    "line of input ignored: it names no host: type HOST: TEXT, where HOST is {hosts}",
+    "warning",
+    "by `lfield up --all`, where several hosts run programs that read",
+)
 ENGINE_FALLBACK = _message("engine-fallback", "the reference engine runs the program: {reason}", "warning")
 METHOD_UNCOMPILED = _message(
     "method-uncompiled", "method {method} not compiled: {reason}; the reference engine runs it", "warning"
@@ -187,6 +205,28 @@ OUTPUT_DROPPED = _message(
 AGENT_DIED = _message("agent-died", "{agent} died of an uncaught {report}", "error")
 AGENT_DUMPED = _message("agent-dumped", "{agent} dumped: read it with 'lfield inspect {path}'")
 AGENT_NOT_DUMPED = _message("agent-not-dumped", "{agent} not dumped to {path}: {reason}", "error")
+_OMITTED = Clause(
+    ("omitted",), lambda omitted: f" ({omitted} more since the last such line)" if omitted else ""
+)
+LOOP_OVERRUN = _message(
+    "loop-overrun",
+    "loop {loop} of {agent} overran: its next tick was due {late:.3f} s earlier; {skipped} skipped{more}",
+    meaning="its body or its host took longer than the period; at most one line per loop in 10 s",
+    more=_OMITTED,
+)
+LOOP_FAILED = _message(
+    "loop-failed",
+    "loop {loop} of {agent} failed: {reason}; it continues at its next tick{more}",
+    "warning",
+    "at most one line per loop in 10 s",
+    more=_OMITTED,
+)
+LOOP_SUPPRESSED = _message(
+    "loop-suppressed",
+    "loop {loop} of {agent} suppressed by {by}{more}",
+    meaning="at most one line per loop in 10 s",
+    more=_OMITTED,
+)
 INIT_WAIT = _message(
     "init-wait", "{agent} waiting: the init of {resource} has neither returned nor yielded yet"
 )

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, overload
 
 from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
+#: What a thread does that has left the monitor in a `wait until`: it waits, it waits and is woken regularly,
+#: or it checks its condition.
+WAITS, POLLS, EVALUATES = 1, 2, 3
+
 #: 'unknown' where a deployment was read without its program, for queries only.
 AgentKind = Literal["resource", "coordinator", "unknown"]
+
+
+#: What a cancelled call and a suppressed loop get.
+CANCELLED = "CancelledException"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +70,44 @@ class MemberTypes(Sequence[str]):
         return len(self._members)
 
 
+@dataclass(slots=True)
+class ResourceLoops:
+    """The loops of a resource. Ids of threads are keys, names and reasons are for messages."""
+
+    #: The threads of the loops by their method's index.
+    threads: dict[int, int]
+    #: When they started, in ns of the resource.
+    started: int = 0
+    #: The threads whose bodies are suppressed, with the reason.
+    suppressed: dict[int, str] = field(default_factory=dict)
+    #: The threads whose bodies control the devices, with the names of their loops.
+    controlling: dict[int, str] = field(default_factory=dict)
+    #: By kind of report and loop: the time of the last line, and how many were left out since.
+    reported: dict[tuple[str, str], tuple[float, int]] = field(default_factory=dict)
+
+    def start(self, now: int) -> None:
+        """The first tick of all loops is due, at this time in ns of the resource."""
+        self.started = now
+
+    def has(self, thread: int) -> bool:
+        """Whether it is the thread of a loop."""
+        return thread in self.threads.values()
+
+    def end_tick(self, thread: int) -> None:
+        """The body of a loop has ended: it is not suppressed any more, and controls nothing."""
+        self.suppressed.pop(thread, None)
+        self.controlling.pop(thread, None)
+
+    def refusal(self, thread: int) -> tuple[str, str]:
+        """The exception for an acting device instruction of a thread, and its reason; '' if permitted."""
+        if thread in self.suppressed:
+            return CANCELLED, self.suppressed[thread]
+        if self.controlling and not self.has(thread):
+            name = next(iter(self.controlling.values()))
+            return "DeviceException", f"the loop {name} controls the devices now"
+        return "", ""
+
+
 class Agent:
     """An agent on this host. All its execution state is in `block`."""
 
@@ -93,8 +139,16 @@ class Agent:
     called_portal = -1
     #: Why an expired limit was thrown late.
     lateness_reason = ""
+    #: Threads of a resource that have left its monitor in a `wait until`, each with its state.
+    monitor_waits: dict[int, int] = {}
     #: Why a departure that would arrive late was refused.
     unreachable_reason = ""
+    #: The loops of a resource; None without any.
+    loops: ResourceLoops | None = None
+    #: Whether it, a coordinator, waits here for the first of several calls ...
+    waits_for_any = False
+    #: ... and the numbers of those elsewhere that have ended, as their hosts report.
+    ended_elsewhere: frozenset[int] = frozenset()
 
     # Written out, with rare fields in the class: an instance is created at every hop.
     def __init__(
@@ -123,7 +177,7 @@ class Agent:
         self.offset = offset
         #: Its id in the deployment.
         self.id = member.id
-        #: Callers that wait until it is open, each with the thread.
+        #: Callers, and its own loops, that wait until it is open, each with the thread.
         self.waiting: list[tuple[Agent, int]] = []
         #: Threads that wait for its monitor.
         self.blocked: list[int] = []
@@ -145,9 +199,16 @@ class Agent:
 
     # --- start and end --------------------------------------------------------------------------------
 
-    def finish_init(self) -> list[tuple[Agent, int]]:
-        """Open it: its init has reached its first pause. Returns the calls that waited."""
+    def add_loops(self, threads: dict[int, int]) -> None:
+        """Let the threads of its loops, by method, wait until it is open."""
+        self.loops = ResourceLoops(threads)
+        self.waiting += [(self, thread) for thread in threads.values()]
+
+    def finish_init(self, now: int) -> list[tuple[Agent, int]]:
+        """Open it: its init has reached its first pause, at a time in ns. Returns the threads that waited."""
         self.open = True
+        if self.loops is not None:
+            self.loops.start(now)
         return self.drain_waiting()
 
     def drain_waiting(self) -> list[tuple[Agent, int]]:
@@ -188,6 +249,16 @@ class Agent:
         """Let it wait until its time limit expires, because it would arrive too late."""
         self.unreachable_reason = reason
 
+    def wait_for_any(self) -> None:
+        """It waits here for the first of several calls."""
+        self.waits_for_any = True
+
+    def stop_waiting_for_any(self, ended: Collection[int] = ()) -> bool:
+        """End that wait, and return whether it waited; `ended` are numbers of calls that have ended."""
+        waited, self.waits_for_any = self.waits_for_any, False
+        self.ended_elsewhere |= frozenset(ended)
+        return waited
+
     def invalidate_image(self) -> None:
         """Its block on disk is out of date: the next portal call with side effects needs a new one."""
         self.is_persisted = False
@@ -227,6 +298,11 @@ class Agent:
         polled, self.has_polled = self.has_polled, False
         return polled
 
+    @property
+    def has_waiting_threads(self) -> bool:
+        """Whether a thread may become ready because another one of the agent runs."""
+        return bool(self.pollers or self.blocked or self.monitor_waits)
+
     def remember_poll(self, image: bytes) -> None:
         """Store the block after the turn of a polling thread."""
         self.last_polled_image = image
@@ -235,6 +311,13 @@ class Agent:
         """Remove and return the parked threads in order: the block may have changed."""
         pollers, self.pollers, self.last_polled_image = self.pollers, set(), b""
         return sorted(pollers)
+
+    def start_monitor_wait(self, thread: int, state: int) -> None:
+        """A thread has left the monitor until a condition holds."""
+        if not self.monitor_waits:
+            # Rare, so it is not in each instance.
+            self.monitor_waits = {}
+        self.monitor_waits[thread] = state
 
     # --- time limits ----------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.vm.agent import Agent
+from lfield.vm.agent import CANCELLED, Agent
 from lfield.vm.engine_interface import Trap
 from lfield.vm.memory.layout import (
     BLOCKED,
@@ -19,18 +19,20 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.monitor_waits import wake
 from lfield.vm.scheduler import Scheduler
+from lfield.vm.waits.operator_input import OperatorInput
 
-CANCELLED = "CancelledException"
-
-_YIELD, _SLEEP, _DEVICE = (BY_NAME[name].code for name in ("yield", "sleep", "device"))
+_DEVICE = BY_NAME["device"].code
+#: The other instructions at which a cancellation is thrown.
+_PAUSES = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line", "wait_leave"))
 
 
 class Cancellation:
     """The cancelled calls of one host, per serving thread (`Agent.pending_cancels`)."""
 
-    def __init__(self, scheduler: Scheduler) -> None:
-        self._scheduler = scheduler
+    def __init__(self, scheduler: Scheduler, given: OperatorInput) -> None:
+        self._scheduler, self._input = scheduler, given
 
     def cancel_call(self, resource: Agent, number: int, reason: str) -> None:
         """Cancel a portal call by its number, if still served; at once if its thread waits.
@@ -41,11 +43,24 @@ class Cancellation:
         thread = serving(resource.block, number)
         if resource.ended or not thread or thread in resource.pending_cancels:
             return
-        resource.pending_cancels[thread] = reason
         tidy = resource.limits.tidy
         self._scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
+        self._interrupt(resource, thread, reason)
+
+    def suppress(self, resource: Agent, thread: int, reason: str) -> None:
+        """Suppress the body of a loop that runs: an exception as above, and no end by force."""
+        if resource.loops is None or thread in resource.loops.suppressed:
+            return
+        resource.loops.suppressed[thread] = reason
+        self._interrupt(resource, thread, reason)
+
+    def _interrupt(self, resource: Agent, thread: int, reason: str) -> None:
+        resource.pending_cancels[thread] = reason
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
-        if state == WAITING:
+        if thread in resource.monitor_waits:
+            # The exception is thrown when it would wait again, while it holds the monitor.
+            wake(self._scheduler.run_queue, resource, thread)
+        elif state == WAITING and not self._input.cancel(resource, thread):
             self._scheduler.world.cancel(resource, thread)
         elif state != READY or self._is_queued(resource, thread):
             wake_thread(self._scheduler, resource, thread)
@@ -66,7 +81,7 @@ class Cancellation:
             call = self._scheduler.program.core.device_calls[operand]
             if call.effect == "query":
                 return False
-        elif op not in (_YIELD, _SLEEP):
+        elif op not in _PAUSES:
             return False
         self.deliver(resource, thread)
         return True
@@ -83,7 +98,7 @@ class Cancellation:
         if not place:
             return
         tidy = resource.limits.tidy
-        waits = resource.block.w[place + THREAD_STATE] == WAITING
+        waits = resource.block.w[place + THREAD_STATE] == WAITING and not self._input.cancel(resource, thread)
         if waits and not scheduler.world.cancel(resource, thread):
             scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
             return

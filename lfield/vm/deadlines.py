@@ -184,7 +184,8 @@ class Deadlines:
 
         Not while a heartbeat of that host is still awaited.
         """
-        leaves = agent.frozen and self._calls.head(agent) == "leave" and self.is_block_expired(agent)
+        cancels = self._calls.head(agent) in ("leave", "cancel")
+        leaves = agent.frozen and cancels and self.is_block_expired(agent)
         if leaves and self._calls.is_heartbeat_pending(agent):
             self.recheck_soon(agent)
         elif leaves and self._scheduler.world.abandon_wait(agent):

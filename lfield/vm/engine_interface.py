@@ -84,8 +84,7 @@ class HostCall(EngineExit, frozen=True):
     """An instruction that only the machine can execute.
 
     `op` is its opcode, `operand` its own operand, `words` the arguments as in their slots. The thread stands
-        `op` is its opcode, `operand` its own operand, `words` the arguments as in their slots. The thread
-        stands
+    at the instruction.
     """
 
     op: int
@@ -178,6 +177,55 @@ class Engine(Protocol):
 
     def throw(self, block: Block, thread: int, thrown: int) -> bool:
         """Throw the object at `thrown` at the thread's position; false if it is not caught."""
+
+
+class EngineWrapper:
+    """Base class of engines that pass everything on to another one, and change a part of it.
+
+    A subclass that overrides `run` sets `has_read_external` and `unused_budget`.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self.pace = engine.pace
+        self.has_read_external, self.unused_budget = False, 0
+
+    @property
+    def space(self) -> BlockAllocator:
+        """See `Engine`."""
+        return self._engine.space
+
+    @property
+    def layouts(self) -> Layouts:
+        """See `Engine`."""
+        return self._engine.layouts
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """See `Engine`."""
+        return self._engine.groups
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: AgentLimits,
+        readings: Sequence[Reading | None] = (),
+    ) -> EngineExit:
+        """See `Engine`."""
+        engine = self._engine
+        leave = engine.run(block, thread, budget, limits, readings)
+        self.has_read_external, self.unused_budget = engine.has_read_external, engine.unused_budget
+        return leave
+
+    def complete(self, block: Block, thread: int, word: int) -> None:
+        """See `Engine`."""
+        self._engine.complete(block, thread, word)
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """See `Engine`."""
+        return self._engine.throw(block, thread, thrown)
 
 
 #: Creates an engine for a program, with the clock that judges readings.

@@ -330,6 +330,11 @@ class HostCallDispatcher:
         if held := call.field == HELD_DEVICE:
             number, *words = words
             call = self._call_on_field(agent, call, number)
+        if agent.loops is not None and call.effect != "query":
+            kind, reason = agent.loops.refusal(thread)
+            if kind:
+                scheduler.throw_builtin(agent, thread, kind, f"{call.field}: {reason}", call.field)
+                return
         values = [
             decode_value(agent.block, scheduler.program, kind, word)
             for kind, word in zip(call.parameters, words, strict=True)
@@ -345,6 +350,8 @@ class HostCallDispatcher:
                 agent,
                 thread,
                 lambda: encode_device_value(agent.block, scheduler.program, call.result, value, call.field),
+                # A loop decides before the loops below it, whose ticks are at the same time.
+                keeps_turn=agent.loops is not None and agent.loops.has(thread),
             )
         except DeviceError as error:
             scheduler.throw_builtin(

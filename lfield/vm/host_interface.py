@@ -7,6 +7,7 @@ from typing import Final, Protocol
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.manifest import DeviceValue
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.offer_objects import FoundOffer
@@ -26,12 +27,24 @@ class HostInterface(Protocol):
     def write(self, agent: Agent, text: str) -> None:
         """Program output: whole lines, or the remainder of one when its thread ends."""
 
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """A thread of an agent waits for a line of the operator's input, at most so long."""
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """An agent reads a line of the operator's input."""
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """These agents wait for a line now."""
+
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""
 
     def depart(self, agent: Agent, resource: TeamMember) -> None:
         """The suspended coordinator must migrate to the host of the resource. Answered by `Machine.release`
         when it has left, or `Machine.resume` with the reason of failure."""
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the host's log about an agent."""
 
     def may_start_call(self, agent: Agent, has_side_effects: bool) -> bool:
         """Whether the portal of this host that the suspended coordinator calls may start now.
@@ -87,6 +100,13 @@ class HostInterface(Protocol):
 
         When the host has stored that, or at once without a journal, it calls `PendingCalls.on_persisted`;
         only then the coordinator can fetch the result.
+        """
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator waits here for the first of several calls; these (resource, number) run elsewhere.
+
+        Until it waits no longer (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers
+        of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
         """
 
     def abandon_wait(self, agent: Agent) -> bool:

@@ -16,8 +16,8 @@ from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portal_calls
-from lfield.vm.agent import Agent, MachineTeam, MemberTypes, TeamMember
-from lfield.vm.cancellation import CANCELLED, Cancellation
+from lfield.vm.agent import CANCELLED, Agent, MachineTeam, MemberTypes, TeamMember
+from lfield.vm.cancellation import Cancellation
 from lfield.vm.deadlines import HOST_DOWN, IN_TRANSIT, Deadlines
 from lfield.vm.engine_interface import (
     BUDGET_EXHAUSTED,
@@ -37,6 +37,7 @@ from lfield.vm.hooks import VmHooks
 from lfield.vm.host_calls import HostCallDispatcher
 from lfield.vm.host_interface import HostInterface
 from lfield.vm.host_queries.resource_queries import ResourceQueries
+from lfield.vm.loops.loop_ticks import LoopTicks
 from lfield.vm.memory import collector, layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.block_verifier import BlockVerifier
@@ -44,15 +45,17 @@ from lfield.vm.memory.layout import BLOCKED, READY, THREAD_CALL, THREAD_ID, THRE
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.threads import only_thread, place_of
 from lfield.vm.memory.word_codec import encode_device_value
+from lfield.vm.monitor_waits import MonitorWaits, after_turn
 from lfield.vm.pending_call import PendingCall
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.reservations.reserve_handlers import ReserveHandlers
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.together.itinerary import Itinerary
+from lfield.vm.together.itinerary import CANCELLING_HEADS, Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
 from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
+from lfield.vm.waits.operator_input import OperatorInput
 
 #: Instructions of a thread's turn.
 SLICE = 2000
@@ -88,22 +91,20 @@ class Machine:
         #: The agents on this host, by id, and those of them whose `init` has not reached its first pause.
         self.agents, self.opening = scheduler.agents, scheduler.opening
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.run_queue
-        cancelling = self._cancellation = Cancellation(scheduler)
+        self.operator_input = OperatorInput(scheduler)
+        cancelling = self._cancellation = Cancellation(scheduler, self.operator_input)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
         types = MemberTypes(view.members)
         self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
-        #: The calls of a `together` that were started here.
-        self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
-        #: The reservations of coordinators.
+        calls = self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
         self.held_reservations = held = HeldReservations(program, view.members)
-        #: The destinations of coordinators.
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
-        stop_waiting = self.pending_calls.stop_waiting
-        self._deadlines = limits = Deadlines(scheduler, cancelling, self.itinerary, stop_waiting)
+        limits = self._deadlines = Deadlines(scheduler, cancelling, self.itinerary, calls.stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
-        reserving = ReserveHandlers(scheduler, held, view.here, limits)
-        heads = {**self._together.handlers(), **reserving.handlers()}
+        waits = self.operator_input, MonitorWaits(scheduler), LoopTicks(scheduler, cancelling)
+        parts = self._together, ReserveHandlers(scheduler, held, view.here, limits), *waits
+        heads = {head: handler for part in parts for head, handler in part.handlers().items()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
         #: The handler of each engine exit.
@@ -126,8 +127,7 @@ class Machine:
         agent = Agent(member, block, limits, readings, is_fenced=member.id in self._fenced)
         self._scheduler.set_clock(agent, 0)
         w = block.w
-        w[layout.W_CLASS] = record
-        w[layout.W_GENERATION] = generation
+        w[layout.W_CLASS], w[layout.W_GENERATION] = record, generation
         block.append_trail(self._here)
         self.agents[member.id] = agent
         if not agent.open:
@@ -243,7 +243,7 @@ class Machine:
         head = "" if recovered else self.itinerary.head(agent)
         if not recovered and self._deadlines.expire(agent, message):
             return
-        if head == "leave" or (head and kind != "RestartException"):
+        if head in CANCELLING_HEADS or (head and kind != "RestartException"):
             self._together.on_failed(agent, only_thread(agent.block), kind, message, source)
         else:
             self.throw_builtin(agent, only_thread(agent.block), kind, message, source)
@@ -252,7 +252,7 @@ class Machine:
         """Throw a built-in exception in a coordinator that waits for a portal of this host, whose result is
         then dropped. False, without effect, when it waits for none: it runs, sleeps, or is suspended.
         """
-        if agent.ended or self.itinerary.head(agent) == "leave":
+        if agent.ended or self.itinerary.head(agent) in CANCELLING_HEADS:
             return False
         if not self.pending_calls.stop_waiting(agent) and not portal_calls.detach_caller(
             self._scheduler, agent
@@ -326,7 +326,7 @@ class Machine:
                 break
             agent, thread = ready.popleft()
             # Where no other thread can become ready, a long turn delays none.
-            is_alone = not (ready or agent.pollers or agent.blocked or self.hooks.meter)
+            is_alone = not (ready or agent.has_waiting_threads or self.hooks.meter)
             try:
                 remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:
@@ -359,8 +359,7 @@ class Machine:
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block
-        places = block.index_threads() if block.places is None else block.places
-        place = self._place = places.get(thread, 0)
+        place = self._place = (block.index_threads() if block.places is None else block.places).get(thread, 0)
         budget = self._limit.budgets.get(number, budget)
         leave = engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused_budget
@@ -373,6 +372,8 @@ class Machine:
         if agent.blocked:
             self._scheduler.unblock(agent)
         self._exits[type(leave)](agent, thread, leave)
+        if agent.monitor_waits:
+            after_turn(self._turns, agent, thread, leave)
         if (agent.last_polled_image or agent.pollers) and not agent.end_turn():
             self._scheduler.recheck_pollers(agent)
         return used
@@ -388,8 +389,7 @@ class Machine:
         scheduler = self._scheduler
         if agent.lines:
             scheduler.flush(agent, thread)
-        call = agent.block.w[self._place + THREAD_CALL]
-        if call:
+        if call := agent.block.w[self._place + THREAD_CALL]:
             portal_calls.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":
             agent.end("done")

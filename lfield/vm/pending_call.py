@@ -33,6 +33,9 @@ class PendingCall:
     result. `is_persisted`: the result is on disk, and may be fetched. A call that will never be fetched is
     `dropped`.
 
+    A call of a future (`is_future`) runs to its end, even if its coordinator has dropped the future.
+    `failure` is the exception of a call as text.
+
     `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: that
     limit cancelled it.
 
@@ -52,6 +55,8 @@ class PendingCall:
     dropped: bool = False
     deadline: int = 0
     is_expired: bool = False
+    is_future: bool = False
+    failure: str = ""
     call: int = 0
     method: int = 0
     waiter: tuple[Agent, int] | None = field(default=None, repr=False)

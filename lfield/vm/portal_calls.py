@@ -311,7 +311,7 @@ def _failed(scheduler: Scheduler, resource: Agent, thread: int, number: int, thr
 
 def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     waits = scheduler.calls[number]
-    trace = traceback.describe(resource.block, scheduler.program, thrown)[2]
+    name, message, trace = traceback.describe(resource.block, scheduler.program, thrown)
     place = place_of(resource.block, thread)
     lines = traceback.lines(resource.block, scheduler.program, place, trace)
     trace_lines = [_with_resource(line, resource.id) for line in trace.splitlines()]
@@ -326,6 +326,7 @@ def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thro
         return copied
 
     if isinstance(waits, PendingCall):
+        waits.failure = f"{name}: {message}"
         scheduler.complete_pending(waits, "thrown", serialise_built(scheduler.program.digest, copy))
     else:
         _rethrow(scheduler, resource, *waits, copy)

@@ -131,7 +131,13 @@ class Scheduler:
         array = block.new_array(kind, core.plain_array(kind), len(texts))
         for i, text in enumerate(texts, layout.elements(w, array)[0]):
             w[i] = block.new_string(text)
+        loops = [
+            i for i, method in enumerate(core.methods) if (method.owner, method.kind) == (record, "ticks")
+        ]
+        block.require(sum(len(self.templates[method]) for method in (init, *loops)))
         identity = self.spawn(agent, init, [w[layout.W_SELF], array], 0)
+        if loops:
+            agent.add_loops({method: self.spawn(agent, method, [w[layout.W_SELF]], 0) for method in loops})
         self.run_queue.push_back(agent, identity)
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
@@ -143,7 +149,7 @@ class Scheduler:
         if agent.open:
             return
         self.opening.pop(agent.id, None)
-        for caller, thread in agent.finish_init():
+        for caller, thread in agent.finish_init(self.clock_of(agent)):
             self.run_queue.push_back(caller, thread)
 
     # --- continuation ---------------------------------------------------------------------------------
@@ -153,15 +159,20 @@ class Scheduler:
         self.engine.complete(agent.block, place_of(agent.block, thread), word)
         self.run_queue.push_front(agent, thread)
 
-    def complete(self, agent: Agent, thread: int, word: Callable[[], int]) -> None:
-        """Pass the result of its instruction to a waiting thread, and queue it."""
+    def complete(
+        self, agent: Agent, thread: int, word: Callable[[], int], *, keeps_turn: bool = False
+    ) -> None:
+        """Pass the result of its instruction to a waiting thread, and queue it, first if it `keeps_turn`."""
         try:
             result = self.run_with_collection(agent, word)
         except Trap as trap:
             self.throw_builtin(agent, thread, trap.kind, trap.message)
             return
         self.engine.complete(agent.block, place_of(agent.block, thread), result)
-        self.run_queue.push_back(agent, thread)
+        if keeps_turn:
+            self.run_queue.push_front(agent, thread)
+        else:
+            self.run_queue.push_back(agent, thread)
 
     def throw_builtin(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
         """Throw a built-in exception at the position of a waiting thread."""
@@ -302,9 +313,18 @@ class Scheduler:
         pending.state, pending.result = state, result
         if not pending.dropped:
             self.world.on_call_completed(pending)
+        self.wake_waiter(pending)
+
+    def wake_waiter(self, pending: PendingCall) -> None:
+        """A coordinator that waits for this call, or for the first of several, checks again: once."""
         waiter, pending.waiter = pending.waiter, None
-        if waiter is not None:
-            self.run_queue.push_front(*waiter)
+        if waiter is None:
+            return
+        if waiter[0].stop_waiting_for_any():
+            for other in self.pending_calls.values():
+                if other.waiter is not None and other.waiter[0] is waiter[0]:
+                    other.waiter = None
+        self.run_queue.push_front(*waiter)
 
     def fail_pending(self, pending: PendingCall, kind: str, message: str, source: str) -> None:
         """End a pending call by a built-in exception."""
@@ -312,6 +332,7 @@ class Scheduler:
         def make(block: Block) -> int:
             return new_exception(block, self.layouts, kind, message, source)
 
+        pending.failure = f"{kind}: {message}"
         self.complete_pending(pending, "thrown", serialise_built(self.program.digest, make))
 
     def release(self, agent: Agent) -> None:
@@ -323,10 +344,17 @@ class Scheduler:
     def forget(self, agent: Agent, thread: int) -> None:
         """Remove an ended thread of a live agent."""
         unlink(agent.block, thread)
+        if agent.monitor_waits:
+            agent.monitor_waits.pop(thread, None)
         if agent.poll_counts or agent.outward_pollers or agent.pending_cancels:
             agent.poll_counts.pop(thread, None)
             agent.outward_pollers.discard(thread)
             agent.pending_cancels.pop(thread, None)
+
+    def end_line(self, agent: Agent, thread: int) -> None:
+        """Write the remainder of a thread's line as a line: its thread waits for an answer to it."""
+        if rest := agent.lines.pop(thread, ""):
+            self.world.write(agent, f"{rest}\n")
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write the remainder of a thread's line."""

@@ -186,3 +186,26 @@ class Located(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     def agent(self) -> str:
         """The coordinator whose pending write this answer waits for; '' for none."""
         return self.leases[0].agent if self.leases and not self.states else ""
+
+
+#: At most the calls that one coordinator waits for at one host.
+Numbers = Annotated[list[Count], Meta(min_length=1, max_length=4096)]
+
+
+class WatchCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=67):
+    """That start of a coordinator waits on the sender for the first of its calls, some on the receiver.
+
+    Repeated while it waits. A hint, as its answer is: the coordinator fetches a result by moving to its host.
+    """
+
+    agent: Name
+    generation: Ordinal
+    numbers: Numbers
+
+
+class CallsEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=68):
+    """These calls of that start of a coordinator have ended on the sender, or are unknown there."""
+
+    agent: Name
+    generation: Ordinal
+    numbers: Numbers

@@ -6,9 +6,9 @@ An event carries one of the structs below: in msgpack an array that begins with 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from msgspec import Meta, Struct, to_builtins
+from msgspec import Meta, Struct
 
 from lfield.hybrid_clock import timestamp_of
 from lfield.wire.coordinator_messages import Outcome
@@ -261,6 +261,12 @@ class StartDelayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     held: Text = ""
 
 
+class InputAwaited(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="reads"):
+    """Agents of this host wait for a line of the operator's input; commas separate names, '' for none."""
+
+    agents: Text
+
+
 class EmergencyStopChanged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
     """An operator has pressed the emergency stop, or has `lifted` it."""
 
@@ -350,6 +356,7 @@ StateEvent = (
     | LinkDown
     | LinkRefused
     | StartDelayed
+    | InputAwaited
     | EmergencyStopChanged
     | PauseChanged
     | HostStopping
@@ -391,10 +398,3 @@ class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     def kind(self) -> str:
         """The name of its kind: 'left'."""
         return str(self.what.__struct_config__.tag)
-
-
-def as_fields(event: Event) -> dict[str, Any]:
-    """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
-    fields = {name: to_builtins(getattr(event.what, name)) for name in event.what.__struct_fields__}
-    head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}
-    return {**head, "kind": event.kind, **fields}

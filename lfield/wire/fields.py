@@ -14,6 +14,9 @@ MAX_NAME = 128
 #: Longest sentence or traceback in a message, in characters; `truncate` shortens to it.
 MAX_TEXT = 2048
 
+#: Longest line of the operator's input, in characters.
+MAX_INPUT = 1024
+
 #: Longest text of an attribute value or of a reason in a report, in characters: reports are frequent.
 MAX_LABEL = 256
 

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from lfield.wire.coordinator_messages import (
+    CallsEnded,
     CoordinatorState,
     Locate,
     Located,
@@ -23,6 +24,7 @@ from lfield.wire.coordinator_messages import (
     TransferAccepted,
     TransferQuery,
     TransferRefused,
+    WatchCalls,
 )
 from lfield.wire.fields import (
     MAX_LIST,
@@ -46,6 +48,8 @@ from lfield.wire.observer_messages import (
     EmergencyStopResult,
     ForgetRequest,
     ForgetResponse,
+    InputLine,
+    InputResult,
     OrderChallenge,
     Pause,
     RecoverRequest,
@@ -60,7 +64,7 @@ from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import SubscriptionMessage
 
 #: The version of everything in this package. Hosts of different versions do not communicate.
-PROTOCOL = 16
+PROTOCOL = 17
 
 #: The role of a peer: a member of the team, an observer (`lfield ps`), or a member that keeps the connection
 #: as a standby beside its link. A Hello of a host later makes a standby connection the link.
@@ -280,6 +284,8 @@ Control = (
     | RecoverResponse
     | StartRequest
     | StartResponse
+    | InputLine
+    | InputResult
     | OrderChallenge
     | RelayedOrder
     | RelayedAnswer
@@ -292,6 +298,8 @@ Control = (
     | RevocationUpdate
     | QuorumMessage
     | ReservationMessage
+    | WatchCalls
+    | CallsEnded
     | SubscriptionMessage
     | ServiceMessage
 )

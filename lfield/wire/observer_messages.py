@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from lfield.wire.coordinator_messages import CoordinatorState, CopyState
 from lfield.wire.fields import (
+    MAX_INPUT,
     Count,
     Duration,
     FactValue,
@@ -193,7 +194,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
     numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
     mission like a pause, b"" for none. `starting`: its devices are not open yet, and no resource has started.
-    `observers` are the bytes exchanged with observers, by kind of traffic.
+    `observers` are the bytes exchanged with observers, by kind of traffic. `reads` are the agents that wait
+    for a line of input, in the order in which they get one.
     """
 
     host: Name
@@ -222,6 +224,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     ballot: Annotated[bytes, Meta(max_length=16)] = b""
     starting: bool = False
     observers: Annotated[dict[Label, Count], Meta(max_length=16)] = {}
+    reads: Annotated[list[Name], Meta(max_length=4096)] = []
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
@@ -334,6 +337,18 @@ class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
     started: Annotated[list[Name], Meta(max_length=4096)]
     waiting: StartStatus | None = None
+    trouble: Text = ""
+
+
+class InputLine(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=70):
+    """From an observer: a line of input for an agent of this host that waits for one."""
+
+    text: Annotated[str, Meta(max_length=MAX_INPUT)]
+
+
+class InputResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=71):
+    """The answer: why no agent has got the line, '' if one has."""
+
     trouble: Text = ""
 
 

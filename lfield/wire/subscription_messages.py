@@ -6,9 +6,9 @@ subscriber that stops reading costs its host a bounded number of bytes. Messages
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, to_builtins
 
 from lfield.wire.events import Event
 from lfield.wire.fields import Count, Duration, Label, Moment, Ordinal
@@ -70,3 +70,10 @@ class EventAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
 
 
 SubscriptionMessage = Subscribe | EventBatch | EventAck
+
+
+def as_fields(event: Event) -> dict[str, Any]:
+    """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
+    fields = {name: to_builtins(getattr(event.what, name)) for name in event.what.__struct_fields__}
+    head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}
+    return {**head, "kind": event.kind, **fields}

@@ -21,6 +21,7 @@ FIGURES = {
     "local": "hops.local",
     "agreement": "hops.agreement",
     "together": "hops.together",
+    "race": "hops.first_of",
     "journal": "hops.journal",
     "engine": "machine.engine",
     "collections": "machine.collection_speed",

@@ -108,7 +108,7 @@ def test_a_program_without_debug_information_is_accepted() -> None:
         (lambda d: d.types.append(TypeRecord(PROXY, BOX)), "not a resource"),
         (lambda d: d.types.append(TypeRecord(PROXY, GUIDE)), "not a resource"),
         (lambda d: d.types.append(TypeRecord(17, 0)), "unknown kind 17"),
-        (lambda d: d.types.append(TypeRecord(INT, 1)), "unknown kind"),
+        (lambda d: d.types.append(TypeRecord(INT, 1)), "has no members"),
     ],
 )
 def test_types(change: Change, reason: str) -> None:

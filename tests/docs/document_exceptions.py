@@ -200,7 +200,8 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/22-predators/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/22-predators": ARENA,
-        "west  | hunt: caught by 4 at (4.8, 0.0) after 20 steps and 123 hops": ARENA,
+        "python examples/22-predators/hunts.py": ARENA,
+        "west  | hunt: caught by 4 at (4.0, 0.1) after 18 steps and 111 hops": ARENA,
     },
     "examples/23-soccer/README.md": {
         "pip install -e examples/21-box-pushing": ARENA,

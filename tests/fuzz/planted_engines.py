@@ -142,6 +142,18 @@ class WrongStart(_WrongHead):
     head = "start"
 
 
+class WrongFuture(_WrongHead):
+    """Passes a wrong argument when the call of a future starts."""
+
+    head = "launch"
+
+
+class WrongWait(_WrongHead):
+    """Passes a wrong argument when a thread enters the monitor again."""
+
+    head = "wait_enter"
+
+
 class WrongReservation(_WrongHead):
     """Passes a wrong argument at a reservation."""
 
@@ -165,6 +177,8 @@ PLANTED = (
     Crashing,
     WrongCall,
     WrongStart,
+    WrongFuture,
+    WrongWait,
     WrongReservation,
     WrongLimit,
 )

@@ -7,7 +7,7 @@ both in turn; then exit, budget and every byte of the block must be equal.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import pytest
 
@@ -18,49 +18,28 @@ from lfield.vm.engine_interface import (
     BudgetExhausted,
     Engine,
     EngineExit,
-    Group,
+    EngineWrapper,
     Reading,
 )
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import Layouts
 from lfield.vm.reference import ReferenceEngine as Reference
 
 #: Reason for a skipped test without wasmtime.
 NEEDED = "the engine in WebAssembly needs wasmtime: pip install lfield[wasm]"
 
 
-class SwitchingEngine:
+class SwitchingEngine(EngineWrapper):
     """Executes parts of each slice on one of two engines at random.
 
     `compared`: the reference engine repeats everything on a copy for comparison.
     """
 
     def __init__(self, first: Engine, second: Engine, rng: random.Random, compared: Engine | None) -> None:
+        super().__init__(second)
         self._engines, self._rng, self._compared = (first, second), rng, compared
-        self.space, self.pace = second.space, 1
-        self._left, self._has_read_external = 0, False
+        self.pace = 1
         #: How often each of them was used.
         self.given = [0, 0]
-
-    @property
-    def layouts(self) -> Layouts:
-        """The same for either engine."""
-        return self._engines[0].layouts
-
-    @property
-    def groups(self) -> Mapping[int, Group]:
-        """The same for either engine."""
-        return self._engines[0].groups
-
-    @property
-    def has_read_external(self) -> bool:
-        """Whether any part of the last slice has read data outside the block."""
-        return self._has_read_external
-
-    @property
-    def unused_budget(self) -> int:
-        """The rest of the budget."""
-        return self._left
 
     def run(
         self,
@@ -75,7 +54,7 @@ class SwitchingEngine:
         leave = self._parts(block, thread, budget, limits, readings)
         if self._compared is not None:
             exit = self._compared.run(before, thread, budget, limits, readings)
-            actual = (leave, self._left, self._has_read_external, block.top, block.end)
+            actual = (leave, self.unused_budget, self.has_read_external, block.top, block.end)
             expected = (
                 exit,
                 self._compared.unused_budget,
@@ -91,15 +70,15 @@ class SwitchingEngine:
     def _parts(
         self, block: Block, thread: int, budget: int, limits: AgentLimits, readings: Sequence[Reading | None]
     ) -> EngineExit:
-        self._left, self._has_read_external = budget, False
-        while self._left:
+        self.unused_budget, self.has_read_external = budget, False
+        while left := self.unused_budget:
             which = self._rng.randrange(2)
             self.given[which] += 1
             engine = self._engines[which]
-            part = self._left if self._rng.random() < 0.5 else self._rng.randint(1, self._left)
+            part = left if self._rng.random() < 0.5 else self._rng.randint(1, left)
             leave = engine.run(block, thread, part, limits, readings)
-            self._left -= part - engine.unused_budget
-            self._has_read_external = self._has_read_external or engine.has_read_external
+            self.unused_budget -= part - engine.unused_budget
+            self.has_read_external = self.has_read_external or engine.has_read_external
             if not isinstance(leave, BudgetExhausted):
                 return leave
         return BUDGET_EXHAUSTED

@@ -41,6 +41,7 @@ from lfield.wire.messages import (
 from lfield.wire.observer_messages import (
     EmergencyStop,
     ForgetRequest,
+    InputLine,
     Pause,
     RecoverRequest,
     StartRequest,
@@ -73,6 +74,7 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "forget": ForgetRequest("tom"),
     "recover": RecoverRequest("tom", 1, 2, 3),
     "start": StartRequest(["bravo"]),
+    "type": InputLine("yes"),
 }
 #: What the mission says of persons.
 RULES = Access("mission.access.yaml", (PersonRule("maria", (Right.OBSERVE,), 2), PersonRule("nina", (), 3)))

@@ -11,6 +11,7 @@ from lfield.wire.messages import PROTOCOL, HandshakeRefused, Hello, Incompatible
 from lfield.wire.observer_messages import (
     EmergencyStop,
     ForgetRequest,
+    InputLine,
     Pause,
     RecoverRequest,
     StartRequest,
@@ -108,6 +109,7 @@ def test_who_gives_commands_is_no_host(who, name):
 ID = bytes(16)
 STOP, LIFT, PAUSE, RESUME = EmergencyStop(ID, "fire"), EmergencyStop(ID, "", True), Pause(ID), Pause(ID, True)
 OPERATING = [LIFT, RESUME, ForgetRequest("tom"), RecoverRequest("tom", 1, 1, 1), StartRequest(["b"])]
+OPERATING.append(InputLine("yes"))
 TABLE = [(Subscribe(once=True), Right.OBSERVE), (STOP, Right.STOP), (PAUSE, Right.STOP)]
 TABLE += [(message, Right.OPERATE) for message in OPERATING]
 

@@ -81,12 +81,14 @@ FINDERS = (
     BugFinder("tests/matrix/test_security_matrix.py", "test_a_planted_hole_is_noticed", SOURCE),
     BugFinder("tests/fuzz/test_fuzz.py", "test_a_planted_fault_is_found", ENGINE),
     BugFinder("tests/fuzz/test_fuzz.py", "test_a_fault_in_the_text_of_the_engine_is_found", TEXT),
+    BugFinder("tests/vm/turns/test_loops.py", "test_a_planted_loop_bug_is_found", PATCH),
     BugFinder("tests/vm/maths/test_maths_lowering.py", "test_a_planted_fault_is_found", PATCH),
+    BugFinder("tests/lang/test_planted_language_bugs.py", "test_a_planted_language_bug_is_found", PATCH),
 )
 #: Modules that plant bugs. In modules of functions each public function with a parameter `patch` is one.
 SOURCES = ("tests/**/planted_*.py", "tests/replication/lease/quorum_bugs.py")
 #: Folders whose modules the tests import by bare names.
-_IMPORTED = ("tests/fuzz", "tests/net", "tests/net/memory", "tests/simulate")
+_IMPORTED = ("tests/fuzz", "tests/net", "tests/net/memory", "tests/simulate", "tests/vm")
 
 
 @dataclass(frozen=True)

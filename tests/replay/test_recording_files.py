@@ -378,8 +378,8 @@ def test_what_a_host_did_is_written_although_no_turn_follows(tmp_path, monkeypat
     turns: list[float] = []
     end_turn = FlightRecorder.end_turn
 
-    def counted(flight, effects):
-        end_turn(flight, effects)
+    def counted(flight, *given, **named):
+        end_turn(flight, *given, **named)
         turns.append(fleet.now)
 
     monkeypatch.setattr(FlightRecorder, "end_turn", counted)

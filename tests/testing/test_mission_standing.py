@@ -14,7 +14,7 @@ resource Post {
     init(string[] arg) { }
     portal synchronized locked() { while (true) sleep(1.0); }
     portal slow() { while (true) sleep(1.0); }
-    portal work() { print("works"); sleep(2.0); }
+    portal work() { print("works"); sleep(2.0); } portal synchronized waits() { wait until (false); }
 }
 coordinator Boss {
     init(string[] arg) {
@@ -61,6 +61,13 @@ def test_the_calls_of_a_together_are_named(stuck_in):
     assert "two.slow()" in of("boss", lines)
     lines = stuck_in("together { one.slow(); one.work(); }")
     assert of("boss", lines) == "boss on alpha: waits for one.slow() at Boss.init (post.L:12)"
+
+
+def test_the_calls_of_futures_and_what_a_monitor_waits_for_are_named(stuck_in):
+    lines = stuck_in("future<void>[] all = {async one.slow(), async two.waits()}; print(all.race());")
+    assert of("boss", lines).startswith("boss on bravo: waits for one.slow() and two.waits() at ")
+    (waits,) = (line for line in lines if line.startswith("two on"))
+    assert waits.startswith("two on bravo: waits until its condition holds, at Post.waits (post.L:6)")
 
 
 def test_who_holds_the_lock_that_is_waited_for_is_named(stuck_in):

@@ -28,6 +28,8 @@ TABLES: dict[str, str] = {
     "lfield/lang/messages.py": "what the front end can say, by its codes",
     "lfield/text/log_messages.py": "the log lines of hosts and guards, by their codes",
     "lfield/errors.py": "the exceptions of all packages, one tree",
+    "lfield/bytecode/opcodes.py": "the instructions, by their codes",
+    "lfield/lang/syntax.py": "the nodes of the raw syntax tree, all of which name one another",
     "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
 }
 #: Shorter than others, each one idea that nothing else is about.
@@ -43,6 +45,7 @@ SMALL = {
     "lfield/authority/key_material.py": "keys as bytes, and the names of their files",
     "lfield/authority/ephemeral_ca.py": "keys of one run, in memory",
     "lfield/authority/web_ca/web_certificates.py": "where the folder of an authority has pages",
+    "lfield/lang/parser/concurrency.py": "forms whose words are names elsewhere",
     "lfield/wire/reservation_messages.py": "what is said of reservations, all of it",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",

@@ -32,6 +32,11 @@ class HostWorldStub(GoldenWorld):
         self.unkept: list[PendingCall] = []
         self.waiting: list[tuple[Agent, int]] = []
         self.cancelled: list[int] = []
+        #: The last wait of each coordinator for the first of several calls.
+        self.watched: dict[str, tuple[Agent, Sequence[tuple[TeamMember, int]]]] = {}
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        self.watched[agent.id] = agent, calls
 
     def may_start_calls(self, agent: Agent, calls: Sequence[CallRequest]) -> bool:
         assert agent.frozen
@@ -132,6 +137,21 @@ class JoinedHosts:
                 return True
         return False
 
+    def report(self) -> bool:
+        """Report calls that have ended to the coordinators that wait for them; false when there are none."""
+        waits = [(place, wait) for place in self.places for wait in getattr(place, "watched", {}).values()]
+        for place, (agent, calls) in waits:
+            ended = [number for resource, number in calls if self._has_ended(agent, resource, number)]
+            if ended and agent.waits_for_any:
+                place.machine.pending_calls.on_ended_elsewhere(agent.id, agent.generation, ended)
+                return True
+        return False
+
+    def _has_ended(self, agent: Agent, resource: TeamMember, number: int) -> bool:
+        calls = self.machines[resource.host].pending_calls.calls()
+        call = next((one for one in calls if one.key == (agent.id, agent.generation, number)), None)
+        return resource.host in self.cut or call is None or (call.state != "running" and call.is_persisted)
+
     def leave(self, source: int, agent: Agent, target: int) -> None:
         """One hop, or the error for an unreachable host."""
         if target in self.cut:
@@ -157,7 +177,7 @@ class JoinedHosts:
         end = self.clock.now + until
         while True:
             pause = self.still()
-            if self.carry():
+            if self.carry() or self.report():
                 continue
             if pause is None or self.clock.now + pause > end:
                 self.clock.advance(max(0.0, end - self.clock.now) if pause is not None else 0.0)

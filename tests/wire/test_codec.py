@@ -192,7 +192,7 @@ def test_the_largest_transfer_header_fits():
 
 def test_the_start_of_a_greeting_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
-    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x10")
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x11")
     assert parts(encode(HandshakeRefused("no"))) == (REFUSE, b"no")
 
 
@@ -212,8 +212,8 @@ def checked(start: bytes, body: bytes) -> bytes:
         (HELLO, b"", "too short"),
         (HELLO, b"lfl", "too short"),
         (HELLO, b"http/1", "does not begin with 'lfld'"),
-        (HELLO, b"lfld\x00\x10", "too short to have a checksum"),
-        (HELLO, b"lfld\x00\x10" + bytes(8), "was damaged"),
+        (HELLO, b"lfld\x00\x11", "too short to have a checksum"),
+        (HELLO, b"lfld\x00\x11" + bytes(8), "was damaged"),
         (CONTROL, b"", "too short to have a checksum"),
         (CONTROL, b"\x92\x08\x01", "too short to have a checksum"),
         (CONTROL, bytes(4), "was damaged"),
@@ -231,7 +231,7 @@ def test_garbage_is_a_wire_error(kind, payload, words):
 @pytest.mark.parametrize(
     ("kind", "start", "body"),
     [
-        (HELLO, b"lfld\x00\x10", b""),
+        (HELLO, b"lfld\x00\x11", b""),
         (CONTROL, b"", b""),
         (CONTROL, b"", b"\xc1"),
         (CONTROL, b"", b"\x92\x63\x01"),

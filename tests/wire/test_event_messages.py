@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from lfield.errors import WireError
 from lfield.wire import events
 from lfield.wire.codec import decode, encode
-from lfield.wire.events import KINDS, TELEMETRY, Event, as_fields
+from lfield.wire.events import KINDS, TELEMETRY, Event
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.observer_messages import Status
-from lfield.wire.subscription_messages import MAX_EVENTS, EventAck, EventBatch, Subscribe
+from lfield.wire.subscription_messages import MAX_EVENTS, EventAck, EventBatch, Subscribe, as_fields
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 LEFT = events.MigrationStarted("Tour:one", 1, 7, "b", "gate", "pass", 1424)

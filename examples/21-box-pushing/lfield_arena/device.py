@@ -12,10 +12,9 @@ from lfield.driver import Device, DeviceError
 #: Seconds between two polls, and for its wheels to stop.
 POLL, STAND = 0.05, 0.5
 #: The fields of every state.
-STATE = (
-    *("north", "east", "moving", "broken", "watchdog", "target_north", "target_east", "target_heading"),
-    *("now", "north_goals", "south_goals"),
-)
+STATE = (*("north", "east", "moving", "broken", "watchdog", "targets", "now", "north_goals", "south_goals"),)
+#: What it sees of each object.
+PARTS = ("north", "east", "heading")
 
 
 class OmniDevice(Device):
@@ -125,14 +124,16 @@ class OmniDevice(Device):
             state = {name: float(value) for name, value in zip(fields[::2], fields[1::2], strict=True)}
             if not all(map(math.isfinite, state.values())) or not state.keys() >= set(STATE):
                 raise ValueError
-        except ValueError:
+            names = (f"target{n}_{part}" for n in range(int(state["targets"])) for part in PARTS)
+            target = [state[name] for name in names]
+        except (ValueError, KeyError):
             raise self.error(f"its state is invalid: {' '.join(fields)[:80]!r}") from None
         self._moves = bool(state["moving"])
         self.heard()
         self.publish(
             position=[state["north"], state["east"]],
             moving=self._moves,
-            target=[state["target_north"], state["target_east"], state["target_heading"]],
+            target=target,
             match=[state["now"], state["north_goals"], state["south_goals"]],
         )
         return state

@@ -11,6 +11,7 @@ from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
 from lfield_arena.plane import CHECK_INTERVAL, HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_arena.world import World
 from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option
 
@@ -79,6 +80,9 @@ class ArenaSim:
         """Adds robot, plane, endpoint and faults."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
         parser.add_argument("--robot", type=int, default=1, metavar="NUMBER", help="its number (1)")
+        parser.add_argument(
+            "--world", default="", metavar="TEXT", help="how the plane differs: size=6 prey=2"
+        )
         parser.add_argument("--listen", default=f"tcp:{HOST}:0", metavar="tcp:HOST:PORT")
         parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
         parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
@@ -88,7 +92,8 @@ class ArenaSim:
         """The robot of a binding, on a free port."""
         device = devices[0]
         plane, robot = device.option("plane"), device.option("robot")
-        return ["--plane", plane, "--robot", str(robot), "--called", device.name]
+        world = device.option("world")
+        return ["--plane", plane, "--robot", str(robot), "--world", world, "--called", device.name]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serves until it is stopped; returns 0. Raises UsageError and AddressError."""
@@ -101,14 +106,18 @@ class ArenaSim:
         host, _, port = place.rpartition(":")
         if kind != "tcp" or not port.isdecimal():
             raise UsageError(f"'{args.listen}' is not an address to listen at: write tcp:HOST:PORT")
-        number, there = str(args.robot), LAYOUTS[args.plane].robots
+        try:
+            world = World.parse(args.world)
+        except ValueError as error:
+            raise UsageError(f"--world {args.world!r}: {error}") from None
+        number, there = str(args.robot), LAYOUTS[args.plane].of_world(world).robots
         if args.robot not in there:
             known = ", ".join(map(str, there))
             raise UsageError(f"there is no robot {number} on the plane '{args.plane}'; there are: {known}")
         faults = Faults(FAULTS, {number: args.called})
         faults.apply(args.fault)
         try:
-            way = await way_to(args.plane)
+            way = await way_to(args.plane, world)
             radio = Radio(way, number, faults)
             server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
         except OSError as error:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 from lfield_arena.ball import LENGTH, WIDTH, Ball
 from lfield_arena.box import Box, Vector
+from lfield_arena.world import PREY_RADIUS, World, along_axes, escape, is_enclosed
 
 #: Metres: radius of a robot, and distance at which it touches the box.
 RADIUS, TOUCH = 0.15, 0.001
 #: Grip of a robot's wheels in newtons, and force per speed deficit in N per m/s.
 GRIP, STIFFNESS = 10.0, 100.0
-#: The prey: its radius, range of sight and flight distance in metres, and its speed in m/s.
-PREY_RADIUS, VISUAL_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+#: Seconds for which a prey is enclosed until it is taken away, where there are several.
+CAUGHT = 0.5
 #: Tolerated overlap in metres; maximum iterations per step.
 EXACT, SWEEPS = 1e-7, 400
 #: Iterations per step in which a prey avoids robots.
@@ -41,13 +42,19 @@ class Layout:
 
     robots: Mapping[int, Vector]
     box: tuple[float, float, float] | None = None
-    prey: Vector | None = None
+    prey: tuple[Vector, ...] = ()
     ball: bool = False
+
+    def of_world(self, world: World) -> Layout:
+        """The same plane in a world: a hunt has as many predators and prey as it says."""
+        if not self.prey:
+            return self
+        return replace(self, robots=world.robots(), prey=tuple(world.prey_places()))
 
 
 LAYOUTS: Mapping[str, Layout] = {
     "box": Layout({1: (-0.6, -0.9), 2: (-1.0, 0.1), 3: (-0.6, 0.8)}, box=(0.0, 0.0, 0.0)),
-    "hunt": Layout({1: (0.0, -1.2), 2: (0.0, -0.4), 3: (0.0, 0.4), 4: (0.0, 1.2)}, prey=(1.6, 0.2)),
+    "hunt": Layout({1: (0.0, -1.2), 2: (0.0, -0.4), 3: (0.0, 0.4), 4: (0.0, 1.2)}, prey=((1.6, 0.2),)),
     # One to three play to the north, four to six to the south.
     "pitch": Layout(
         {1: (-0.6, 0.0), 2: (-1.0, -0.8), 3: (-1.7, 0.0), 4: (0.6, 0.0), 5: (1.0, 0.8), 6: (1.7, 0.0)},
@@ -57,57 +64,75 @@ LAYOUTS: Mapping[str, Layout] = {
 
 
 @dataclass(slots=True)
+class Prey(Body):
+    """A prey: for how long it has been enclosed, in seconds; one that is caught is taken away."""
+
+    number: int = 0
+    enclosed: float = 0.0
+    caught: bool = False
+
+
+@dataclass(slots=True)
 class Field:
     """Robots by number. Collisions do not turn wheels: a robot stops, or is pushed away."""
 
     robots: dict[int, Body]
     box: Box | None = None
-    prey: Body | None = None
+    all_prey: list[Prey] = field(default_factory=list)
     ball: Ball | None = None
+    world: World = field(default_factory=World)
     #: Seconds since the start.
     now: float = field(default=0.0)
 
     @classmethod
-    def of(cls, layout: Layout) -> Field:
+    def of(cls, layout: Layout, world: World | None = None) -> Field:
         """The initial field."""
+        world = world or World()
         return cls(
             {number: Body(place) for number, place in layout.robots.items()},
             None if layout.box is None else Box(*layout.box),
-            None if layout.prey is None else Body(layout.prey, radius=PREY_RADIUS),
+            [Prey(place, radius=PREY_RADIUS, number=n) for n, place in enumerate(layout.prey)],
             Ball() if layout.ball else None,
+            world,
         )
+
+    @property
+    def free_prey(self) -> list[Prey]:
+        """The prey that is not caught."""
+        return [prey for prey in self.all_prey if not prey.caught]
 
     def step(self, seconds: float) -> None:
         """Advances time."""
         self.now += seconds
-        if self.prey is not None:
-            self.prey.velocity = flight(self.prey.place, [robot.place for robot in self.robots.values()])
+        hunters = [robot.place for robot in self.robots.values()]
+        for prey in self.free_prey:
+            prey.velocity = escape(self.world, prey.place, hunters, self.now, prey.number)
         if self.box is not None:
             self._push(self.box, seconds)
         for robot in self.robots.values():
-            robot.place = _moved(robot.place, robot.velocity, seconds)
+            wheels = along_axes(robot.velocity, self.world.moves)
+            robot.place = self.world.inside(_moved(robot.place, wheels, seconds), robot.radius)
         if self.ball is not None:
             self._move_ball(self.ball, seconds)
         self._part()
-        if self.prey is not None:
-            self._run(self.prey, seconds)
+        for prey in self.free_prey:
+            self._run(prey, seconds)
+            if len(self.all_prey) > 1:
+                self._catch(prey, seconds)
 
     @property
-    def target(self) -> tuple[float, float, float]:
-        """The robots' object: north, east and heading of the box, the prey or the ball."""
+    def targets(self) -> list[tuple[float, float, float]]:
+        """The robots' objects: north, east and heading of the box, each free prey, or the ball."""
         if self.box is not None:
-            return self.box.north, self.box.east, self.box.heading
-        if self.prey is not None:
-            return *self.prey.place, math.atan2(self.prey.velocity[1], self.prey.velocity[0])
+            return [(self.box.north, self.box.east, self.box.heading)]
         if self.ball is not None:
-            return *self.ball.place, math.atan2(self.ball.speed[1], self.ball.speed[0])
-        return 0.0, 0.0, 0.0
+            return [(*self.ball.place, math.atan2(self.ball.speed[1], self.ball.speed[0]))]
+        return [(*one.place, math.atan2(one.velocity[1], one.velocity[0])) for one in self.free_prey]
 
     @property
     def _bodies(self) -> list[Disc]:
         there: list[Disc] = [*self.robots.values()]
-        if self.prey is not None:
-            there.append(self.prey)
+        there += self.free_prey
         if self.ball is not None and not self.ball.rests:
             there.append(self.ball)
         return there
@@ -130,10 +155,16 @@ class Field:
                 pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
         box.step(pushes, seconds)
 
-    def _run(self, prey: Body, seconds: float) -> None:
+    def _catch(self, prey: Prey, seconds: float) -> None:
+        """Takes a prey away that has been enclosed for some time."""
+        robots = [(robot.place, robot.radius) for robot in self.robots.values()]
+        prey.enclosed = prey.enclosed + seconds if is_enclosed(prey.place, robots) else 0.0
+        prey.caught = prey.enclosed >= CAUGHT
+
+    def _run(self, prey: Prey, seconds: float) -> None:
         """Moves the prey: it pushes no robot, slides along obstacles, and stops if it cannot."""
         before = prey.place
-        prey.place = _moved(before, prey.velocity, seconds)
+        prey.place = self.world.inside(_moved(before, prey.velocity, seconds), prey.radius)
         for _ in range(SLIDES):
             for robot in self.robots.values():
                 away = math.dist(robot.place, prey.place)
@@ -189,18 +220,3 @@ def _apart(one: Disc, other: Disc) -> float:
 
 def _moved(place: Vector, along: Vector, metres: float) -> Vector:
     return place[0] + along[0] * metres, place[1] + along[1] * metres
-
-
-def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
-    """The velocity of a prey in m/s: to the middle of the widest gap between the hunters that it sees."""
-    visible = [
-        (hunter[0] - place[0], hunter[1] - place[1])
-        for hunter in hunters
-        if math.dist(hunter, place) < VISUAL_RANGE
-    ]
-    if all(math.hypot(*way) > NEAR for way in visible):
-        return 0.0, 0.0
-    angles = sorted(math.atan2(east, north) for north, east in visible)
-    ends = [*angles[1:], angles[0] + math.tau]
-    gap, start = max((end - start, start) for start, end in zip(angles, ends, strict=True))
-    return PREY_SPEED * math.cos(start + gap / 2.0), PREY_SPEED * math.sin(start + gap / 2.0)

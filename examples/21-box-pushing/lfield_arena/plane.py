@@ -14,8 +14,9 @@ from typing import Protocol
 
 from lfield.event_loop import SimulatedLoop
 from lfield_arena.box import WIDTH
-from lfield_arena.field import LAYOUTS, Field
+from lfield_arena.field import LAYOUTS, Field, Prey
 from lfield_arena.robot import Robot
+from lfield_arena.world import World
 
 #: Seconds of a step, and between two checks for clients; bytes of the longest line.
 TICK, CHECK_INTERVAL, LONGEST = 0.01, 0.1, 4096
@@ -37,8 +38,8 @@ class Way(Protocol):
 class Plane:
     """The plane in this process."""
 
-    def __init__(self, layout: str) -> None:
-        self.field = Field.of(LAYOUTS[layout])
+    def __init__(self, layout: str, world: World) -> None:
+        self.field = Field.of(LAYOUTS[layout].of_world(world), world)
         self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
         self._clients = 0
         self._living = asyncio.get_running_loop().create_task(self._live())
@@ -46,14 +47,16 @@ class Plane:
     @property
     def places(self) -> dict[str, Callable[[], Place]]:
         """Positions of objects other than robots: metres north, east and up, by name."""
+        if self.field.all_prey:
+            names = ("prey", *(f"prey {n}" for n in range(2, 1 + len(self.field.all_prey))))
+            return {name: partial(_at, prey) for name, prey in zip(names, self.field.all_prey, strict=True)}
         if self.field.box is None:
-            what = "prey" if self.field.prey is not None else "ball"
-            return {what: lambda: (*self.field.target[:2], 0.0)}
+            return {"ball": lambda: (*self.field.targets[0][:2], 0.0)}
         ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
         return {name: partial(self._point_of_box, aside) for name, aside in ends.items()}
 
     def _point_of_box(self, aside: float) -> Place:
-        north, east, heading = self.field.target
+        north, east, heading = self.field.targets[0]
         return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 
     async def serve(self, port: int) -> None:
@@ -90,6 +93,10 @@ class Plane:
             self._clients -= 1
 
 
+def _at(prey: Prey) -> Place:
+    return *prey.place, 0.0
+
+
 class Joined:
     """The plane of another simulated device, over its port."""
 
@@ -111,12 +118,14 @@ class Joined:
         self._writer.close()
 
 
-async def way_to(layout: str) -> Way:
-    """Access to the plane of that name: shared, remote, or new. Raises OSError if the port is taken."""
+async def way_to(layout: str, world: World) -> Way:
+    """Access to the plane of that name: shared, remote, or new in that world. Raises OSError if the port is
+    taken.
+    """
     loop = asyncio.get_running_loop()
     if isinstance(loop, SimulatedLoop):
-        return loop.shared(f"the plane '{layout}'", lambda: Plane(layout))
-    plane = Plane(layout)
+        return loop.shared(f"the plane '{layout}'", lambda: Plane(layout, world))
+    plane = Plane(layout, world)
     try:
         await plane.serve(PORTS[layout])
     except OSError:

@@ -17,6 +17,7 @@ import math
 
 from lfield_arena.box import Vector
 from lfield_arena.field import Body, Field
+from lfield_arena.world import along_axes
 
 #: Maximum and minimum speed in m/s; seconds before its goal at which it slows down; tolerance of a goal in
 #: metres.
@@ -59,8 +60,16 @@ class Robot:
         (north, east), speed = self._goal
         here = self.body.place
         away = math.dist(here, (north, east))
+        way = along_axes((north - here[0], east - here[1]), self._field.world.moves)
+        if self._field.world.moves:
+            # Along the axis with the longer way, and no farther on it than to the goal.
+            away = max(abs(north - here[0]), abs(east - here[1]))
+            way = (
+                math.copysign(away, way[0]) if way[0] else 0.0,
+                math.copysign(away, way[1]) if way[1] else 0.0,
+            )
         pace = min(speed, max(SLOWEST, away / BRAKE)) / away
-        return (north - here[0]) * pace, (east - here[1]) * pace
+        return way[0] * pace, way[1] * pace
 
     def _stop(self) -> None:
         self._goal, self._velocity = None, (0.0, 0.0)
@@ -105,11 +114,14 @@ class Robot:
 
     def _state(self) -> str:
         """`north 0.5 east 1.0 moving 0 ...`, name and number alternately."""
-        place, target = self.body.place, self._field.target
+        place, targets = self.body.place, self._field.targets
         moving = self._goal is not None or self._velocity != (0.0, 0.0)
         goals = self._field.ball.goals if self._field.ball is not None else [0, 0]
         state: dict[str, float] = {"north": place[0], "east": place[1], "moving": moving}
         state |= {"broken": self._broken, "watchdog": self.watchdog}
-        state |= {"target_north": target[0], "target_east": target[1], "target_heading": target[2]}
+        state["targets"] = len(targets)
+        for number, target in enumerate(targets):
+            names = (f"target{number}_{part}" for part in ("north", "east", "heading"))
+            state |= zip(names, target, strict=True)
         state |= {"now": self._field.now, "north_goals": goals[0], "south_goals": goals[1]}
         return " ".join(f"{name} {float(value):.6f}" for name, value in state.items())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from functools import partial
+from itertools import pairwise
 
 import pytest
 from hypothesis import assume, given, settings
@@ -14,9 +15,10 @@ from lfield_arena.ball import Ball
 from lfield_arena.box import FRICTION, MASS, Box
 from lfield_arena.driver import ArenaDriver
 from lfield_arena.fake import SIM
-from lfield_arena.field import GRIP, LAYOUTS, PREY_SPEED, RADIUS, Body, Field, Layout, flight
+from lfield_arena.field import GRIP, LAYOUTS, RADIUS, Body, Field, Layout
 from lfield_arena.plane import TICK
 from lfield_arena.robot import FASTEST, Robot
+from lfield_arena.world import PREY_RADIUS, PREY_SPEED, World, escape, flight, is_enclosed
 
 from lfield.driver import DeviceError
 from lfield.driver.plugins import Plugins
@@ -98,18 +100,18 @@ def test_what_the_floor_holds_does_not_move():
 @settings(max_examples=40, deadline=None)
 def test_objects_do_not_overlap(layout, wishes, data):
     field = Field.of(LAYOUTS[layout])
-    if field.prey is not None:
+    for prey in field.all_prey:
         # All of them run towards it.
-        field.prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
+        prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
         for robot, velocity in zip(field.robots.values(), wishes, strict=False):
-            goal = field.target
+            goal = field.targets[0]
             robot.velocity = (
                 velocity[0] + 0.5 * (goal[0] - robot.place[0]),
                 velocity[1] + 0.5 * (goal[1] - robot.place[1]),
             )
         field.step(TICK)
-        bodies = [*field.robots.values(), *([field.prey] if field.prey else [])]
+        bodies = [*field.robots.values(), *field.all_prey]
         for index, one in enumerate(bodies):
             for other in bodies[index + 1 :]:
                 assert math.dist(one.place, other.place) > one.radius + other.radius - 1e-4
@@ -122,6 +124,67 @@ def test_a_prey_runs_at_its_speed_or_stands(hunters):
     assert math.hypot(*flight((0.0, 0.0), hunters)) == pytest.approx(PREY_SPEED) or flight(
         (0.0, 0.0), hunters
     ) == (0.0, 0.0)
+
+
+@given(st.sampled_from(["still", "random", "away", "gap"]), st.integers(0, 50), st.floats(3.0, 12.0))
+@settings(max_examples=30, deadline=None)
+def test_walls_hold_prey_and_robots(mind, seed, size):
+    world = World(size=size, mind=mind, seed=seed, prey=2)
+    field = Field.of(LAYOUTS["hunt"].of_world(world), world)
+    for robot in field.robots.values():
+        robot.velocity = (0.4, 0.3)
+    for _ in range(400):
+        field.step(TICK)
+    for one in (*field.robots.values(), *field.all_prey):
+        assert max(map(abs, one.place)) <= size / 2.0 + 1e-3
+
+
+def test_minds_of_prey():
+    hunters = [(1.0, 0.0), (0.9, 0.8)]
+    assert escape(World(mind="still"), (0.0, 0.0), hunters, 0.0, 0) == (0.0, 0.0)
+    assert escape(World(mind="away"), (0.0, 0.0), hunters, 0.0, 0) == pytest.approx((-PREY_SPEED, 0.0))
+    assert escape(World(), (0.0, 0.0), hunters, 0.0, 0) == pytest.approx(flight((0.0, 0.0), hunters))
+    assert 0.0 in escape(World(prey_moves=4), (0.0, 0.0), hunters, 0.0, 0)
+    random = World(mind="random", seed=3)
+    ways = [escape(random, (0.0, 0.0), [], now, 0) for now in (0.5, 0.6, 1.5)]
+    assert ways[0] == ways[1] != ways[2]
+    assert math.hypot(*ways[0]) == pytest.approx(PREY_SPEED)
+
+
+def test_enclosed_prey_is_taken_away_where_there_are_several():
+    around = [(0.35 * math.cos(turn), 0.35 * math.sin(turn)) for turn in (0.0, 1.6, 3.2, 4.8)]
+    assert is_enclosed((0.0, 0.0), [(place, RADIUS) for place in around])
+    assert not is_enclosed((0.0, 0.0), [(place, RADIUS) for place in around[:2]])
+    for places, caught in (([(0.0, 0.0), (9.0, 9.0)], True), ([(0.0, 0.0)], False)):
+        robots = dict(enumerate(around))
+        field = Field.of(Layout(robots, prey=tuple(places)))
+        for _ in range(100):
+            field.step(TICK)
+        assert field.all_prey[0].caught is caught
+    assert PREY_RADIUS < RADIUS + PREY_RADIUS
+
+
+@pytest.mark.parametrize(
+    "text", ["size", "size=x", "mind=clever", "moves=3", "prey=0", "colour=1", "predators=10"]
+)
+def test_a_world_without_sense_is_refused(text):
+    with pytest.raises(ValueError, match=r"."):
+        World.parse(text)
+
+
+def test_a_robot_that_moves_along_the_axes_reaches_its_goal():
+    world = World(moves=4)
+    field = Field.of(Layout({1: (0.0, 0.0)}, prey=((5.0, 5.0),)), world)
+    robot = Robot(field, 1)
+    robot.answer("go 0.7 -0.4 0.5")
+    places = []
+    for _ in range(400):
+        robot.step(TICK)
+        field.step(TICK)
+        places.append(field.robots[1].place)
+    assert math.dist(places[-1], (0.7, -0.4)) < 0.02
+    steps = [(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(places)]
+    assert all(min(abs(north), abs(east)) < 1e-12 for north, east in steps)
 
 
 def test_a_prey_runs_from_one_and_between_two():

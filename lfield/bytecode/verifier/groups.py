@@ -38,9 +38,7 @@ _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 _OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
 
 #: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
-_NOT_IN_0_3 = frozenset(
-    {"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle", "hold", "take", "drop"}
-)
+_NOT_IN_0_3 = frozenset({"exc_others"} | {row.name for row in BY_CODE.values() if 1600 <= row.code < 1850})
 
 #: Whether a type index is valid for an argument or result of a head.
 TypeTest = Callable[[MethodView, int], bool]
@@ -96,8 +94,8 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
     special = _SPECIAL.get(row.name)
     if special is not None:
         return special(view, pc, quad)
-    if row.name.startswith("write_") and view.scope != "resource":
-        raise view.refused(pc, "only resources write")
+    if (row.name.startswith("write_") or row.name == "read_line") and view.scope != "resource":
+        raise view.refused(pc, "only resources write and read")
     if row.name in _OF_COORDINATORS and view.scope != "coordinator":
         raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
     result = _accepts(_EXACT[row.result_kind]) if row.result_kind else None
@@ -106,7 +104,7 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
 
 def _call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     callee = view.core.methods[quad.a]
-    if callee.kind not in ("method", "constructor"):
+    if callee.kind not in ("method", "constructor") and (callee.kind, view.method.kind) != ("loop", "ticks"):
         raise view.refused(pc, "only methods and constructors are called")
     if not view.can_access(view.core.classes[callee.owner]):
         raise view.refused(pc, "the method is out of scope here")
@@ -160,6 +158,31 @@ def _waits(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 def _leave(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_coordinator(view, pc)
     return GroupSignature([_is_ticket, _accepts(ANY)], None)
+
+
+def _tickets(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    """A ticket, or an array of futures: objects whose first field is one."""
+    _check_coordinator(view, pc)
+
+    def has_tickets(view: MethodView, index: int) -> bool:
+        if not view.types.is_array(index):
+            return _is_ticket(view, index)
+        fields = view.types.fields(view.types.element(index))
+        return bool(fields) and _is_ticket(view, fields[0].type)
+
+    results = {"next": _accepts(INT), "ended": _accepts(BOOLEAN), "failure": _accepts(ANY)}
+    name = BY_CODE[quad.op].name
+    single = name in ("launch", "ended")
+    return GroupSignature([_is_ticket if single else has_tickets], results.get(name))
+
+
+def _waits_in_monitor(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    """A thread that holds the monitor leaves it, so its method must be synchronized."""
+    if view.scope != "resource" or not view.method.synchronized:
+        raise view.refused(pc, "only synchronized methods of resources leave the monitor")
+    row = BY_CODE[quad.op]
+    parameters = [_accepts(_EXACT[kind]) for kind in row.argument_kinds or ()]
+    return GroupSignature([*parameters], _accepts(INT) if row.result_kind else None)
 
 
 def _check_coordinator(view: MethodView, pc: int) -> None:
@@ -230,6 +253,34 @@ def _growing_element(view: MethodView, pc: int, quad: Quad) -> int:
     if view.types.kind(quad.a) != GROWABLE:
         raise view.refused(pc, "only an array of a type that grows changes its length")
     return view.types.element(quad.a)
+
+
+def _tick(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([_accepts(INT), _accepts(INT)], _accepts(INT))
+
+
+def _suppress(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    other = view.core.methods[quad.a]
+    if other.kind != "ticks" or other.owner != view.method.owner:
+        raise view.refused(pc, "only another loop of this resource is suppressed")
+    return GroupSignature([], None)
+
+
+def _control(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([], None)
+
+
+def _tick_failed(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_loop(view, pc)
+    return GroupSignature([_accepts(ANY)], None)
+
+
+def _check_loop(view: MethodView, pc: int) -> None:
+    if view.method.kind != "ticks":
+        raise view.refused(pc, "only loops have ticks")
 
 
 def _find(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -327,8 +378,20 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
     "leave": _leave,
     "settle": _settle,
     "hold": _hold,
+    "launch": _tickets,
+    "next": _tickets,
+    "ended": _tickets,
+    "cancel": _tickets,
+    "failure": _tickets,
+    "wait_limit": _waits_in_monitor,
+    "wait_leave": _waits_in_monitor,
+    "wait_enter": _waits_in_monitor,
     "take": _reservation_array,
     "drop": _reservation_array,
+    "tick": _tick,
+    "suppress": _suppress,
+    "control": _control,
+    "tick_failed": _tick_failed,
 }
 
 

@@ -34,7 +34,11 @@ _OWNERS = {
     "constructor": frozenset({"class"}),
     "init": frozenset({"resource", "coordinator"}),
     "portal": frozenset({"resource"}),
+    "loop": frozenset({"resource"}),
+    "ticks": frozenset({"resource"}),
 }
+#: The body of a loop, and the method of its thread.
+_OF_LOOPS = ("loop", "ticks")
 #: Kinds in slots besides values, by the scope of the method.
 _NON_VALUE_KINDS = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
 
@@ -72,8 +76,10 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
         raise _refused(method, "a slot has a type no variable can have")
     if method.result != VOID and not table.is_value(method.result):
         raise _refused(method, "it has a result of a type no value can have")
-    if method.kind == "constructor" and method.result != VOID:
-        raise _refused(method, "it is a constructor and has a result")
+    if method.kind in ("constructor", *_OF_LOOPS) and method.result != VOID:
+        raise _refused(method, f"it is a {method.kind} and has a result")
+    if method.kind in _OF_LOOPS and (method.parameters or method.synchronized):
+        raise _refused(method, "it is of a loop, and has parameters or the monitor")
 
 
 def _check_inits(core: Core) -> None:

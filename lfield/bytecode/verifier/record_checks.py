@@ -56,8 +56,8 @@ _FACT_TYPES = (
 )
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
-#: The name of a class of maps is its type.
-_MAP_NAME = re.compile(r"map<[\w<>, \[\]]+>")
+#: The name of a class of maps or futures is its type.
+_LIBRARY_NAME = re.compile(r"(map|future)<[\w<>, \[\]]+>")
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
 _KINDS = frozenset({"class", "resource", "coordinator"})
 _USAGES = frozenset({"global", "resource", "coordinator"})
@@ -95,8 +95,16 @@ def _check_type(core: Core, table: TypeTable, index: int) -> None:
             raise ProgramFileError(f"type {index} is of class {record.of}, which does not exist")
         if record.kind == PROXY and core.classes[record.of].kind != "resource":
             raise ProgramFileError(f"type {index} is a proxy for something that is not a resource")
+    elif record.kind == INT:
+        if not (core.builtins <= record.of < len(core.classes) and _is_enum(core.classes[record.of])):
+            raise ProgramFileError(f"type {index} is an enum of class {record.of}, which has no members")
     elif record != TypeRecord(TICKET):
         raise ProgramFileError(f"type {index} is of unknown kind {record.kind}")
+
+
+def _is_enum(record: ClassRecord) -> bool:
+    """Whether a class can have the members of an enum: their names as its fields."""
+    return record.kind == "class" and bool(record.fields) and all(f.type == INT for f in record.fields)
 
 
 def check_classes(core: Core) -> None:
@@ -107,7 +115,7 @@ def check_classes(core: Core) -> None:
     table = TypeTable(core)
     others = core.others
     for index, record in enumerate(core.classes[core.builtins :], core.builtins):
-        if not (record.name.isidentifier() or _MAP_NAME.fullmatch(record.name)):
+        if not (record.name.isidentifier() or _LIBRARY_NAME.fullmatch(record.name)):
             raise ProgramFileError(f"a class has the name {record.name!r}, which is not an identifier")
         if record.kind not in _KINDS or record.usage not in _USAGES:
             raise ProgramFileError(f"{record.name} is of unknown kind {record.kind!r}, {record.usage!r}")
@@ -126,7 +134,8 @@ def _check_fields(record: ClassRecord, table: TypeTable, fields: Sequence[FieldR
     for field in fields:
         if not field.name.isidentifier():
             raise ProgramFileError(f"a field of {record.name} has the name {field.name!r}")
-        if not table.has(field.type) or not (field.type == DEVICE or table.is_value(field.type)):
+        special = table.has(field.type) and (field.type == DEVICE or _may_hold_ticket(record, table, field))
+        if not table.has(field.type) or not (special or table.is_value(field.type)):
             raise ProgramFileError(f"field {record.name}.{field.name} has a type no field can have")
     if record.capability:
         _check_capability(record, table)
@@ -136,6 +145,12 @@ def _check_fields(record: ClassRecord, table: TypeTable, fields: Sequence[FieldR
         raise ProgramFileError(f"the devices of {record.name} are not its device fields")
     if devices and scope_of(record) != "resource":
         raise ProgramFileError(f"{record.name} has a device and is not a resource")
+
+
+def _may_hold_ticket(record: ClassRecord, table: TypeTable, field: FieldRecord) -> bool:
+    """Whether it is the field of a future: its call, in an object of a coordinator."""
+    is_future = record.kind == "class" and record.usage == "coordinator"
+    return table.kind(field.type) == TICKET and is_future
 
 
 def _check_capability(record: ClassRecord, table: TypeTable) -> None:

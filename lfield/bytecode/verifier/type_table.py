@@ -87,13 +87,16 @@ class TypeTable:
     def fits(self, given: int, expected: int) -> bool:
         """Whether a value of one type may be stored where another is expected.
 
-        Null fits every reference, an object of a class fits ANY and the class's parent, otherwise the types
-        must be equal.
+        Ints and members of enums fit each other. Null fits every reference, an object of a class fits ANY and
+        the class's parent, otherwise the types must be equal.
         """
         if given == expected:
             return True
         if given == NULL:
             return self.is_reference(expected)
+        if self._records[given].kind == INT:
+            # A member of an enum is an int.
+            return self._records[expected].kind == INT
         if not self.is_object(given):
             return False
         return expected == ANY or (self.is_object(expected) and self._parent(given) == self._name(expected))

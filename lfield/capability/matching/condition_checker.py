@@ -8,13 +8,14 @@ are `need.attribute`, and `distance(need, need)` is in metres. Equality with a s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, cast
 
 from lfield.capability import condition_tree
 from lfield.capability.condition_tree import Mistake
 from lfield.capability.model import Attribute, Expression
+from lfield.capability.parameter_units import Conversion, UnitCheck
 from lfield.text.source_text import Span
 from lfield.text.suggestions import did_you_mean, listed
 
@@ -23,6 +24,8 @@ IDENTITY = ("agent", "robot", "host")
 
 #: The attributes from which `distance` is computed: metres from the team's common origin.
 POSITION = ("north", "east", "down")
+
+_METRES = "m"
 
 #: Functions of numbers with the least and the most arguments they take.
 FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs": (1, 1)}
@@ -44,11 +47,13 @@ EXPECTATIONS: Mapping[str, Expectation] = {
 class ValueKind:
     """What an expression is worth: its sort, with all members or texts it may have (() for any).
 
-    The sort of an erroneous part is 'nothing', which is not reported again.
+    The sort of an erroneous part is 'nothing', which is not reported again. `unit` is that of a number, None
+    if it may have any.
     """
 
     sort: Sort
     values: tuple[str, ...] = ()
+    unit: str | None = None
 
 
 _NUMBER, _BOOLEAN, _TEXT = ValueKind("number"), ValueKind("boolean"), ValueKind("text")
@@ -57,11 +62,16 @@ _PART, _NOTHING = ValueKind("part"), ValueKind("nothing")
 
 @dataclass(frozen=True, slots=True)
 class NameScope:
-    """What names mean: bare `names`, and for each of the `needs` of a composition its `members`."""
+    """What names mean: bare `names`, and for each of the `needs` of a composition its `members`.
+
+    `parameters` are the sorts of the values that a program passes, by what is written in the query; None
+    in a compiled query, where names have the sorts in them. With parameters, units are compared.
+    """
 
     names: Mapping[str, ValueKind]
     needs: Collection[str] = ()
     members: Mapping[str, ValueKind] = field(default_factory=dict)
+    parameters: Mapping[str, Sort] | None = None
 
     @staticmethod
     def of_offer(attributes: Mapping[str, Attribute]) -> NameScope:
@@ -88,7 +98,7 @@ def _kinds(attributes: Mapping[str, Attribute]) -> dict[str, ValueKind]:
 def _kind(attribute: Attribute) -> ValueKind:
     match attribute.type:
         case "real" | "int":
-            return _NUMBER
+            return ValueKind("number", unit=attribute.unit)
         case sort:
             return ValueKind(sort, attribute.values)
 
@@ -96,17 +106,25 @@ def _kind(attribute: Attribute) -> ValueKind:
 # --- meaning ------------------------------------------------------------------------------------------
 
 
-def check_expression(expression: Expression, scope: NameScope, expected: Expectation) -> list[Mistake]:
+def check_expression(
+    expression: Expression,
+    scope: NameScope,
+    expected: Expectation,
+    conversions: dict[condition_tree.ConditionParameter, Conversion] | None = None,
+) -> list[Mistake]:
     """What is wrong with the names and types of an expression that shall be `expected`.
 
-    The bare name of a member is replaced in the tree by its text.
+    The bare name of a member is replaced in the tree by its text. `conversions` gets those of the parameters.
     """
     checker = _Checker(scope)
     kind = checker.kind(expression.tree)
-    if not checker.found and kind.sort != expected and (expected != "any" or kind.sort == "part"):
+    is_known = not checker.found and kind.sort != "nothing"
+    if is_known and kind.sort != expected and (expected != "any" or kind.sort == "part"):
         should = "a value" if expected == "any" else _sort_text(expected)
         hint = "compare it, as in payload >= 2.0" if expected == "boolean" else ""
         checker.report(expression.tree.span, f"this is {_sort_text(kind.sort)}, not {should}", hint)
+    if conversions is not None:
+        conversions.update(checker.units.conversions)
     return checker.found
 
 
@@ -120,6 +138,7 @@ class _Checker:
     def __init__(self, scope: NameScope) -> None:
         self._scope = scope
         self.found: list[Mistake] = []
+        self.units = UnitCheck(self.report)
 
     def report(self, place: Span, message: str, hint: str | None = None) -> ValueKind:
         """Add a mistake; returns the kind of an erroneous part."""
@@ -135,6 +154,8 @@ class _Checker:
                 return self._name(name, tree.span)
             case condition_tree.ConditionMember():
                 return self._member(tree)
+            case condition_tree.ConditionParameter():
+                return self._parameter(tree)
             case condition_tree.ConditionUnary(operator=operator, operand=operand):
                 return self._all([operand], _BOOLEAN if operator == "!" else _NUMBER, operator)
             case condition_tree.ConditionBinary():
@@ -154,6 +175,15 @@ class _Checker:
                 return _TEXT
             case _:
                 return _NUMBER
+
+    def _parameter(self, tree: condition_tree.ConditionParameter) -> ValueKind:
+        known = self._scope.parameters
+        sort = tree.sort if known is None else known.get(tree.path, "nothing")
+        if not sort:
+            return self.report(tree.span, "there is no parameter of this name")
+        if tree.unit and sort != "number":
+            return self.report(tree.span, f"this is {_sort_text(sort)}, which has no unit")
+        return ValueKind(cast(Sort, sort))
 
     # --- names ----------------------------------------------------------------------------------------
 
@@ -192,24 +222,54 @@ class _Checker:
                 return self._all(operands, _BOOLEAN, tree.operator)
             case "<" | "<=" | ">" | ">=":
                 kind = self._all(operands, _NUMBER, tree.operator)
-                return _BOOLEAN if kind is _NUMBER else kind
-            case "+" | "-" | "*" | "/":
+                return _BOOLEAN if kind.sort == "number" else kind
+            case "*" | "/":
+                for operand in operands:
+                    self.units.convert_alone(operand)
+                return self._all(operands, _NUMBER, tree.operator, is_alike=False)
+            case "+" | "-":
                 return self._all(operands, _NUMBER, tree.operator)
             case "==" | "!=":
                 return self._equality(tree)
             case operator:
                 return self.report(tree.sign, f"'{operator}' is not an operator of conditions")
 
-    def _all(self, operands: list[condition_tree.ConditionExpr], expected: ValueKind, what: str) -> ValueKind:
-        """The kind wanted, which all operands must have."""
+    def _all(
+        self,
+        operands: list[condition_tree.ConditionExpr],
+        expected: ValueKind,
+        what: str,
+        *,
+        is_alike: bool = True,
+    ) -> ValueKind:
+        """The kind wanted, which all operands must have; numbers that are alike have the same unit."""
         good = True
+        kinds = list[ValueKind]()
         for operand in operands:
             kind = self.kind(operand)
+            kinds.append(kind)
             good = good and kind.sort == expected.sort
             if kind.sort not in (expected.sort, "nothing"):
                 need = "numbers" if expected is _NUMBER else "booleans"
                 self.report(operand.span, f"'{what}' takes {need}; this is {_sort_text(kind.sort)}")
-        return expected if good else _NOTHING
+        if not good:
+            return _NOTHING
+        if expected is not _NUMBER or not is_alike:
+            return expected
+        return ValueKind("number", unit=self._common_unit(operands, kinds, what, expected.unit))
+
+    def _common_unit(
+        self,
+        operands: Sequence[condition_tree.ConditionExpr],
+        kinds: Sequence[ValueKind],
+        what: str,
+        needed: str | None = None,
+    ) -> str | None:
+        """The unit of numbers that are combined; units count in queries with parameters."""
+        if self._scope.parameters is None:
+            return None
+        pairs = [(operand, kind.unit) for operand, kind in zip(operands, kinds, strict=True)]
+        return self.units.common_unit(pairs, what, needed)
 
     def _equality(self, tree: condition_tree.ConditionBinary) -> ValueKind:
         left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
@@ -222,6 +282,8 @@ class _Checker:
         if len(sorts) > 1 and sorts != {"text", "set"}:
             message = f"'{tree.operator}' compares {_sort_text(left.sort)} with {_sort_text(right.sort)}"
             return self.report(tree.span, message)
+        if sorts == {"number"}:
+            self._common_unit((tree.left, tree.right), (left, right), tree.operator)
         return _BOOLEAN
 
     def _or_member(
@@ -296,10 +358,15 @@ class _Checker:
             message = "distance() here takes a place: north, east and optionally down"
             return self.report(tree.span, message, "such as distance(12.0, 4.0), in metres")
         for argument in tree.arguments:
-            if not isinstance(argument, condition_tree.ConditionLiteral):
+            is_given = isinstance(argument, condition_tree.ConditionParameter)
+            if not is_given and not isinstance(argument, condition_tree.ConditionLiteral):
                 return self.report(
                     argument.span,
                     "the coordinates of a place are number literals",
                     "such as distance(12.0, 4.0)",
                 )
-        return self._all(tree.arguments, _NUMBER, "distance()")
+        kind = self._all(tree.arguments, _NUMBER, "distance()", is_alike=False)
+        if kind.sort != "number":
+            return kind
+        self._common_unit(tree.arguments, [kind] * len(tree.arguments), "distance()", _METRES)
+        return ValueKind("number", unit=_METRES)

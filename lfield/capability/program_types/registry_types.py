@@ -12,10 +12,11 @@ from lfield.capability.condition_tree import Mistake
 from lfield.capability.model import Registry
 from lfield.capability.program_types.class_generator import UsableWays, class_text, prelude
 from lfield.capability.program_types.program_check import check_against, check_classes, satisfied
+from lfield.capability.program_types.query_compiler import numbered_query, read_placeholders
 from lfield.capability.registry_reader.registry_files import is_shipped
 from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
 from lfield.lang import syntax
-from lfield.lang.capability_port import GeneratedClasses
+from lfield.lang.capability_port import CompiledQuery, GeneratedClasses, PlaceholderSort, QueryPlaceholders
 from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
@@ -63,6 +64,14 @@ class RegistryTypes:
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
         return read_query(constraint, self.registry.attributes)[1]
+
+    def placeholders(self, text: str) -> QueryPlaceholders:
+        """The placeholders in the text of a condition."""
+        return read_placeholders(text)
+
+    def compile_query(self, text: str, sorts: Mapping[str, PlaceholderSort]) -> CompiledQuery:
+        """A condition whose placeholders have values of these sorts, by path."""
+        return numbered_query(text, sorts, self.registry.attributes)
 
 
 def _served(registry: Registry, units: Mapping[str, Signature]) -> UsableWays:

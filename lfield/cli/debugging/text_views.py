@@ -11,7 +11,7 @@ from lfield.replay.debugger.moment import Phase
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.replay.debugger.value_tree import Variable
 from lfield.text.terminal_escape import escape_line, truncate
-from lfield.wire.events import as_fields
+from lfield.wire.subscription_messages import as_fields
 
 #: Lines of source before and after the position.
 CONTEXT = 4

@@ -30,6 +30,7 @@ from lfield.cli.run.run_summary import summary
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.process import parent_pipe
+from lfield.host.process.operator_terminal import read_standard_input
 from lfield.host.process.run_result import RunResult, read_result
 from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals, install_signal_handlers
 from lfield.mission.team import parse_maps
@@ -130,15 +131,20 @@ class _HostProcesses:
         #: The exit status of the first host that could not start.
         self.refused = 0
         self.view: LiveView | None = None
+        #: The hosts that read the operator's input.
+        self.readers = mission.reading_hosts
 
     async def run(self) -> int:
         started = asyncio.get_running_loop().time()
         install_signal_handlers(self.stop_signals)
-        if sys.stderr.isatty() and not self.args.json:
+        # The table would disable the echo of a line that is typed.
+        if sys.stderr.isatty() and not self.args.json and not self.readers:
             from lfield.cli.views.live_view import LiveView
 
             self.view = LiveView(self.mission, self.control_sockets.addresses)
         readers = [task for host in self.addresses for task in await self.start(host)]
+        if self.readers:
+            read_standard_input(", ".join(self.readers), self.on_typed, self.print)
         watcher = asyncio.create_task(self.stop_on_signal())
         if self.view:
             self.view.start()
@@ -307,6 +313,20 @@ class _HostProcesses:
         for host, child in self.children.items():
             if host != exited and child.returncode is None and child.stdin and not child.stdin.is_closing():
                 child.stdin.write(parent_pipe.exit_line(exited))
+
+    def on_typed(self, line: str) -> None:
+        """A line of the operator's input: `HOST: TEXT`, or for the only host that reads."""
+        name, colon, text = line.partition(":")
+        if colon and name.strip() in self.children:
+            host, line = name.strip(), text.removeprefix(" ")
+        elif len(self.readers) == 1:
+            host = self.readers[0]
+        else:
+            self.print(log_messages.INPUT_UNADDRESSED.line(hosts=" or ".join(self.readers)))
+            return
+        child = self.children[host]
+        if child.returncode is None and child.stdin and not child.stdin.is_closing():
+            child.stdin.write(parent_pipe.typed_line(line))
 
     async def signal_status(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended.

@@ -28,9 +28,9 @@ from lfield.wire.events import (
     MigrationFailed,
     MigrationStarted,
     Printed,
-    as_fields,
 )
 from lfield.wire.fields import Telemetry
+from lfield.wire.subscription_messages import as_fields
 
 #: The kinds in CSV: telemetry and link measurements (a row for each number), and hops.
 CSV_KINDS = ("measured", "path", "left", "came", "hopped", "stayed")

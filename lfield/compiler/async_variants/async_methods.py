@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from lfield.lang import types
 from lfield.lang.capability_port import OFFER_METHODS
 from lfield.lang.tree import (
+    Async,
     Binary,
     BlockStmt,
     Call,
@@ -41,11 +42,8 @@ from lfield.lang.tree import (
     Stmt,
     ToReal,
 )
-from lfield.lang.tree_traversal import all_statements, descendants
-from lfield.lang.types import Type, array_of
-
-#: The type of the ticket parameter; the language has no values of it.
-TICKET = Type("ticket")
+from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
+from lfield.lang.types import array_of
 
 
 @dataclass(slots=True, eq=False)
@@ -64,10 +62,15 @@ class AsyncVariant:
     ticket: Local
 
 
-def async_variants_of(methods: Iterable[Method]) -> dict[Method, AsyncVariant]:
-    """A variant for each method of an offer that a `together` starts, and for those that variants start."""
+def async_variants_of(methods: Sequence[Method], *, has_futures: bool = False) -> dict[Method, AsyncVariant]:
+    """A variant for each method of an offer that a `together` or an `async` starts, or another variant.
+
+    `has_futures`: whether there is any `async`.
+    """
     made: dict[Method, AsyncVariant] = {}
     waiting = _started_methods(methods)
+    if has_futures:
+        waiting += _future_methods(methods)
     while waiting:
         method = waiting.pop(0)
         if method not in made:
@@ -86,10 +89,18 @@ def _started_methods(methods: Iterable[Method]) -> list[Method]:
     return list(found)
 
 
+def _future_methods(methods: Iterable[Method]) -> list[Method]:
+    """The methods of offers that an `async` begins."""
+    statements = (one for method in methods for one in all_statements(method.body))
+    expressions = (value for one in statements for value in statement_expressions(one))
+    started = (part.call for value in expressions for part in descendants(value) if isinstance(part, Async))
+    return list(dict.fromkeys(call.method for call in started if isinstance(call, Call)))
+
+
 def async_variant_of(method: Method) -> AsyncVariant:
     """The variant: its last parameters are the ticket and, where there is a result, an array (or null) and an
     index in it."""
-    ticket = Local("", TICKET, method.span)
+    ticket = Local("", types.TICKET, method.span)
     place: Element | None = None
     added = [ticket]
     if method.result != types.VOID:

@@ -23,7 +23,8 @@ from lfield.lang.tree import (
 )
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 
-_BLOCKING = frozenset({"sleep", "yield"})
+_BLOCKING = frozenset({"sleep", "yield", "read_line"})
+_OUTSIDE = frozenset({"now", "lived", "random", "random_int"})
 _OUTPUT = ("print_", "write_")
 
 
@@ -38,6 +39,19 @@ class EffectAnalysis:
         return any(_has_effect(one) for one in descendants(expr)) or not self._effectful.isdisjoint(
             _called(expr)
         )
+
+    def reads_outside(self, expr: Expr) -> bool:
+        """Whether an expression, or a method that it calls, may read a clock, a device or random numbers."""
+        visited: set[Method] = set()
+        waiting = [expr]
+        while waiting:
+            one = waiting.pop()
+            if any(_reads_outside(part) for part in descendants(one)):
+                return True
+            for method in set(_called(one)) - visited:
+                visited.add(method)
+                waiting += _expressions(method)
+        return False
 
     @cached_property
     def _effectful(self) -> frozenset[Method]:
@@ -68,6 +82,10 @@ def _called(expr: Expr) -> Iterator[Method]:
             yield one.method
         elif isinstance(one, New) and one.constructor is not None:
             yield one.constructor
+
+
+def _reads_outside(one: Expr) -> bool:
+    return isinstance(one, DeviceCall) or (isinstance(one, LibraryCall) and one.operation in _OUTSIDE)
 
 
 def _has_effect(one: Expr) -> bool:

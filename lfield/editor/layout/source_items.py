@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from lfield.lang.parser.type_names import GENERIC_TYPES
 from lfield.lang.scanner import Token, TokenKind, scan
 from lfield.text.source_text import Diagnostics, Source
 
@@ -87,22 +88,26 @@ def _pieces(text: str, tokens: Sequence[Token]) -> Iterator[tuple[int, int, Toke
         if at and tokens[at].text == "<" and tokens[at - 1].text == "include":
             at = next(n for n in range(at, len(tokens)) if tokens[n].text == ">")
             stop, kind = tokens[at].span.end, TokenKind.STRING
-        if tokens[at].text == "map" and (last := _end_of_map(text, tokens, at)):
+        if tokens[at].text in GENERIC_TYPES and (last := _end_of_type(text, tokens, at)):
             at, stop = last, tokens[last].span.end
         yield start, stop, kind
         end, at = stop, at + 1
 
 
-def _end_of_map(text: str, tokens: Sequence[Token], at: int) -> int:
-    """The last token of a type `map<string, int>` that begins at a token; 0 for any other name."""
-    if tokens[at + 1].text != "<" or tokens[at + 2].text not in ("string", "int"):
+def _end_of_type(text: str, tokens: Sequence[Token], at: int) -> int:
+    """The last token of `map<string, int>` or `future<real>` that begins at a token; 0 for any other name."""
+    is_map = tokens[at].text == "map"
+    if tokens[at + 1].text != "<" or (is_map and tokens[at + 2].text not in ("string", "int")):
         return 0
     depth, last = 0, at
     while depth or last == at:
         last += 1
         if tokens[last].kind is TokenKind.END or tokens[last].text in (";", "{", "}", "("):
             return 0
-        depth += {"<": 1, ">": -1, ">>": -2}.get(tokens[last].text, 0)
+        sign = tokens[last].text
+        if tokens[last].kind is TokenKind.SYMBOL and sign not in ("<", ">", ">>", ",", "[", "]"):
+            return 0
+        depth += {"<": 1, ">": -1, ">>": -2}.get(sign, 0)
     commented = _COMMENT.search(text, tokens[at].span.start, tokens[last].span.end)
     return 0 if commented else last
 

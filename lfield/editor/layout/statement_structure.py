@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum, auto
 
 from lfield.editor.layout.source_items import SourceItem
+from lfield.lang.parser.loop_members import LOOP, LOOP_WORDS, RATES
 from lfield.lang.scanner import TokenKind
 
 #: Statements with parentheses, and a body that may be a single statement.
@@ -20,6 +21,8 @@ _CLAUSES = {"else": ("if",), "catch": ("try", "catch"), "finally": ("try", "catc
 #: The last tokens of an operand, besides names and literals.
 _OPERAND_ENDS = (")", "]", "this", "true", "false", "null")
 _OPERANDS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
+#: The end of a statement; outside of brackets, a comma is between two members of an enum.
+_ENDS = (";", ",")
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 #: What is before the brace of the elements of an array.
 _BEFORE_ELEMENTS = ("=", "(", "[", ",", "return", ":")
@@ -82,7 +85,10 @@ class _Head:
 
 @dataclass(slots=True)
 class _Block:
-    """A block that is open, with the unfinished statement in it. `next` is the role of its next token."""
+    """A block that is open, with the unfinished statement in it, whose first token is `first`.
+
+    `next` is the role of its next token.
+    """
 
     level: int
     heads: list[_Head] = field(default_factory=list)
@@ -90,6 +96,7 @@ class _Block:
     next: TokenRole = TokenRole.STATEMENT
     clause_level: int = 0
     is_body_broken: bool = False
+    first: int = 0
 
     def statement_level(self) -> int:
         """The indentation of the innermost statement that is not finished."""
@@ -146,7 +153,9 @@ class StatementStructure:
         text, placed, block = self._texts[at], self._item(at), self._blocks[-1]
         if at in self._partners:
             placed.partner = self._tokens[self._partners[at]]
-        placed.is_unary = text == "!" or (text == "-" and not self._is_operand_end(at - 1))
+        is_priority = not block.brackets and self._is_word_of_loop(block, at - 1)
+        is_sign = is_priority or not self._is_operand_end(at - 1)
+        placed.is_unary = text == "!" or (text == "-" and is_sign)
         if block.brackets:
             self._place_inside(block, at, text)
         elif text == "}" and len(self._blocks) > 1:
@@ -158,6 +167,11 @@ class StatementStructure:
 
     def _is_operand_end(self, at: int) -> bool:
         return self._text(at) in _OPERAND_ENDS or (at >= 0 and self._item(at).item.kind in _OPERANDS)
+
+    def _is_word_of_loop(self, block: _Block, at: int) -> bool:
+        """Whether a token is a word in the head of a loop, and no name."""
+        is_loop = self._text(block.first) == LOOP and self._text(block.first + 2) in RATES
+        return is_loop and self._text(at) in LOOP_WORDS
 
     def _place_inside(self, block: _Block, at: int, text: str) -> None:
         """A token within brackets of a statement."""
@@ -176,6 +190,7 @@ class StatementStructure:
         """A token of a statement, outside all brackets."""
         placed = self._item(at)
         placed.role = role = block.next
+        block.first = at if role is TokenRole.STATEMENT else block.first
         placed.level = block.clause_level if role is TokenRole.CLAUSE else block.statement_level()
         placed.must_break = role is TokenRole.CLAUSE and block.is_body_broken
         if role is TokenRole.BODY and self._is_body_broken(at, text):
@@ -190,7 +205,7 @@ class StatementStructure:
         elif text in _PAIRS:
             block.brackets.append(text)
             placed.is_head = self._is_head(at, block)
-        elif text == ";":
+        elif text in _ENDS:
             block.finish(self._text(at + 1))
         elif role is not TokenRole.INNER:
             self._place_head(block, at, text, placed.level)
@@ -205,6 +220,10 @@ class StatementStructure:
     def _is_head(self, at: int, block: _Block) -> bool:
         """Whether a parenthesis belongs to `if`, `within` or the like: the body follows it."""
         if block.heads and block.heads[-1].opening == at:
+            return True
+        if self._is_word_of_loop(block, at - 1):
+            return True
+        if (self._text(at - 2), self._text(at - 1)) in (("wait", "until"), (")", "within")):
             return True
         before = self._item(at - 1)
         is_first = before.item.kind is TokenKind.NAME and before.role in (TokenRole.STATEMENT, TokenRole.BODY)

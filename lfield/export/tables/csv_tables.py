@@ -30,8 +30,9 @@ from lfield.export.export_input import (
 from lfield.export.tables.hop_rows import HOP_COLUMNS, HopRows
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 from lfield.text.terminal_escape import escape_line
-from lfield.wire.events import AgentActivity, LinkTelemetry, as_fields
+from lfield.wire.events import AgentActivity, LinkTelemetry
 from lfield.wire.fields import Telemetry
+from lfield.wire.subscription_messages import as_fields
 
 #: Opens the table of that name to be written, in UTF-8 without translation of line ends.
 OpenTable = Callable[[str], TextIO]

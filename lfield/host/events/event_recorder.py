@@ -348,6 +348,10 @@ class EventRecorder:
             events.StartDelayed(truncate(", ".join(agents)), truncate(", ".join(hosts)), truncate(held))
         )
 
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """These agents wait for a line of the operator's input."""
+        self.emit(events.InputAwaited(truncate(", ".join(agents))))
+
     def on_emergency_stop(self, by: str, reason: str, *, lifted: bool) -> None:
         """An operator has sent or lifted an emergency stop."""
         number = self._emit_of_shell(events.EmergencyStopChanged(truncate(by), truncate(reason), lifted))

@@ -20,7 +20,7 @@ from lfield.driver.binding import longest_rest
 from lfield.errors import RecordingError
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host
-from lfield.host.inputs import HostExited
+from lfield.host.inputs import HostExited, LineEntered
 from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import (
     HostCredentials,
@@ -29,6 +29,7 @@ from lfield.host.process.credentials import (
     require_signature,
 )
 from lfield.host.process.mission_completion import wait_until_done
+from lfield.host.process.operator_terminal import read_standard_input
 from lfield.host.process.parent_pipe import ParentPipe
 from lfield.host.process.run_result import RunResult, failure_reason, known_hops
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
@@ -107,6 +108,8 @@ async def run_host(
     install_signal_handlers(signals)
     if parent_pipe:
         _watch_parent(host, signals)
+    elif name in mission.reading_hosts:
+        read_standard_input(name, lambda text: host.dispatch(LineEntered(text)), host.note)
     ended = partial(_write_result, host, result_fd)
     return await run_until_exit(host, signals, lost_after, _freeze_gc, ended)
 
@@ -118,9 +121,14 @@ def _write_result(host: Host, result_fd: int | None, status: int) -> None:
 
 
 def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
-    """Read the supervision pipe: hosts that have exited, and the end of the parent process."""
+    """Read the supervision pipe: hosts that have exited, lines of input, and the end of the parent."""
     stop = partial(signals.request, is_repeatable=False)
-    ParentPipe(sys.stdin.fileno(), lambda exited: host.dispatch(HostExited(exited)), stop)
+    ParentPipe(
+        sys.stdin.fileno(),
+        lambda exited: host.dispatch(HostExited(exited)),
+        stop,
+        lambda text: host.dispatch(LineEntered(text)),
+    )
 
 
 def _recorded_form(

@@ -1,7 +1,8 @@
 """Supervision pipe from the parent process: file descriptors, and reports over standard input.
 
-A line is a report: `reaped bravo` says that the process of another host has exited and will not restart. The
-end of the stream means that the parent process has ended, or requests this host to stop.
+A line is a report: `reaped bravo` says that the process of another host has exited and will not restart, and
+`typed TEXT` is a line of the operator's input. The end of the stream means that the parent process has ended,
+or requests this host to stop.
 """
 
 from __future__ import annotations
@@ -15,13 +16,20 @@ from contextlib import suppress
 _STANDARD = 3
 #: The prefix of a line that reports the end of a host process.
 EXITED_PREFIX = "reaped "
+#: The prefix of a line of the operator's input.
+TYPED_PREFIX = "typed "
 #: A longer line is ignored.
-_MAX_LINE = 4096
+_MAX_LINE = 8192
 
 
 def exit_line(host: str) -> bytes:
     """The line that reports that the process of a host has ended."""
     return f"{EXITED_PREFIX}{host}\n".encode()
+
+
+def typed_line(text: str) -> bytes:
+    """The line that passes on the operator's input."""
+    return f"{TYPED_PREFIX}{text}\n".encode()
 
 
 def set_cloexec_on_all() -> None:
@@ -41,13 +49,14 @@ class ParentPipe:
     """Reads one descriptor in the running loop until its end, without blocking."""
 
     def __init__(
-        self, descriptor: int, on_host_exited: Callable[[str], None], on_parent_exit: Callable[[], None]
+        self,
+        descriptor: int,
+        on_host_exited: Callable[[str], None],
+        on_parent_exit: Callable[[], None],
+        on_typed: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self._descriptor, self._on_host_exited, self._on_parent_exit = (
-            descriptor,
-            on_host_exited,
-            on_parent_exit,
-        )
+        self._descriptor, self._on_host_exited = descriptor, on_host_exited
+        self._on_parent_exit, self._on_typed = on_parent_exit, on_typed
         self._loop = asyncio.get_running_loop()
         self._partial_line = b""
         os.set_blocking(descriptor, False)
@@ -72,3 +81,5 @@ class ParentPipe:
     def _on_line(self, line: str) -> None:
         if line.startswith(EXITED_PREFIX):
             self._on_host_exited(line.removeprefix(EXITED_PREFIX))
+        elif line.startswith(TYPED_PREFIX):
+            self._on_typed(line.removeprefix(TYPED_PREFIX))

@@ -59,7 +59,7 @@ class CoreTurns(TurnClock):
         """The real time within a turn; it is recorded."""
         at = self._real()
         if self.flight is not None:
-            self.flight.note_time(at)
+            self.flight.times.append(at)
         return at
 
     def attach(self, core: HostCore, flight: FlightRecorder | None) -> None:
@@ -74,7 +74,7 @@ class CoreTurns(TurnClock):
         """One turn with an input, or with none.
 
         Returns the answer to the input, the seconds until the next turn (None: after the next input), and
-        the effects.
+        the effects. `FlightRecorder.complete_turn` follows when they are executed.
         """
         core, flight = self._core, self.flight
         assert core is not None
@@ -83,11 +83,11 @@ class CoreTurns(TurnClock):
         self.in_turn, self.wall_time = True, None
         try:
             if flight is not None:
-                flight.start_turn(at, entry)
+                flight.start_turn()
             found = entry.enter(core) if entry is not None else None
             pause, effects = core.run(), core.drain_effects()
             if flight is not None:
-                flight.end_turn(effects)
+                flight.end_turn(at, entry, effects)
         finally:
             self.in_turn = False
         return found, pause, effects
@@ -101,10 +101,11 @@ class CoreTurns(TurnClock):
         at = self.start_turn()
         try:
             if flight is not None:
-                flight.start_turn(at, entry, runs=False)
+                flight.start_turn()
             found = entry.enter(core)
             if flight is not None:
-                flight.end_turn([])
+                flight.end_turn(at, entry, [], runs=False)
+                flight.complete_turn()
         finally:
             self.end_turn()
         return found

@@ -11,6 +11,7 @@ from typing import Any
 from zlib import crc32
 
 import msgspec
+from msgspec import Struct
 from msgspec.structs import replace
 
 from lfield.errors import RecordingError
@@ -22,10 +23,25 @@ _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(list[list[Any]]).decode
 
 
-def _transfer(effect: SendTransfer) -> list[object]:
+class _TransferSummary(Struct, frozen=True, array_like=True, tag="SendTransfer"):
+    """A hop in a summary. A struct, since there is one in each turn of a hop: a list takes twice the time."""
+
+    host: str
+    agent: str
+    generation: int
+    sequence: int
+    hops: int
+    memory: int
+    size: int
+    digest: int
+
+
+def _transfer(effect: SendTransfer) -> _TransferSummary:
     header = effect.header
-    name = [header.agent, header.generation, header.sequence, header.hops]
-    return [effect.host, *name, header.receiver_memory, header.size, crc32(effect.block)]
+    return _TransferSummary(
+        effect.host, header.agent, header.generation, header.sequence, header.hops, header.receiver_memory,
+        header.size, crc32(effect.block),
+    )  # fmt: skip
 
 
 def _unstamped(message: Any) -> object:
@@ -42,7 +58,6 @@ def _device_call(effect: host_effects.CallDevice) -> list[object]:
 
 
 _FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {
-    SendTransfer: _transfer,
     Send: lambda each: [each.host, type(each.message).__name__, _unstamped(each.message)],
     host_effects.WriteOutput: lambda each: [each.agent, each.text],
     host_effects.WriteLog: lambda each: [str(each.text)],
@@ -61,7 +76,11 @@ def encode_effects(effects: Sequence[host_effects.Effect]) -> bytes:
     """The summary of the effects of a turn; b"" for none."""
     if not effects:
         return b""
-    return _encode([[type(each).__name__, *_FIELDS[type(each)](each)] for each in effects])
+    return _encode([_transfer(each) if type(each) is SendTransfer else _other(each) for each in effects])
+
+
+def _other(effect: host_effects.Effect) -> list[object]:
+    return [type(effect).__name__, *_FIELDS[type(effect)](effect)]
 
 
 def decode_effects(data: bytes) -> list[list[Any]]:

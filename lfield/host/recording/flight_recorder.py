@@ -1,7 +1,8 @@
 """Records the core of one host: an entry for each turn, digests of blocks, and checkpoints.
 
-The recorder encodes between turns and leaves the disk to a thread (`RingWriter`). It never fails the host: if
-the disk or the recorder itself fails, recording ends with a log line.
+A turn is recorded after its effects are executed: what it sends does not wait for that. Between two turns the
+recorder compresses those of a short time together, and leaves the disk to a thread (`RingWriter`). It never
+fails the host: if the disk or the recorder itself fails, recording ends with a log line.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from msgspec.structs import replace
 
 from lfield.host.core import HostCore
 from lfield.host.effects import Effect, WriteLog
-from lfield.host.inputs import HostInput, TransferArrived
+from lfield.host.inputs import HostInput
 from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import encode_effects
 from lfield.host.recording.host_records import (
@@ -21,10 +22,12 @@ from lfield.host.recording.host_records import (
     CheckpointRecord,
     ClockState,
     EndRecord,
+    FrameBuffer,
     FrameHeader,
     HostRecord,
     IdleTurn,
     ReadingChange,
+    RecordedAnswer,
     RunIdRecord,
     ShellEventRecord,
     StartRecord,
@@ -46,13 +49,13 @@ if TYPE_CHECKING:
 DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
 #: Seconds between two checkpoints, and the bytes of records after which one is made earlier.
 CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
-#: Seconds for which records are collected; the turns, and the bytes of arrived blocks, after which they are
-#: written earlier: a file ends between two batches.
-BATCH_INTERVAL, BATCH_TURNS, BATCH_BYTES = 0.25, 256, 1 << 16
+#: Seconds for which records are collected, and their bytes after which they are written earlier: a file ends
+#: between two batches.
+BATCH_INTERVAL, BATCH_BYTES = 0.25, 1 << 16
 
 #: An empty list that is never changed.
 _NOTHING: list[Any] = []
-_NO_ENTRY: HostInput | None = None
+_EndedTurn = tuple[float, HostInput | None, "Sequence[Effect]", bool, list[RecordedAnswer], float | None]
 
 
 class TurnTime(Protocol):
@@ -89,73 +92,110 @@ class FlightRecorder:
         self._written: list[str] = []
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
-        self._records: list[HostRecord] = []
-        #: The bytes since the last checkpoint, and those of the blocks in `_records`.
-        self._bytes = self._block_bytes = self._turns = 0
-        #: The time of the first turn of this batch.
-        self._batch_at = start.at
-        self._times: list[float] = []
+        self._buffer = FrameBuffer()
+        #: The bytes since the last checkpoint.
+        self._bytes = 0
+        #: The time of the first turn in the buffer.
+        self._first_at = start.at
+        #: An exception of the recorder, which ends the recording when it is written next.
+        self._fault: Exception | None = None
+        #: The real times that the core has read within the turn.
+        self.times: list[float] = []
+        #: The turn that has ended and is not recorded yet: time, input, effects, whether the core was run,
+        #: the new answers of the environment, and the wall-clock time.
+        self._ended: _EndedTurn | None = None
+        #: Whether `write_due` has something to do.
+        self._is_due = False
         self._is_started = self._is_closed = False
         self._batch_due = self._digest_due = 0.0
         self._checkpoint_due = start.at + CHECKPOINT_INTERVAL
-        self._clock_state = self._hybrid.state
-        #: The present turn: its time, its input, whether the core is run, and what has changed before it.
-        self._at, self._entry, self._runs = 0.0, _NO_ENTRY, True
+        #: The hybrid clock at the end of the last turn, and what has changed before the present one.
+        self._stamp, self._clock_settings = self._hybrid.last, self._hybrid.settings
         self._clock_change: ClockState | None = None
         self._readings: list[ReadingChange] = []
 
     # --- turns ----------------------------------------------------------------------------------------
 
-    def start_turn(self, at: float, entry: HostInput | None, *, runs: bool = True) -> None:
-        """A turn begins at that time, with that input; without `runs` the core is not run."""
-        self._at, self._entry, self._runs = at, entry, runs
+    def start_turn(self) -> None:
+        """A turn begins."""
+        if self._ended is not None:
+            self.complete_turn()
         self._readings = self._environment.start_turn()
-        if not self._records:
-            self._batch_at = at
-        state = self._hybrid.state
-        self._clock_change = None if state == self._clock_state else state
+        clock = self._hybrid
+        is_same = clock.last == self._stamp and clock.settings == self._clock_settings
+        self._clock_change = None if is_same else clock.state
 
-    def end_turn(self, effects: Sequence[Effect]) -> None:
-        """The turn has ended, with these effects; they are not executed yet."""
-        at, entry, clock, readings = self._at, self._entry, self._clock_change, self._readings
-        answers = self._environment.end_turn()
-        self._clock_state = self._hybrid.state
-        cuts = self._limit.drain_cuts()
-        summary = encode_effects(effects) if effects else b""
-        self._written = [
-            truncate(str(each.text)) for each in effects if isinstance(each, WriteLog)
-        ] or _NOTHING
+    def end_turn(
+        self, at: float, entry: HostInput | None, effects: Sequence[Effect], *, runs: bool = True
+    ) -> None:
+        """The turn of that time with that input has ended; without `runs` the core was not run.
+
+        Its effects are executed next, and it is recorded after that: a hop does not wait for the recorder.
+        """
+        clock = self._hybrid
+        self._stamp, self._clock_settings = clock.last, clock.settings
+        self._ended = at, entry, effects, runs, self._environment.end_turn(), self._clock.wall_time
+
+    def complete_turn(self) -> bool:
+        """Record the turn that has ended, if any; returns whether `write_due` must follow."""
+        if (ended := self._ended) is None:
+            return self._is_due
+        self._ended, at = None, ended[0]
+        if not self._buffer.turns:
+            self._first_at = at
+        if not self._buffer.size:
+            self._on_pending()
+        try:
+            size = self._buffer.add_turn(self._record(*ended))
+        except Exception as error:  # of the recorder: it must not end the host
+            self._fault, size = error, BATCH_BYTES
+        if at >= self._batch_due or size >= BATCH_BYTES:
+            self._is_due = True
+        return self._is_due
+
+    def _record(
+        self,
+        at: float,
+        entry: HostInput | None,
+        effects: Sequence[Effect],
+        runs: bool,
+        answers: list[RecordedAnswer],
+        wall: float | None,
+    ) -> IdleTurn | TurnRecord:
+        clock, readings, limit = self._clock_change, self._readings, self._limit
+        cuts = limit.drain_cuts() if limit.has_cuts else UNCUT
+        summary = b""
+        if effects:
+            summary = encode_effects(effects)
+            self._written = [truncate(str(each.text)) for each in effects if type(each) is WriteLog]
         digests = self._digests(at) if at >= self._digest_due else _NOTHING
-        drawn, times, wall = _NOTHING, _NOTHING, self._clock.wall_time
+        drawn, times = _NOTHING, _NOTHING
         if self._drawn:
             drawn = self._drawn.copy()
             self._drawn.clear()
-        if self._times:
-            times, self._times = self._times, []
-        self._turns += 1
-        if not self._records:
-            self._on_pending()
-        if isinstance(entry, TransferArrived):
-            self._block_bytes += len(entry.block)
+        if self.times:
+            times, self.times = self.times, []
         is_idle = entry is None and not (answers or readings or drawn or summary or digests or times)
-        if is_idle and self._runs and cuts is UNCUT and wall is None and clock is None:
-            self._records.append(IdleTurn(at))
-            return
-        changes = wall, clock, answers, readings, drawn, cuts, summary, digests, self._runs, times
-        self._records.append(TurnRecord(at, entry, *changes))  # type: ignore[arg-type]
+        if is_idle and runs and cuts is UNCUT and wall is None and clock is None:
+            return IdleTurn(at)
+        changes = wall, clock, answers, readings, drawn, cuts, summary, digests, runs, times
+        return TurnRecord(at, entry, *changes)  # type: ignore[arg-type]
 
     def note_event(self, what: StateEvent) -> None:
         """The shell has made an event; a replay makes the log lines that are effects itself."""
+        self.complete_turn()
         if isinstance(what, LineLogged) and what.text in self._written:
             self._written.remove(what.text)
             return
-        if not self._records:
-            self._on_pending()
-        self._records.append(ShellEventRecord(self._clock.now(), what))
+        self._add(ShellEventRecord(self._clock.now(), what))
 
-    def note_time(self, at: float) -> None:
-        """The core has read the real time within the turn."""
-        self._times.append(at)
+    def _add(self, record: HostRecord) -> None:
+        if not self._buffer.size:
+            self._on_pending()
+        try:
+            self._buffer.add(record)
+        except Exception as error:
+            self._fault, self._is_due = error, True
 
     def _digests(self, at: float) -> list[BlockDigest]:
         agents = self._core.machine.agents
@@ -168,9 +208,7 @@ class FlightRecorder:
 
     def write_due(self, now: float) -> None:
         """Between two turns: write what is due."""
-        if now < self._batch_due and len(self._records) < BATCH_TURNS and self._block_bytes < BATCH_BYTES:
-            return
-        self._batch_due = now + BATCH_INTERVAL
+        self._is_due, self._batch_due = False, now + BATCH_INTERVAL
         self._write_batch()
         if now >= self._checkpoint_due or self._bytes >= CHECKPOINT_BYTES or self._sink.is_full:
             self._write_checkpoint(now)
@@ -182,31 +220,30 @@ class FlightRecorder:
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
         self._run_ids.append(run)
-        if not self._records:
-            self._on_pending()
-        self._records.append(RunIdRecord(run))
+        self._add(RunIdRecord(run))
 
     def close(self, at: float) -> None:
         """The host ends in order."""
         if self._is_closed:
             return
+        self.complete_turn()
         self._is_closed = True
-        self._records.append(EndRecord(at))
+        self._buffer.add(EndRecord(at))
         self._write_batch()
         self._sink.close()
 
     def _write_batch(self) -> None:
-        if not self._records:
+        self.complete_turn()
+        if self._fault is not None:
+            raise self._fault
+        if not self._buffer.size:
             return
-        records, self._records = self._records, []
-        self._block_bytes = 0
         if not self._is_started:
             self._is_started = True
             metered = self._core.machine.hooks.meter is not None
             started = replace(self._start, metered=metered)
-            self._sink.start_file(_frame([started], b"S", started.at))
-        data = _frame(records, b"T", self._batch_at, self._turns)
-        self._turns = 0
+            self._sink.start_file(_frame(started, b"S", started.at))
+        data = frame(self._buffer.content(b"T", self._first_at))
         self._bytes += len(data)
         self._sink.append(data)
 
@@ -223,7 +260,7 @@ class FlightRecorder:
             self._run_ids.copy(),
         )
         self._bytes, self._checkpoint_due = 0, now + CHECKPOINT_INTERVAL
-        data = _frame([record], b"C", now)
+        data = _frame(record, b"C", now)
         if self._sink.is_full:
             self._sink.start_file(data)
         else:
@@ -236,5 +273,5 @@ def block_digest(agent: str, block: Block) -> BlockDigest:
     return BlockDigest(agent, crc32(memoryview(block.data)[: 8 * top]), top)
 
 
-def _frame(records: list[HostRecord], kind: bytes, at: float, turns: int = 0) -> bytes:
-    return frame(encode_frame(records, FrameHeader(kind, at, turns)))
+def _frame(record: HostRecord, kind: bytes, at: float) -> bytes:
+    return frame(encode_frame([record], FrameHeader(kind, at, 0)))

@@ -8,6 +8,7 @@ segment has a `CheckpointRecord` only.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from struct import Struct as Layout
 from typing import Annotated, Any, NamedTuple
 
@@ -171,6 +172,8 @@ AnyRecord = (
 #: A list of records of bounded length.
 _Batch = Annotated[list[AnyRecord], Meta(max_length=1 << 20)]
 _HEADER = Layout("<cdI")
+#: The beginning of a list in msgpack, with the number of its elements.
+_ARRAY, _ARRAY_CODE = Layout(">BI"), 0xDD
 _encoder = msgspec.msgpack.Encoder()
 _decoder: msgspec.msgpack.Decoder[list[AnyRecord]] = msgspec.msgpack.Decoder(_Batch)
 
@@ -183,12 +186,51 @@ class FrameHeader(NamedTuple):
     turns: int
 
 
-def encode_frame(records: list[HostRecord], header: FrameHeader) -> bytes:
+class FrameBuffer:
+    """Collects the records of a frame. Each is encoded at once: it may contain what changes later, and its
+    objects are free for the next turn."""
+
+    def __init__(self) -> None:
+        self._data = bytearray(_ARRAY.size)
+        self._records = 0
+        #: The turns among the records.
+        self.turns = 0
+
+    @property
+    def size(self) -> int:
+        """The bytes of the records; 0 for none."""
+        return len(self._data) - _ARRAY.size
+
+    def add(self, record: HostRecord) -> None:
+        """Add a record which is no turn."""
+        self._records += 1
+        _encoder.encode_into(record, self._data, -1)
+
+    def add_turn(self, record: IdleTurn | TurnRecord) -> int:
+        """Add a turn; returns `size`."""
+        self.turns += 1
+        self._records += 1
+        data = self._data
+        _encoder.encode_into(record, data, -1)
+        return len(data) - _ARRAY.size
+
+    def content(self, kind: bytes, at: float) -> bytes:
+        """The content of a frame; the buffer is empty then. Raises RecordingError if a reader would refuse
+        it."""
+        data, header = self._data, FrameHeader(kind, at, self.turns)
+        _ARRAY.pack_into(data, 0, _ARRAY_CODE, self._records)
+        self._data, self._records, self.turns = bytearray(_ARRAY.size), 0, 0
+        if len(data) > MAX_FRAME:
+            raise RecordingError(_TOO_LARGE)
+        return _HEADER.pack(*header) + zlib.compress(data, 1)
+
+
+def encode_frame(records: Iterable[HostRecord], header: FrameHeader) -> bytes:
     """Records as the content of a frame. Raises RecordingError if a reader would refuse it."""
-    plain = _encoder.encode(records)
-    if len(plain) > MAX_FRAME:
-        raise RecordingError(_TOO_LARGE)
-    return _HEADER.pack(*header) + zlib.compress(plain, 1)
+    buffer = FrameBuffer()
+    for record in records:
+        buffer.add(record)
+    return _HEADER.pack(*header) + buffer.content(header.kind, header.at)[_HEADER.size :]
 
 
 def header_of(data: bytes) -> FrameHeader:

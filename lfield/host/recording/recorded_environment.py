@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from math import copysign
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
@@ -23,6 +23,9 @@ from lfield.vm.host_interface import Pending
 class Question(IntEnum):
     """The questions of the core."""
 
+    #: That of an enumeration is a function in Python, and each question is looked up by its number.
+    __hash__ = int.__hash__
+
     DOWN_SINCE = 0
     LAST_CONTACT = 1
     ROUND_TRIP = 2
@@ -35,9 +38,12 @@ class Question(IntEnum):
 
 
 T = TypeVar("T")
+#: An empty list that is never changed.
+_NOTHING: list[Any] = []
 #: What stands for PENDING among the answers to a query.
 PENDING_ANSWER = ["pending"]
 _UNASKED = object()
+_LAST_CONTACT = int(Question.LAST_CONTACT)
 
 
 class RecordedEnvironment:
@@ -47,7 +53,9 @@ class RecordedEnvironment:
         self._inner, self._calls = inner, calls
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
-        self._asked: set[tuple[str | int, ...]] = set()
+        self._asked: set[tuple[str | int, ...] | str] = set()
+        #: Also the last answers, by host: when something last arrived from it.
+        self._contacts: dict[str, float | None] = {}
         self._changes: list[RecordedAnswer] = []
         #: The readings by number, and as the recording knows them.
         self._readings: list[Reading] = []
@@ -59,9 +67,9 @@ class RecordedEnvironment:
     def start_turn(self) -> list[ReadingChange]:
         """A turn begins; returns the readings that have changed since the last one."""
         self._in_turn = True
-        changed: list[ReadingChange] = []
         if not self._readings:
-            return changed
+            return _NOTHING
+        changed: list[ReadingChange] = []
         for number, (reading, known) in enumerate(zip(self._readings, self._recorded, strict=True)):
             now = reading.word, reading.until
             if now != known:
@@ -75,14 +83,15 @@ class RecordedEnvironment:
         if self._asked:
             self._asked.clear()
         if not self._changes:
-            return []
+            return _NOTHING
         changes, self._changes = self._changes, []
         return changes
 
     @property
     def answers(self) -> list[RecordedAnswer]:
         """The last answers to all questions."""
-        return [_answer(key, value) for key, value in self._known.items()]
+        contacts = [RecordedAnswer(_LAST_CONTACT, [host], at) for host, at in self._contacts.items()]
+        return [*contacts, *(_answer(key, value) for key, value in self._known.items())]
 
     @property
     def readings(self) -> list[ReadingChange]:
@@ -108,7 +117,17 @@ class RecordedEnvironment:
 
     def last_contact_at(self, host: str) -> float | None:
         """See `LinkContacts`."""
-        return self._note((Question.LAST_CONTACT, host), self._inner.last_contact_at(host))
+        # As `_note`. Each hop asks, and has another answer.
+        if not self._in_turn:
+            return self._inner.last_contact_at(host)
+        if host in self._asked:
+            return self._contacts[host]
+        self._asked.add(host)
+        found = self._inner.last_contact_at(host)
+        if self._contacts.get(host, _UNASKED) != found:
+            self._contacts[host] = found
+            self._changes.append(RecordedAnswer(_LAST_CONTACT, [host], found))
+        return found
 
     def round_trip(self, host: str) -> float | None:
         """See `Environment`."""
@@ -189,12 +208,12 @@ def _is_same(known: object, value: object) -> bool:
     """
     if known is value or type(known) is not type(value):
         return known is value
+    if type(value) is float:
+        return known == value and (value != 0.0 or copysign(1.0, value) == copysign(1.0, known))
     match value:
         case DeviceError(device=device, reason=reason, kind=kind):
             other = cast(DeviceError, known)
             return (other.device, other.reason, other.kind) == (device, reason, kind)
-        case float():
-            return known == value and (value != 0.0 or copysign(1.0, value) == copysign(1.0, known))
         case list() | tuple():
             others = cast("Sequence[object]", known)
             return len(value) == len(others) and all(map(_is_same, others, value))

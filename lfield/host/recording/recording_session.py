@@ -181,8 +181,12 @@ class RecordingSession:
         """The host ends in order."""
         if self._timer is not None:
             self._timer.cancel()
-        if self.flight is not None:
+        if self.flight is None:
+            return
+        try:
             self.flight.close(now)
+        except Exception as error:
+            self._on_fault(error)
 
     def _on_pending(self) -> None:
         # The next turn that calls `write_due` may be minutes away.

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.errors import DeviceError
 from lfield.host.context import HostContext, Part
-from lfield.host.effects import CallDevice, CancelCall
+from lfield.host.effects import CallDevice, CancelCall, MakeDeviceSafe
 from lfield.host.events.portal_events import served_call_of
 from lfield.host.team.orphaned_devices import DeadmanMonitor
 from lfield.host.team.part_interfaces import LeaseRules
@@ -39,7 +39,8 @@ class DeviceCommands(Part):
         self._machine, self._leases, self._membership, self._mobility = machine, leases, membership, mobility
         self._environment, self._clock, self._here = context.environment, context.clock, context.name
         self._effects, self._out, self._recorder = context.effects, context.effects.append, context.recorder
-        self._deadman = DeadmanMonitor(context.mission.devices_of(context.name))
+        self._devices = context.mission.devices_of(context.name)
+        self._deadman = DeadmanMonitor(self._devices)
         #: The call that each thread waits for, and all calls without an answer, by number.
         self._running: dict[tuple[Agent, int], CallDevice] = {}
         self._unanswered: dict[int, CallDevice] = {}
@@ -106,6 +107,14 @@ class DeviceCommands(Part):
             self._machine.throw_builtin(call.agent, call.thread, value.kind, str(value), value.device)
         else:
             self._machine.answer(call.agent, call.thread, value, call.call.result, call.call.field)
+
+    def make_safe(self, agent: str, reason: str) -> None:
+        """Bring the devices of an agent into their safe states."""
+        self._effects += [
+            MakeDeviceSafe(device.name, device.safe_state, reason)
+            for device in self._devices
+            if device.agent == agent and device.safe_state
+        ]
 
     def wait_reason(self, agent: Agent, thread: int) -> str:
         """The instruction that a thread of an agent waits for, AGENT.FIELD.INSTRUCTION; '' for none."""

@@ -13,12 +13,14 @@ from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
 from lfield.host.team.leases import TeamLeases
+from lfield.host.team.part_interfaces import CallWatcher
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
 from lfield.manifest import DeviceValue
 from lfield.replication.membership.membership import Membership
 from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import Pending
@@ -38,6 +40,7 @@ class HostParts(Protocol):
     offers: CapabilityQueries
     reachability: Reachability
     membership: Membership
+    call_watch: CallWatcher
 
     def require_link(self, host: str) -> None:
         """Request a link to this host, if there is none."""
@@ -63,6 +66,25 @@ class HostServices:
         self._recorder.on_printed(agent.id, text)
         line = log_messages.PROGRAM_OUTPUT.line(agent=agent.id, text=text)
         self._out(WriteLog(line, lines=True, is_recorded=True))
+
+    def on_input_awaited(self, agent: Agent, seconds: float) -> None:
+        """A thread of an agent waits for a line of the operator's input."""
+        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds))
+
+    def on_line_read(self, agent: Agent, text: str) -> None:
+        """An agent reads a line of the operator's input."""
+        self._log_line(log_messages.INPUT_READ.line(agent=agent.id, text=text))
+
+    def on_readers_changed(self, agents: Sequence[str]) -> None:
+        """Other agents than before wait for a line."""
+        self._recorder.on_readers_changed(agents)
+
+    def report(self, agent: Agent, line: LogLine) -> None:
+        """A line of the log about an agent."""
+        self._log_line(line)
+
+    def _log_line(self, line: LogLine) -> None:
+        self._out(WriteLog(line))
 
     def may_start_call(self, agent: Agent, acts: bool) -> bool:
         """Whether a portal call on this host may start now.
@@ -92,6 +114,10 @@ class HostServices:
     def on_call_completed(self, pending: PendingCall) -> None:
         """A pending call has ended: its result is recorded before it is reported."""
         self._parts.pending_calls.on_call_completed(pending)
+
+    def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """Report the first of these calls on other hosts that ends."""
+        self._parts.call_watch.watch(agent, calls)
 
     def abandon_wait(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may continue at once, since its wait was cancelled."""
@@ -180,3 +206,7 @@ class HostServices:
         line = log_messages.AGENT_DIED.line(agent=agent.id, report=f"{agent.report}{where}")
         self._out(WriteLog(line, lines=True))
         self._out(DumpAgent(agent))
+        if agent.loops is not None:
+            # Without its loops a device would not react any more.
+            reason = f"{agent.id}, whose loops control it, has died"
+            self._parts.commands.make_safe(agent.id, reason)

@@ -6,7 +6,7 @@ that need it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol
 
 from lfield.host.effects import Effect as HostEffect
@@ -14,7 +14,7 @@ from lfield.host.migration.write_ahead import JournalContents, WriteAheadQueue
 from lfield.replication.lease.core import Quorum
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Effect
-from lfield.vm.agent import Agent
+from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.pending_call import PendingCall
 from lfield.wire.coordinator_messages import CoordinatorState, LeaseRecord
 from lfield.wire.messages import RelayedMessage
@@ -31,6 +31,23 @@ class MessageRelay(Protocol):
 
     def on_relayed(self, host: str, relayed: RelayedMessage) -> list[Effect]:
         """Processes a relayed message, or relays it to all others."""
+
+
+class HostReachability(Protocol):
+    """Whether other hosts can be reached; implemented by `Reachability`."""
+
+    def is_linked(self, host: str) -> bool:
+        """Whether a host is linked."""
+
+    def lost_reason(self, host: str) -> str:
+        """Why a call need not wait for a host, '' if it may be reached in time."""
+
+
+class CallWatcher(Protocol):
+    """Reports calls on other hosts that have ended; implemented by `CallWatch`."""
+
+    def watch(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator here waits for the first of these calls."""
 
 
 class CoordinatorOperations(Protocol):

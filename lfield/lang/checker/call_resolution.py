@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.capability_port import Verb, parse_query_name
+from lfield.lang.capability_port import parse_query_name
 from lfield.lang.checker.conversions import (
     OverloadCandidate,
     choose_overload,
@@ -14,7 +14,12 @@ from lfield.lang.checker.conversions import (
     with_article,
 )
 from lfield.lang.checker.library.collection_calls import check_library_call
+from lfield.lang.checker.library.enum_members import check_enum_call
+from lfield.lang.checker.library.function_rules import check_limit, output_hint
+from lfield.lang.checker.library.loop_members import check_loop_call
+from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
+from lfield.lang.checker.queries.capability_queries import check_query
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
@@ -25,20 +30,23 @@ from lfield.lang.language_library import (
     GROWTH,
     PROXY_METHODS,
     STRING_METHODS,
+    TICKET_METHODS,
     LibraryFunction,
     array_methods,
 )
 from lfield.lang.parser import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
-    BOOLEAN,
     INT,
-    REAL,
+    LIBRARY_CLASSES,
     STRING,
+    TICKET,
     UNKNOWN,
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
@@ -47,9 +55,6 @@ from lfield.lang.types import (
 from lfield.text.source_text import Span
 from lfield.text.suggestions import choice, closest, did_you_mean
 
-#: The functions that convert to text.
-_TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""}
-
 
 def check_bare_call(
     body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]
@@ -57,6 +62,8 @@ def check_bare_call(
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
     if own := body.methods(name.name):
         return _method(body, raw, name.span, body.this(name.span), own, given)
+    if functions := body.symbols.functions.get(name.name):
+        return function_call(body, raw, name.span, functions, given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
         return find_resource(body, raw, name.span, resource, given)
@@ -78,16 +85,22 @@ def check_member_call(
     unit = body.unit if isinstance(owner, tree.This) else body.symbols.unit_of(kind)
     if kind is UNKNOWN:
         return unknown(raw.span)
+    if isinstance(owner, tree.LoopName):
+        return check_loop_call(body, raw, function, owner.loop, given)
+    if isinstance(owner, tree.EnumName) or isinstance(kind, EnumType):
+        return check_enum_call(body, raw, function, owner, given)
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
-        if isinstance(kind, MapType):
+        if isinstance(kind, LIBRARY_CLASSES) and not body.symbols.library.parameters:
             methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
+    if kind == TICKET:
+        return tree.LibraryCall(raw.span, *TICKET_METHODS[name], [owner])
     if isinstance(kind, ArrayType) and name in ARRAY_LIBRARY:
         return check_library_call(body, raw, owner, given)
     functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
@@ -116,6 +129,9 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
             unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
         )
     kind = visible_type(body.symbols, body.unit, raw.type)
+    if isinstance(kind, FutureType):
+        body.report(messages.FUTURE_NEW, place, type=kind)
+        return unknown(raw.span)
     if isinstance(kind, MapType):
         unit, name = body.symbols.unit_of(kind), MAP_CONSTRUCTOR
     if unit is None or kind is UNKNOWN:
@@ -131,7 +147,8 @@ def _chosen(
 ) -> tuple[tree.Method, list[tree.Expr]] | None:
     """The selected overload, if it may be called from here."""
     chosen = choose_overload(body.symbols, place, of_methods(methods), given)
-    if chosen is not None and not chosen[0].public and chosen[0].unit is not body.unit:
+    is_private = chosen is not None and not chosen[0].public and not body.symbols.library.parameters
+    if chosen is not None and is_private and chosen[0].unit is not body.unit:
         method = chosen[0]
         body.report(messages.PRIVATE_MEMBER, place, name=method.name, owner=method.unit.name)
         return None
@@ -162,6 +179,10 @@ def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list
     scope, side = functions[0].scope, body.unit.usage
     if scope in ("any", side):
         return _operation(body, raw, name.span, functions, given, None)
+    if body.function:
+        what = "writes output" if scope == "resource" else "reads the state of its coordinator"
+        body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
+        return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION
     if scope == "resource":
         rule = messages.COORDINATOR_IO if side == "coordinator" else messages.GLOBAL_IO
@@ -179,28 +200,15 @@ def _operation(
 ) -> tree.Expr:
     """A library function or built-in method; its receiver is the first argument of the operation."""
     candidates = [OverloadCandidate(f.name, f.parameters, f) for f in functions]
-    chosen = choose_overload(body.symbols, place, candidates, given, _output_hint(functions[0].name, given))
+    chosen = choose_overload(body.symbols, place, candidates, given, output_hint(functions[0].name, given))
     if chosen is None:
         return unknown(raw.span)
     function, arguments = chosen
+    check_limit(body, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)
-
-
-def _output_hint(name: str, given: Sequence[tree.Expr]) -> str | None:
-    """The hint for `print("n", n)` of Python: one text, each argument converted. None for other calls."""
-    if name not in ("print", "write") or len(given) == 1:
-        return None
-    parts = []
-    for argument in given:
-        if argument.type not in _TO_TEXT:
-            return 'join text with +, as in "n is " + i2s(n)'
-        function = _TO_TEXT[argument.type]
-        parts.append(f"{function}({argument.span.text})" if function else argument.span.text)
-    text = " + ".join(parts) or '""'
-    return f"write {name}({text})"
 
 
 def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:
@@ -252,20 +260,25 @@ def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
     unit = body.symbols.units.get(called)
     if body.unit.overloads(called, "portal"):
         body.report(messages.PORTAL_INSIDE, name.span, name=called)
+    elif body.unit.loop(called) is not None:
+        body.report(messages.LOOP_CALL, name.span, name=called)
     elif unit is not None or called in EXCEPTION_NAMES:
         may_be_made = unit is None or unit.kind == "class"
         instead = f"make an object: new {called}(...)" if may_be_made else "agents come from the deployment"
         body.report(messages.TYPE_AS_VALUE, name.span, name=called, instead=instead)
     elif body.scope.find(called) is not None or body.field(called) is not None:
         body.report(messages.NOT_A_METHOD, name.span, name=called)
-    elif not body.is_broken() and not (body.symbols.incomplete and called.startswith("find")):
+    elif not (
+        body.is_broken() or body.symbols.missing or (body.symbols.incomplete and called.startswith("find"))
+    ):
         body.report(messages.UNKNOWN_FUNCTION, name.span, hint=_function_hint(body, called), name=called)
 
 
 def _function_hint(body: BodyContext, called: str) -> str | None:
     if called in foreign_words.FOREIGN_FUNCTIONS:
         return foreign_words.FOREIGN_FUNCTIONS[called]
-    own = [m.name for m in body.unit.methods if m.kind == "method"]
+    own = [] if body.function else [m.name for m in body.unit.methods if m.kind == "method"]
+    own += body.symbols.functions
     finds = find_names(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
@@ -307,7 +320,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
     body.report(messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=what, name=name, known=listing)
 
 
-# --- queries: findR(...), findC(...), explainC(...), teamsC(..., n) -------------------------------------
+# --- finding resources: findR(...) ----------------------------------------------------------------------
 
 
 def find_resource(
@@ -337,48 +350,3 @@ def find_names(body: BodyContext) -> list[str]:
     capabilities = body.symbols.capability_names()
     found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
     return [*found, *(f"{verb}{name}" for name in capabilities for verb in ("explain", "teams"))]
-
-
-def check_query(
-    body: BodyContext,
-    raw: syntax.Call,
-    place: Span,
-    verb: Verb,
-    capability: tree.Unit,
-    given: list[tree.Expr],
-) -> tree.Expr:
-    """A query with or without a constraint, where capabilities are visible."""
-    if body.unit.usage != "coordinator":
-        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="capabilities")
-        return unknown(raw.span)
-    offers = array_of(ClassType(capability.name))
-    result: Type = {"find": offers, "teams": array_of(offers), "explain": STRING}[verb]
-    name, size = f"{verb}{capability.name}", (INT,) if verb == "teams" else ()
-    candidates = [OverloadCandidate(name, (STRING, *size), result), OverloadCandidate(name, size, result)]
-    chosen = choose_overload(body.symbols, place, candidates, given)
-    if chosen is None:
-        return unknown(raw.span)
-    asked = chosen[1][: len(chosen[1]) - len(size)]
-    constraint = asked[0] if asked else None
-    if isinstance(constraint, tree.Literal_) and isinstance(constraint.value, str):
-        if constraint.value.strip():
-            _check(body, constraint.span, constraint.value)
-        else:
-            rest = chosen[1][-1].span.text if size else ""
-            more = f", {rest}" if size else ""
-            body.report(messages.EMPTY_CONDITION, constraint.span, name=name, rest=rest, more=more)
-    return tree.Query(raw.span, result, capability, constraint, verb, chosen[1][-1] if size else None)
-
-
-def _check(body: BodyContext, literal: Span, text: str) -> None:
-    """Report what is wrong with a constraint, at the very characters.
-
-    In a text with escapes the offsets are not those of the file: then the whole text is marked.
-    """
-    assert body.symbols.capabilities is not None
-    as_written = literal.text == f'"{text}"'
-    for mistake in body.symbols.capabilities.mistakes(text):
-        first = literal.start + 1
-        inside = Span(literal.source, first + mistake.start, first + mistake.end)
-        where = inside if as_written else literal
-        body.report(messages.CONSTRAINT, where, hint=mistake.hint, problem=mistake.message)

@@ -22,6 +22,7 @@ from lfield.lang.types import (
     STRING,
     UNKNOWN,
     DeviceType,
+    FutureType,
     Type,
     distance,
     is_reference,
@@ -97,6 +98,8 @@ def conversion_hint(given: Type, expected: Type) -> str:
     function = _FUNCTIONS.get((given, expected))
     if function is not None:
         return f"convert it: {function}(...)"
+    if isinstance(given, FutureType) and given.value == expected:
+        return "wait for the result: f.await()"
     if expected == BOOLEAN and given in (INT, REAL):
         return "compare it: ... != 0"
     if given == NULL:

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 
 from lfield.lang import messages, syntax
 from lfield.lang.capability_port import parse_query_name
+from lfield.lang.checker.library.loop_members import add_loop, declare_loops
 from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
 from lfield.lang.checker.visibility import Place, check_portal_contents, visible_type
+from lfield.lang.language_library import YIELDING
 from lfield.lang.tree import Field, Local, Method, Unit
 from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
+from lfield.text.source_text import Span
 
 
 @dataclass(slots=True)
@@ -22,9 +25,16 @@ class DeclaredUnit:
     initialisers: list[tuple[Field, syntax.Expr]] = field(default_factory=list)
 
 
-def declare_units(symbols: Symbols, units: Sequence[syntax.Unit]) -> list[DeclaredUnit]:
-    """All units of a program, in source order; mistakes in names and heads are reported."""
-    pairs = [(raw, DeclaredUnit(unit)) for raw in units if (unit := _unit(symbols, raw)) is not None]
+NamedUnits = Sequence[tuple[syntax.Unit, DeclaredUnit]]
+
+
+def name_units(symbols: Symbols, units: Sequence[syntax.Unit]) -> NamedUnits:
+    """All units of a program without their members, in source order; mistakes in names are reported."""
+    return [(raw, DeclaredUnit(unit)) for raw in units if (unit := _unit(symbols, raw)) is not None]
+
+
+def declare_members(symbols: Symbols, pairs: NamedUnits) -> list[DeclaredUnit]:
+    """The fields and the heads of the methods of the units; mistakes in them are reported."""
     for raw, declared in pairs:
         _fields(symbols, raw, declared)
     for raw, declared in pairs:
@@ -34,13 +44,7 @@ def declare_units(symbols: Symbols, units: Sequence[syntax.Unit]) -> list[Declar
 
 def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
     """A unit under its name, or None when the name is another unit's."""
-    existing = _existing_meaning(symbols, raw.name)
-    if existing is not None:
-        symbols.report(messages.NAME_IN_USE, raw.span, name=raw.name, what=existing, kind=raw.kind)
-    earlier = symbols.units.get(raw.name)
-    if earlier is not None:
-        where = f"{earlier.span.source.name}, line {earlier.span.line}"
-        symbols.report(messages.DUPLICATE_UNIT, raw.span, name=raw.name, place=where)
+    if not is_new_name(symbols, raw.name, raw.span, raw.kind):
         return None
     if raw.broken:
         symbols.broken_units.add(raw.name)
@@ -49,11 +53,23 @@ def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
     return unit
 
 
+def is_new_name(symbols: Symbols, name: str, span: Span, what: str) -> bool:
+    """Whether no other declaration of the top level has the name; one that has it is reported."""
+    existing = _existing_meaning(symbols, name)
+    if existing is not None:
+        symbols.report(messages.NAME_IN_USE, span, name=name, what=existing, kind=what)
+    earlier = symbols.declaration(name)
+    if earlier is not None:
+        where = f"{earlier.source.name}, line {earlier.line}"
+        symbols.report(messages.DUPLICATE_UNIT, span, name=name, place=where)
+    return earlier is None
+
+
 def _existing_meaning(symbols: Symbols, name: str) -> str | None:
     """What a name means before the program begins, or None."""
     if name in BUILTIN_TYPES:
         return "a built-in class"
-    if name in LIBRARY_NAMES:
+    if name in LIBRARY_NAMES - YIELDING:
         return "a library function"
     if name in symbols.devices:
         return f"a device type of the driver {symbols.devices[name].driver}"
@@ -98,6 +114,7 @@ class _Methods:
         for written in self.raw.methods:
             if self.has_place(written):
                 self.add(self.head(written), written)
+        declare_loops(self.symbols, self.unit)
         kinds = [m.kind for m in self.raw.methods]
         whole = self.unit.name not in self.symbols.broken_units
         if self.unit.kind == "class" and "constructor" not in kinds:
@@ -111,6 +128,9 @@ class _Methods:
         """Whether this unit may have such a method; if not, calls of it are not reported any more."""
         if written.kind == "init" and self.unit.kind == "class":
             self.symbols.report(messages.INIT_IN_CLASS, written.span, name=self.unit.name)
+            return False
+        if written.kind == "loop" and self.unit.kind != "resource":
+            self.symbols.report(messages.LOOP_PLACE, written.span, unit=describe(self.unit))
             return False
         if written.kind == "portal" and self.unit.kind != "resource":
             self.symbols.report(messages.PORTAL_PLACE, written.span, unit=describe(self.unit))
@@ -158,7 +178,7 @@ class _Methods:
         """Add the method, unless it repeats another one."""
         if method.kind == "init" and not self.is_first_init(method):
             return
-        if method.kind == "method":
+        if method.kind in ("method", "loop"):
             self.check_name(method)
         signature = method.signature
         earlier = self.signatures.setdefault(signature, method) if method.kind != "init" else method
@@ -167,6 +187,8 @@ class _Methods:
             self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
             return
         self.unit.add_method(method)
+        if written is not None and written.loop is not None:
+            add_loop(self.unit, method, written.loop)
         self.declared.bodies.append((method, written))
 
     def is_first_init(self, method: Method) -> bool:
@@ -181,13 +203,17 @@ class _Methods:
 
     def check_name(self, method: Method) -> None:
         """A method is called by its bare name, which must not mean something else."""
-        name = method.name
-        what = None
-        if name in LIBRARY_NAMES:
-            what = "a library function"
-        elif name.startswith("find") and self.symbols.resource(name[len("find") :]) is not None:
-            what = f"the find method of the resource {name[len('find') :]}"
-        elif (asked := parse_query_name(name)) is not None and self.symbols.capability(asked[1]) is not None:
-            what = f"the {asked[0]} method of the capability {asked[1]}"
-        if what is not None:
-            self.symbols.report(messages.METHOD_NAME_IN_USE, method.span, name=name, what=what)
+        check_callable_name(self.symbols, method.name, method.span)
+
+
+def check_callable_name(symbols: Symbols, name: str, span: Span) -> None:
+    """Report a name of a method or function that means something else where it is called."""
+    what = None
+    if name in LIBRARY_NAMES - YIELDING:
+        what = "a library function"
+    elif name.startswith("find") and symbols.resource(name[len("find") :]) is not None:
+        what = f"the find method of the resource {name[len('find') :]}"
+    elif (asked := parse_query_name(name)) is not None and symbols.capability(asked[1]) is not None:
+        what = f"the {asked[0]} method of the capability {asked[1]}"
+    if what is not None:
+        symbols.report(messages.METHOD_NAME_IN_USE, span, name=name, what=what)

@@ -12,6 +12,7 @@ from lfield.lang.checker.library.collection_calls import (
     map_element,
     set_element,
 )
+from lfield.lang.checker.library.future_calls import check_async, check_future_method, is_future_method
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.parser.foreign_words import FOREIGN_NAMES
@@ -42,6 +43,11 @@ def value(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     elif isinstance(found.type, DeviceType):
         example = first_instruction(body.symbols, found.type)
         body.report(messages.DEVICE_USE, found.span, name=found.span.text, instruction=example)
+    elif isinstance(found, tree.LoopName):
+        body.report(messages.LOOP_VALUE, found.span, name=found.span.text)
+    elif isinstance(found, tree.EnumName):
+        name, member = found.enum.name, found.enum.members[0]
+        body.report(messages.ENUM_NAME, found.span, name=name, member=member)
     elif isinstance(found, tree.This) and body.unit.kind != "class":
         body.report(messages.THIS_VALUE, found.span, unit=f"a {body.unit.kind}")
     else:
@@ -74,8 +80,12 @@ def _evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
             return name_resolution.check_member(body, raw, evaluated(body, raw.object))
         case syntax.Index():
             return _index(body, raw)
+        case syntax.Async():
+            return check_async(body, raw, evaluated(body, raw.call))
         case syntax.This():
-            return body.this(raw.span)
+            if not body.function:
+                return body.this(raw.span)
+            body.report(messages.NO_THIS, raw.span, function=body.method.name)
         case syntax.New():
             return call_resolution.check_new(
                 body, raw, [_constructor_argument(body, argument) for argument in raw.arguments]
@@ -165,7 +175,9 @@ def target(body: BodyContext, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet
     if isinstance(found, tree.LocalGet | tree.FieldGet | tree.Element):
         return found
     if found.type is not UNKNOWN:
-        body.report(messages.NOT_ASSIGNABLE, raw.span)
+        is_named = isinstance(found, tree.Literal_) and not isinstance(raw, syntax.Literal_)
+        hint = f"{raw.span.text} is a constant: its declaration has its value" if is_named else None
+        body.report(messages.NOT_ASSIGNABLE, raw.span, hint=hint)
     return None
 
 
@@ -195,6 +207,8 @@ def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
         return unknown(raw.span)  # `rclpy.spin(node)`: the arguments are foreign too.
     if function.name == "sort" and isinstance(owner.type, ArrayType):
         return check_sort(body, raw, owner)
+    if is_future_method(body, function.name, owner):
+        return check_future_method(body, raw, owner)
     given = _arguments(body, raw)
     if given is None:
         return unknown(raw.span)

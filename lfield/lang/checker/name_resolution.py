@@ -6,17 +6,30 @@ import re
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import unknown, with_article
+from lfield.lang.checker.library.enum_members import enum_member
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.language_library import (
-    ARRAY_LIBRARY,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     PROXY_METHODS,
     STRING_METHODS,
     array_methods,
+    library_of_array,
 )
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
-from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, MapType, ResourceType, Type
+from lfield.lang.types import (
+    LIBRARY_CLASSES,
+    LOOP,
+    STRING,
+    UNKNOWN,
+    ArrayType,
+    ClassType,
+    DeviceType,
+    EnumType,
+    ResourceType,
+    Type,
+)
 from lfield.text.suggestions import choice, did_you_mean
 
 #: A member behind a name, as in `math.sqrt`.
@@ -24,24 +37,33 @@ _MEMBER = re.compile(r"\s*\.\s*(\w+)")
 
 
 def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
-    """A bare name: a local, else a field of the unit itself."""
+    """A bare name: a local, else a field of the unit itself, else a constant or an enum."""
     local = body.scope.find(raw.name)
     if local is not None:
         return tree.LocalGet(raw.span, local.type, local)
     field = body.field(raw.name)
     if field is not None:
         return tree.FieldGet(raw.span, field.type, body.this(raw.span), field)
+    loop = body.unit.loop(raw.name)
+    if loop is not None:
+        return tree.LoopName(raw.span, LOOP, loop)
+    constant = body.symbols.constants.get(raw.name)
+    if constant is not None:
+        return tree.Literal_(raw.span, constant.type, constant.value)
+    enum = body.symbols.enums.get(raw.name)
+    if enum is not None:
+        return tree.EnumName(raw.span, Type(f"enum {raw.name}"), enum)
     _unknown_variable(body, raw)
     return unknown(raw.span)
 
 
 def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
     name = raw.name
-    if body.methods(name) or name in LIBRARY_NAMES:
+    if body.methods(name) or name in LIBRARY_NAMES or name in body.symbols.functions:
         body.report(messages.CALL_WITHOUT_PARENTHESES, raw.span, name=name, call=f"{name}()")
     elif name in body.symbols.units:
         _type_as_value(body, raw, body.symbols.units[name])
-    elif not (body.scope.is_uncertain() or body.is_broken()):
+    elif not (body.scope.is_uncertain() or body.is_broken() or body.symbols.missing):
         body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, raw), name=name)
 
 
@@ -60,7 +82,9 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
     member = _MEMBER.match(raw.span.source.text, raw.span.end)
     if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
-    known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
+    top_level = (*body.symbols.constants, *body.symbols.enums)
+    fields = () if body.function else (f.name for f in body.unit.named_fields)
+    known = [*body.scope.names(), *fields, *top_level, "true", "false", "null"]
     return did_you_mean(name, known) or (_object_hint(body, name, member[1]) if member else None)
 
 
@@ -77,10 +101,15 @@ def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tre
     unit = _own_or_named(body, owner)
     if owner.type is UNKNOWN:
         return unknown(raw.span)
+    if isinstance(owner, tree.LoopName):
+        body.report(messages.LOOP_MEMBER, raw.place, name=raw.name)
+        return unknown(raw.span)
+    if isinstance(owner, tree.EnumName):
+        return enum_member(body, raw, owner.enum)
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
-    has_fields = unit is not None and not isinstance(owner.type, MapType)
+    has_fields = unit is not None and not isinstance(owner.type, LIBRARY_CLASSES)
     field = unit.field(raw.name) if unit is not None and has_fields else None
     if unit is None or field is None:
         _unknown_field(body, raw, owner.type, unit)
@@ -109,7 +138,11 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
     elif not methods and unit is None:
         body.report(messages.NO_MEMBERS, raw.place, given=with_article(kind))
     elif unit is None or unit.name not in body.symbols.broken_units:
-        fields = [f.name for f in unit.fields] if unit is not None and not isinstance(kind, MapType) else []
+        fields = (
+            [f.name for f in unit.named_fields]
+            if unit is not None and not isinstance(kind, LIBRARY_CLASSES)
+            else []
+        )
         what, names = ("fields", fields) if fields else ("methods", methods)
         known = choice(raw.name, names, f"its {what} are")
         hint = did_you_mean(raw.name, fields) or known
@@ -120,13 +153,15 @@ def method_names(body: BodyContext, kind: Type, unit: tree.Unit | None) -> list[
     """The names that can be called on a value of the type."""
     if unit is not None:
         method_kind = "portal" if isinstance(kind, ResourceType) else "method"
-        private = not isinstance(kind, MapType)
+        private = not isinstance(kind, LIBRARY_CLASSES)
         own = dict.fromkeys(m.name for m in unit.methods if m.kind == method_kind and (m.public or private))
         return [*own, *(f.name for f in PROXY_METHODS if method_kind == "portal" and f.name not in own)]
     if isinstance(kind, ArrayType):
-        return [*(f.name for f in array_methods(kind)), *ARRAY_LIBRARY]
+        return list(dict.fromkeys(f.name for f in (*array_methods(kind), *library_of_array(kind))))
     if isinstance(kind, DeviceType):
         return [i.name for i in body.symbols.devices[kind.name].instructions]
     if kind == STRING:
         return [f.name for f in STRING_METHODS]
+    if isinstance(kind, EnumType):
+        return [f.name for f in ENUM_VALUE_METHODS]
     return [f.name for f in EXCEPTION_METHODS] if isinstance(kind, ClassType) else []

@@ -15,6 +15,7 @@ from lfield.lang.types import (
     STRING,
     UNKNOWN,
     ArrayType,
+    EnumType,
     Type,
     distance,
     is_numeric,
@@ -60,6 +61,7 @@ def binary(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.E
     left, right = _widened(left, right)
     kind = left.type
     works = is_numeric(kind) or (kind == STRING and raw.operator in ("+", *_ORDER))
+    works = works or (isinstance(kind, EnumType) and raw.operator in _ORDER)
     if kind != right.type or not works:
         return _report_operands(body, raw, left, right)
     return _made(raw, BOOLEAN if raw.operator in _ORDER else kind, left, right)
@@ -117,5 +119,7 @@ def _report_operands(body: BodyContext, raw: syntax.Binary, left: tree.Expr, rig
 
 def _string_hint(left: Type, right: Type) -> str | None:
     """The hint for converting the side that is not a string."""
+    if isinstance(left, EnumType) or isinstance(right, EnumType):
+        return "a member of an enum has its name as text: member.name()"
     function = _TO_STRING.get(left) or _TO_STRING.get(right)
     return f"make text of the other side: {function}(...)" if function else None

@@ -59,6 +59,8 @@ class BodyContext:
     method: Method
     scope: Scope
     loops: int = 0
+    #: Whether it is the body of a function of the top level, which sees no member of the unit.
+    function: bool = False
     #: How many of the loops enclose the innermost `finally`; None without a `finally`.
     last: int | None = None
     #: Expressions that are checked already, before those which begin with them (tree_traversal.py).
@@ -75,11 +77,11 @@ class BodyContext:
 
     def field(self, name: str) -> Field | None:
         """The unit's own field of that name."""
-        return self.unit.field(name)
+        return None if self.function else self.unit.field(name)
 
     def methods(self, name: str) -> Sequence[Method]:
         """The unit's own methods of that name; portals, constructors and init are none."""
-        return self.unit.overloads(name, "method")
+        return () if self.function else self.unit.overloads(name, "method")
 
     def is_broken(self) -> bool:
         """Whether the unit misses members that could not be read."""
@@ -120,3 +122,15 @@ class BodyContext:
         """Close the innermost block."""
         assert self.scope.outer is not None
         self.scope = self.scope.outer
+
+
+def function_unit(name: str, span: Span) -> Unit:
+    """A unit without members for the function of that name."""
+    return Unit(name, "class", "global", span, function=True)
+
+
+def constant_context(symbols: Symbols, name: str, span: Span) -> BodyContext:
+    """Where the value of a constant is checked: only other declarations of the top level are known."""
+    unit = function_unit(name, span)
+    method = Method(name, "method", unit, [], UNKNOWN, False, False, span, span)
+    return BodyContext(symbols, unit, method, Scope(), function=True)

@@ -19,7 +19,13 @@ from lfield.lang.checker.expressions import (
 from lfield.lang.checker.library.collection_calls import map_keys, set_element
 from lfield.lang.checker.operators import binary
 from lfield.lang.checker.scope import BodyContext
-from lfield.lang.checker.together import check_coordinator_block, check_reserve_operand, check_within_seconds
+from lfield.lang.checker.together import (
+    check_coordinator_block,
+    check_reserve_operand,
+    check_wait_place,
+    check_wait_seconds,
+    check_within_seconds,
+)
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.language_library import ARRAY_LENGTH
 from lfield.lang.tree_traversal import left_spine
@@ -29,6 +35,7 @@ from lfield.text.source_text import Span
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
     "portal": "write emit T after its parameters",
     "init": "write return;",
+    "loop": "write return;",
     "constructor": "write return;",
 }
 
@@ -76,6 +83,10 @@ def _statement(body: BodyContext, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.Reserve():
             check_coordinator_block(body, raw.span)
             return tree.Reserve(raw.span, check_reserve_operand(body, raw.target), _branch(body, raw.body))
+        case syntax.WaitUntil():
+            check_wait_place(body, raw.span)
+            seconds = None if raw.seconds is None else check_wait_seconds(body, raw.seconds)
+            return tree.WaitUntil(raw.span, condition(body, raw.condition), seconds)
         case syntax.BadStmt():
             body.scope.mark_uncertain()
     return None
@@ -125,10 +136,21 @@ def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
     if isinstance(raw.value, syntax.Assign):
         return tree.Evaluate(raw.span, assignment(body, raw.value))
     found = evaluated(body, raw.value)
-    if not isinstance(raw.value, syntax.Call | syntax.New | syntax.Bad) and found.type is not UNKNOWN:
+    if isinstance(found, tree.Async):
+        body.report(messages.FUTURE_DROPPED, raw.span, type=found.type, call=_shown(raw.span.text))
+        return tree.Evaluate(raw.span, unknown(raw.span))
+    if (
+        not isinstance(raw.value, syntax.Call | syntax.New | syntax.Async | syntax.Bad)
+        and found.type is not UNKNOWN
+    ):
         compares = isinstance(raw.value, syntax.Binary) and raw.value.operator == "=="
         body.report(messages.NO_EFFECT, raw.span, hint="did you mean = ?" if compares else None)
     return tree.Evaluate(raw.span, found)
+
+
+def _shown(call: str) -> str:
+    """The text of a call for a hint."""
+    return call if len(call) <= 40 and "\n" not in call else "async ..."
 
 
 def _update(body: BodyContext, raw: syntax.Assign) -> tree.Stmt:

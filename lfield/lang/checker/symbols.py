@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from lfield.lang import messages, tree
+from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.language_library import FUNCTIONS
 from lfield.lang.parser.foreign_words import type_hint
@@ -18,15 +18,19 @@ from lfield.lang.types import (
     INT,
     REAL,
     STRING,
+    TICKET,
     UNKNOWN,
     VOID,
     ArrayType,
     ClassType,
     DeviceType,
+    EnumType,
+    FutureType,
     MapType,
     ResourceType,
     Type,
     array_of,
+    future_of,
     map_of,
 )
 from lfield.manifest import DeviceManifest
@@ -45,25 +49,39 @@ LIBRARY_NAMES = frozenset(f.name for f in FUNCTIONS)
 _RETURN_LIKE = ("return", "throw", "else")
 
 
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A function of the top level: its head in a unit of its own, and what is written."""
+
+    head: tree.Method
+    written: syntax.Method
+
+
 @dataclass(slots=True)
 class Symbols:
-    """The units of a program and the device types it may use.
+    """What a program declares at its top level, and the device types it may use.
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
     `incomplete`: declarations may be missing (a syntax error, a missing include), so unknown types are not
-    reported. `broken_units` may lack members for the same reason.
+    reported; `missing`: a file is, so unknown names are not reported either. `broken_units` may lack members
+    for the same reason.
     """
 
     devices: Mapping[str, DeviceManifest]
     found: Diagnostics
     units: dict[str, tree.Unit] = field(default_factory=dict)
+    enums: dict[str, tree.Enumeration] = field(default_factory=dict)
+    constants: dict[str, tree.Constant] = field(default_factory=dict)
+    functions: dict[str, list[Function]] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
+    missing: bool = False
     capabilities: CapabilityTypes | None = None
     generated: frozenset[str] = frozenset()
     #: The types of arrays that the program makes longer or shorter, and what it uses of the library in L.
     growing: set[Type] = field(default_factory=set)
     library: LibraryUses = field(default_factory=LibraryUses)
+    has_futures: bool = False
     _reported: set[tuple[str, str, int, str]] = field(default_factory=set)
 
     def report(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
@@ -72,6 +90,13 @@ class Symbols:
         if key not in self._reported:
             self._reported.add(key)
             self.found.add(message.at(span, hint=hint, **values))
+
+    def declaration(self, name: str) -> Span | None:
+        """The place of the name of what is declared at the top level under it."""
+        if name in self.functions:
+            return self.functions[name][0].head.span
+        declared = self.units.get(name) or self.enums.get(name) or self.constants.get(name)
+        return None if declared is None else declared.span
 
     def unit_of(self, kind: Type) -> tree.Unit | None:
         """The class or resource a type is about; None for any other type."""
@@ -105,12 +130,14 @@ class Symbols:
         if name in self.library.parameters:
             return self.library.parameters[name]
         if written.arguments:
-            return self._map(written)
+            return self._future(written) if written.name == "future" else self._map(written)
         if name in BUILTIN_TYPES:
             return BUILTIN_TYPES[name]
         unit = self.units.get(name)
         if unit is not None:
             return ResourceType(name) if unit.kind == "resource" else ClassType(name)
+        if name in self.enums:
+            return EnumType(name)
         if name in self.devices:
             return DeviceType(name)
         if type_hint(name) or (name != BAD_TYPE and not self.incomplete):
@@ -123,7 +150,7 @@ class Symbols:
             self.report(messages.MAP_TYPES, written.span)
             return UNKNOWN
         key, value = map(self.resolve, written.arguments)
-        if key not in (STRING, INT, UNKNOWN):
+        if key not in (STRING, INT, UNKNOWN) and not isinstance(key, EnumType):
             self.report(messages.MAP_KEY, written.arguments[0].span, given=key)
             return UNKNOWN
         if isinstance(value, DeviceType):
@@ -132,24 +159,51 @@ class Symbols:
         if UNKNOWN in (key, innermost(value)):
             return UNKNOWN
         kind = map_of(key, value)
-        if kind.name not in self.units:
-            self.declare_map(kind)
+        self.library_class(kind)
         return kind
 
-    def declare_map(self, kind: MapType) -> None:
-        """The class of a type of maps: from the text of the library, with its types for K and V."""
-        held = self.unit_of(innermost(kind.value))
-        usage: tree.Usage = "global"
-        if held is not None:
-            usage = "coordinator" if held.kind == "resource" else held.usage
-        with self.library.bound({"K": kind.key, "V": kind.value}):
-            unit = self.library.map_class(kind, usage, self.resolve)
-        self.units[kind.name] = unit
+    def _future(self, written: TypeName) -> Type:
+        """The type of a future; its class is made at the first use."""
+        if len(written.arguments) != 1:
+            self.report(messages.FUTURE_TYPE, written.span)
+            return UNKNOWN
+        value = self.resolve(written.arguments[0])
+        if isinstance(value, DeviceType):
+            self.report(messages.DEVICE_PLACE, written.arguments[0].span, name=value.name)
+            return UNKNOWN
+        if innermost(value) is UNKNOWN:
+            return UNKNOWN
+        kind = future_of(value)
+        self.library_class(kind)
+        return kind
+
+    def library_class(self, kind: MapType | FutureType) -> tree.Unit:
+        """The class of a type of maps or futures: from the text of the library, with types for its names."""
+        if kind.name not in self.units:
+            parameters: dict[str, Type] = {"T": kind.value, "ticket": TICKET}
+            usage: tree.Usage = "coordinator"
+            self.has_futures |= isinstance(kind, FutureType)
+            if isinstance(kind, MapType):
+                parameters = {"K": kind.key, "V": kind.value}
+                held = self.unit_of(innermost(kind.value))
+                usage = "global" if held is None else held.usage
+                if held is not None and held.kind == "resource":
+                    usage = "coordinator"
+            with self.library.bound(parameters):
+                self.units[kind.name] = self.library.class_of(kind, usage, self.resolve)
+        return self.units[kind.name]
 
     def _type_hint(self, name: str) -> str | None:
         if foreign := type_hint(name):
             return foreign
-        known = [*BUILTIN_TYPES, *self.units, *self.devices, *self.capability_names(), *_RETURN_LIKE]
+        known = [
+            *BUILTIN_TYPES,
+            *self.units,
+            *self.enums,
+            *self.devices,
+            *self.capability_names(),
+            *_RETURN_LIKE,
+        ]
         close = closest(name, known)
         return f"did you mean '{close}'?" if close else None
 
@@ -171,6 +225,8 @@ def device_in(symbols: Symbols, kind: Type) -> str:
 
 def describe(unit: tree.Unit) -> str:
     """A unit in messages about scope rules: `the resource specific class 'CacheTree'`."""
+    if unit.function:
+        return f"the function '{unit.name}'"
     if unit.kind != "class":
         return f"the {unit.kind} '{unit.name}'"
     clause = "" if unit.usage == "global" else f"{unit.usage} specific "

@@ -11,7 +11,7 @@ from typing import Literal
 from lfield.lang import messages, tree
 from lfield.lang.checker.symbols import Symbols, describe, innermost
 from lfield.lang.syntax import TypeName
-from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
+from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, FutureType, Type
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Span
 
@@ -20,6 +20,9 @@ from lfield.text.source_text import Span
 Place = Literal["field", "constructor", "portal", "elsewhere"]
 
 
+_OF_FUNCTIONS = (
+    "a function has numbers, text, arrays, maps, enums and objects: pass what it needs of the other"
+)
 _COORDINATOR_RULES: dict[tree.Usage, FindingKind] = {
     "resource": messages.RESOURCE_NAMES_COORDINATOR,
     "coordinator": messages.COORDINATOR_NAMES_COORDINATOR,
@@ -38,13 +41,15 @@ def visible_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
     element = innermost(kind)
     if isinstance(element, DeviceType):
         return _device_type(symbols, viewer, written, place)
-    unit = None if written.name in symbols.library.parameters else symbols.units.get(written.name)
+    name = element.name if isinstance(element, FutureType) else written.name
+    unit = None if written.name in symbols.library.parameters else symbols.units.get(name)
     if place == "portal":
         if not _may_pass(symbols, viewer, kind, written.span):
             return UNKNOWN
     elif unit is not None and not check_visibility(symbols, viewer, unit, written.span):
         return UNKNOWN
-    parts = [visible_type(symbols, viewer, one) for one in written.arguments] if place != "portal" else []
+    arguments = [one for one in written.arguments if one.name != "void"] if place != "portal" else []
+    parts = [visible_type(symbols, viewer, one) for one in arguments]
     return UNKNOWN if UNKNOWN in parts else kind
 
 
@@ -52,8 +57,15 @@ def check_visibility(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, spa
     """Whether `viewer` may name `target`; the broken rule is reported."""
     rule = _rule(viewer, target)
     if rule is not None:
+        hint = _OF_FUNCTIONS if viewer.function else None
         symbols.report(
-            rule, span, viewer=describe(viewer), unit=viewer.name, name=target.name, usage=target.usage
+            rule,
+            span,
+            hint=hint,
+            viewer=describe(viewer),
+            unit=viewer.name,
+            name=target.name,
+            usage=target.usage,
         )
     return rule is None
 
@@ -96,6 +108,9 @@ def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bo
         return True
     if unit.capability:
         return check_visibility(symbols, viewer, unit, span)
+    if isinstance(element, FutureType):
+        symbols.report(messages.FUTURE_PORTAL, span, type=kind)
+        return False
     if unit.kind == "resource" or (unit.kind == "class" and unit.usage == "coordinator"):
         symbols.report(messages.PORTAL_PROXY, span, type=kind)
         return False

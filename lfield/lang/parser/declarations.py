@@ -7,6 +7,7 @@ from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.foreign_syntax import at_walrus, walrus
 from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS, FOREIGN_STATEMENTS, METHOD_ENDS, METHOD_WORDS
 from lfield.lang.parser.local_variables import initial_value
+from lfield.lang.parser.loop_members import at_loop, loop_member
 from lfield.lang.parser.portal_heads import at_misplaced_portal, misplaced_portal, misplaced_result
 from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.statements import block
@@ -161,6 +162,19 @@ def _respelt(s: TokenStream) -> str | None:
     return close
 
 
+def function(s: TokenStream, found: list[Method]) -> None:
+    """`real square(real x) { ... }` at the top level, added to `found`; the stream is at its type."""
+    declared = result_type(s)
+    name = s.expect_name("the name of the function")
+    holder = Unit("class", "global", name.text, name.span)
+    method = _method(s, "method", name, _Modifiers(), declared)
+    found.append(method)
+    try:
+        _body(s, holder, method)
+    except UnclosedBrace:
+        method.broken = True
+
+
 def _member(s: TokenStream, made: Unit) -> None:
     if s.accept(";"):
         return
@@ -169,6 +183,10 @@ def _member(s: TokenStream, made: Unit) -> None:
         return _portal(s, made, modifiers)
     if s.at("init"):
         return _init(s, made, modifiers)
+    if at_loop(s):
+        for token in modifiers.given.values():
+            _unwanted(s, token, "a loop", "")
+        return loop_member(s, made)
     if at_misplaced_portal(s):
         result = misplaced_portal(s, "synchronized " if modifiers.synchronized else "")
         return _named_portal(s, made, modifiers, result, modifiers.synchronized)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from lfield.lang import messages
+from lfield.lang.parser.concurrency import async_call, at_async
 from lfield.lang.parser.foreign_syntax import (
     at_cast,
     at_walrus,
@@ -201,6 +202,8 @@ def _unary(s: TokenStream) -> Expr:
         return s.bounded(Unary(sign.span.to(operand.span), operand.height + 1, sign.text, operand))
     if s.at("++", "--", "~"):
         return _foreign(s, Bad(s.current.span, 1))
+    if at_async(s):
+        return async_call(s, _postfix)
     if at_word_prefix(s):
         token = word_prefix(s)
         with s.nested():

@@ -1,4 +1,4 @@
-"""A whole file: includes and units."""
+"""A whole file: includes, units, constants, enums and functions."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from lfield.lang import messages
 from lfield.lang.parser.declarations import members, unit
 from lfield.lang.parser.foreign_words import FOREIGN_UNITS
 from lfield.lang.parser.token_stream import UNIT_KEYWORDS, ParsingAborted, SyntaxRecovery, TokenStream
+from lfield.lang.parser.top_level import at_top_level, top_level
 from lfield.lang.scanner import TokenKind, scan
 from lfield.lang.syntax import Include, ParsedFile
 from lfield.lang.tree import UnitKind
@@ -40,6 +41,8 @@ def _top_level(s: TokenStream, file: ParsedFile) -> None:
         s.semicolon()
     elif s.at(*UNIT_KEYWORDS):
         file.units.append(unit(s, _KINDS[s.advance().text]))
+    elif at_top_level(s):
+        top_level(s, file)
     elif s.at("}"):
         s.report(messages.EXTRA_BRACE, s.current.span)
         s.advance()

@@ -16,7 +16,7 @@ _METHOD = "write private void name(...) { ... } inside a resource, a coordinator
 _PRINT = "write print(...)"
 _IF = "write if (...) ... else if (...) ... else ..."
 _YIELD = "write return with the value; yield() only runs other threads"
-_NO_WAIT = "leave it out: a call returns when it is complete"
+_NO_WAIT = "leave it out: a call returns when it is complete; of a future write f.await()"
 _NO_MODIFIER = "units have no modifier; leave it out"
 _EACH = "write for (int x : array) { ... }, with the type of the elements"
 _NODES = "L has no nodes and topics: write a resource with portals, and call these from a coordinator"
@@ -75,9 +75,10 @@ FOREIGN_TYPE_HINTS = {
     **CONTAINERS,
     **dict.fromkeys(("auto", "var", "let", "any", "Any", "object", "Object", "dynamic"), _ONE_TYPE),
     **dict.fromkeys(
-        ("thread", "Thread", "mutex", "Mutex", "Lock", "future", "Future", "Task"),
+        ("thread", "Thread", "mutex", "Mutex", "Lock"),
         _THREADS,
     ),
+    **dict.fromkeys(("future", "Future", "Promise", "Task"), "write future<real>, with the result type"),
     **dict.fromkeys(("Node", "Publisher", "Subscription", "Client", "Service", "Timer", "Executor"), _NODES),
 }
 
@@ -147,7 +148,10 @@ FOREIGN_FUNCTIONS = {
     "await": _NO_WAIT,
     **dict.fromkeys(("spawn", "launch", "go", "async", "gather"), _TOGETHER),
     **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
-    **dict.fromkeys(("input", "open", "scanf"), "L reads no files: pass values as deployment arguments"),
+    "open": "L reads no files: pass values as deployment arguments",
+    **dict.fromkeys(
+        ("input", "scanf", "readLine"), "a resource reads a line of the operator, with a limit: read(30.0)"
+    ),
     **dict.fromkeys(("lock", "acquire"), "declare the portal synchronized"),
     **dict.fromkeys(("timeout", "wait_for"), "write within (seconds) { ... }"),
     **dict.fromkeys(("until", "unless"), "write while (!(...)) or if (!(...))"),
@@ -253,7 +257,8 @@ FOREIGN_STATEMENTS = {
     **dict.fromkeys(METHOD_WORDS, _METHOD),
     **dict.fromkeys(("import", "from", "using", "use"), 'write include "file.L"; at the top of the file'),
     "typedef": "write the type itself",
-    **dict.fromkeys(("struct", "enum", "namespace", "template"), "write class Name { ... } at the top level"),
+    **dict.fromkeys(("struct", "namespace", "template"), "write class Name { ... } at the top level"),
+    "enum": "write enum Name { A, B } at the top level",
 }
 #: Words that begin a unit in other languages, and the equivalent in L.
 FOREIGN_UNITS = {
@@ -264,7 +269,7 @@ FOREIGN_UNITS = {
     "typedef": "write the type itself",
     "interface": "write the class itself",
     "struct": "write class Name { ... }",
-    "enum": "use int constants",
+    "enum": "write enum Name { A, B }",
     **dict.fromkeys(
         ("public", "private", "protected", "abstract", "final", "export", "static", "extern", "pub"),
         _NO_MODIFIER,
@@ -279,15 +284,15 @@ FOREIGN_UNITS = {
             "bool",
             "double",
             "float",
-            "const",
             "auto",
             "var",
             "let",
             "std",
             "unsigned",
         ),
-        "write methods and fields inside a resource, a coordinator or a class",
+        "write const int NAME = 1; for a constant; variables are inside a resource, a coordinator or a class",
     ),
+    "const": "write const int NAME = 1;",
     **dict.fromkeys((*METHOD_WORDS, "async"), _METHOD),
     "pass": "leave it out: a program has no statements outside of methods",
     **dict.fromkeys(("node", "robot", "device", "actor", "server", "service"), "write resource Name { ... }"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lfield.lang import messages
+from lfield.lang.parser.concurrency import at_async, at_wait_until, wait_until
 from lfield.lang.parser.expressions import expression, parenthesised
 from lfield.lang.parser.foreign_syntax import (
     at_except,
@@ -323,6 +324,12 @@ def _simple(s: TokenStream) -> Stmt:
         keyword = s.current.text
         if keyword in _SOFT_KEYWORDS and _is_soft_keyword(s):
             return _SOFT_KEYWORDS[keyword](s)
+        if at_wait_until(s):
+            return wait_until(s, parenthesised)
+        if at_async(s):
+            found = evaluated(s)
+            s.semicolon(semicolon_hint(s))
+            return found
         if keyword in FOREIGN_STATEMENTS and at_foreign_statement(s):
             return foreign_statement(s, keyword)
         if block_ahead(s) and (close := closest(keyword, _HEADS)):

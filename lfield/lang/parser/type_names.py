@@ -17,8 +17,8 @@ from lfield.lang.syntax import BAD_TYPE, TypeName
 
 #: How many `[]` a type may have.
 MAX_DIMENSIONS = 8
-#: The word of the types of maps; before anything but `<` it is an ordinary name.
-MAP = "map"
+#: The words of types with arguments; before anything but `<` they are ordinary names.
+GENERIC_TYPES = {"map": "a map", "future": "a future"}
 #: The signs that may follow a name of a type, in L or in another language.
 AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
 
@@ -27,7 +27,7 @@ def at_declaration(s: TokenStream) -> bool:
     """Whether a declaration `T name` begins here, and not an expression."""
     if s.at(*PRIMITIVES, "void"):
         return True
-    if at_map(s, declared=True):
+    if at_generic(s, declared=True):
         return True
     next_is_name = s.ahead(1).kind == s.current.kind
     is_array = (s.ahead(1).text, s.ahead(2).text) == ("[", "]")
@@ -42,29 +42,31 @@ def element_name(s: TokenStream, what: str = "a type") -> TypeName:
     else:
         token = s.expect_name(what)
     named = TypeName(token.span, token.text)
-    if token.text == MAP and s.at("<") and type_arguments_end(s, 0):
-        _map_arguments(s, named)
+    if token.text in GENERIC_TYPES and s.at("<") and type_arguments_end(s, 0):
+        _arguments(s, named)
         return named
     qualified(s, named)
     s.types.add(named.name)
     return named
 
 
-def at_map(s: TokenStream, *, declared: bool = False) -> bool:
-    """Whether `map<K, V>` begins here; with `declared`, in front of a name or `[]`."""
-    end = type_arguments_end(s, 1) if s.at(MAP) and s.ahead(1).text == "<" else 0
+def at_generic(s: TokenStream, *, declared: bool = False) -> bool:
+    """Whether `map<K, V>` or `future<T>` begins here; with `declared`, in front of a name or `[]`."""
+    end = type_arguments_end(s, 1) if s.at(*GENERIC_TYPES) and s.ahead(1).text == "<" else 0
     if not end or not declared:
         return end > 0
     return s.ahead(end).kind == s.current.kind or (s.ahead(end).text, s.ahead(end + 1).text) == ("[", "]")
 
 
-def _map_arguments(s: TokenStream, named: TypeName) -> None:
-    """`<K, V>`."""
+def _arguments(s: TokenStream, named: TypeName) -> None:
+    """`<K, V>`. The result of a call that a future stands for may be void."""
+    what = GENERIC_TYPES[named.name]
     s.expect("<")
     with s.nested():
-        found = [type_name(s, "a map")]
+        is_result = named.name == "future"
+        found = [result_type(s) if is_result else type_name(s, what)]
         while s.accept(","):
-            found.append(type_name(s, "a map"))
+            found.append(type_name(s, what))
     s.close_angle()
     named.arguments = tuple(found)
     named.span = named.span.to(s.previous.span)

@@ -8,7 +8,7 @@ of values.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,13 +16,21 @@ from pathlib import Path
 
 from lfield.lang import syntax, tree
 from lfield.lang.parser import parse_file
-from lfield.lang.types import INT, STRING, VOID, MapType, Type
+from lfield.lang.types import INT, STRING, VOID, FutureType, MapType, Type
 from lfield.text.source_text import Diagnostics, Source
 
 #: The name of every source of the library.
 LIBRARY_FILE = "<library>"
 #: The name of the constructor of the classes of maps.
 MAP_CONSTRUCTOR = "Map"
+#: The name of the constructor of the classes of futures.
+FUTURE_CONSTRUCTOR = "Future"
+_FUTURE = Path(__file__).with_name("future.L")
+#: In the class of futures of calls without a result: what is left out, and what T stands for.
+_ONLY_WITH_RESULT = re.compile(
+    r"^.*(?:T\[\] result|result = place|return result).*\n|, T\[\] place", re.MULTILINE
+)
+_RETURNS = re.compile(r"return (await\(\));")
 _MAP = Path(__file__).with_name("map.L")
 _REFUSAL = 'if (key == null) throw new NullException("a key of a map is null");'
 #: By type of keys: the bucket of a key among n, the text of a key, and the statement that refuses null.
@@ -30,14 +38,16 @@ _KEYS = {
     STRING: ("key.hash() % n", '"\\"" + key + "\\""', _REFUSAL),
     INT: ("(key % n + n) % n", "i2s(key)", ""),
 }
-_ARRAYS = Path(__file__).with_name("arrays.L")
+_ENUM_KEY = ("(key.ordinal() % n + n) % n", "key.name()", "")
+_METHODS = (Path(__file__).with_name("arrays.L"), Path(__file__).with_name("futures.L"))
 _NAME = re.compile(r"(\w+)\(")
 
 
 @cache
 def array_texts() -> dict[str, str]:
     """For each method of arrays a class with it alone, by name."""
-    _, *methods = _ARRAYS.read_text(encoding="utf-8").removesuffix("}\n").split("    private ")
+    texts = (file.read_text(encoding="utf-8").removesuffix("}\n") for file in _METHODS)
+    methods = [method for text in texts for method in text.split("    private ")[1:]]
     return {_NAME.findall(method)[0]: f"class Arrays {{\n    private {method}}}\n" for method in methods}
 
 
@@ -46,13 +56,44 @@ def _map_text() -> str:
     return _MAP.read_text(encoding="utf-8")
 
 
+def enum_text(name: str, members: Sequence[str]) -> str:
+    """The methods of an enum, with numbers for its members."""
+    names = (f'if (number == {i}) return "{member}";' for i, member in enumerate(members))
+    numbers = (f'if (name == "{member}") return {i};' for i, member in enumerate(members))
+    unknown = f'throw new ConversionException("the enum {name} has no member " + name);'
+    return (
+        f"// The members of the enum {name}.\nclass Enums {{\n"
+        f"    private string name(int number) {{\n{_lines(names)}        return i2s(number);\n    }}\n"
+        f"    private int of(string name) {{\n{_lines(numbers)}        {unknown}\n    }}\n}}\n"
+    )
+
+
+def _lines(statements: Iterable[str]) -> str:
+    return "".join(f"        {statement}\n" for statement in statements)
+
+
+def _text_of(kind: MapType | FutureType) -> str:
+    """The text of the class of a type, while its types are bound."""
+    if isinstance(kind, MapType):
+        bucket, text, refuse = _KEYS.get(kind.key, _ENUM_KEY)
+        return _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
+    text = _FUTURE.read_text(encoding="utf-8")
+    if kind.value == VOID:
+        text = _RETURNS.sub(r"\1;", _ONLY_WITH_RESULT.sub("", text)).replace("public T ", "public void ")
+    return text
+
+
 @dataclass(frozen=True, slots=True)
 class LibraryBody:
-    """A method of the library whose body is not checked yet, and what the types in it mean."""
+    """A method of the library whose body is not checked yet, and what the types in it mean.
+
+    `function`: it sees no members of its unit.
+    """
 
     method: tree.Method
     written: syntax.Method
     parameters: Mapping[str, Type]
+    function: bool = False
 
 
 @dataclass(slots=True)
@@ -80,14 +121,11 @@ class LibraryUses:
             self._unchecked.append(body)
         return self._methods[key]
 
-    def map_class(
-        self, kind: MapType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
+    def class_of(
+        self, kind: MapType | FutureType, usage: tree.Usage, resolve: Callable[[syntax.TypeName], Type]
     ) -> tree.Unit:
-        """The class of a type of maps, while K and V are bound; its bodies are checked later."""
-        bucket, text, refuse = _KEYS[kind.key]
-        source = self.source(
-            _map_text().replace("BUCKET", bucket).replace("TEXT", text).replace("REFUSE;", refuse)
-        )
+        """The class of a type of maps or futures, while its types are bound; its bodies are checked later."""
+        source = self.source(_text_of(kind))
         written = parse_file(source, Diagnostics()).units[0]
         unit = tree.Unit(kind.name, "class", usage, written.span)
         for number, one in enumerate(written.fields):

@@ -6,6 +6,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from lfield.wire.coordinator_messages import (
+    CallsEnded,
     Locate,
     Located,
     Terminated,
@@ -13,6 +14,7 @@ from lfield.wire.coordinator_messages import (
     TransferAccepted,
     TransferQuery,
     TransferRefused,
+    WatchCalls,
 )
 from lfield.wire.events import TELEMETRY
 from lfield.wire.messages import HandshakeRefused, RelayedMessage, WholeTransferRequest
@@ -54,6 +56,8 @@ _HOP = (
     Located,
     RelayedMessage,
     WholeTransferRequest,
+    WatchCalls,
+    CallsEnded,
     RenewReservation,
     ReleaseReservation,
     HandshakeRefused,

@@ -32,7 +32,7 @@ from lfield.operator.dashboard.operator_actions import (
     PrimitiveMatches,
     QueryAnswer,
 )
-from lfield.operator.observer_link import PresentedCrl, Request
+from lfield.operator.observer_link import PresentedCrl, Request, input_line
 from lfield.operator.orders.order_sender import OrderSender
 from lfield.operator.query_parser import parse_query
 from lfield.operator.team_model.host_model import host_states
@@ -179,6 +179,15 @@ class OrderService:
             if answer.trouble:
                 troubles[host] = answer.trouble
         return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, troubles)
+
+    async def enter(self, host: str, text: str) -> str:
+        """See `OperatorActions.enter`."""
+        addresses = dict(self._locate.addresses)
+        if host not in addresses:
+            return f"there is no host {host}"
+        answers = await ask_all(self._transport, {host: addresses[host]}, input_line(text), self._crl)
+        answer = answers[host]
+        return str(answer) if isinstance(answer, LfieldError) else answer.trouble
 
     # --- questions ------------------------------------------------------------------------------------
 

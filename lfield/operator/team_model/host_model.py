@@ -106,6 +106,7 @@ class HostModel:
             bundle=short_digest(bundle.digest) if bundle is not None else "",
             waits_for=tuple(start.hosts) if start is not None else (),
             start_held=start.held if start is not None else "",
+            reads=tuple(report.reads),
         )
         self._refused = {refused.host: refused.reason for refused in report.refused}
         self._links = {link.host: _measured(link) for link in report.links if link.away is None}
@@ -141,6 +142,8 @@ class HostModel:
             case events.StartDelayed(_, hosts, held):
                 waits_for = tuple(filter(None, hosts.split(", ")))
                 self.known = replace(self.known, waits_for=waits_for, start_held=held)
+            case events.InputAwaited(agents):
+                self.known = replace(self.known, reads=tuple(filter(None, agents.split(", "))))
             case events.LinkUp(peer):
                 self._links[peer] = LinkState()
                 self._away.pop(peer, None)

@@ -66,14 +66,14 @@ class HostState:
     `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
     no contact. `ending` is why it ends or has ended, if it reported that. `stopped` is the reason of an
     active emergency stop, '' for none. `paused`: an operator has paused the mission there; `held`: the vote
-    about an activation does. `links` are its links to other hosts with their measurements, `away`
-    the seconds since its last contact with each unreachable one. Coordinators not started yet wait for the
-    hosts in `waits_for`, or for an operator because of `start_held`; `refused` are the hosts that it cannot
-    link with, each with the reason. `bundle` are the first digits of the digest of its bundle, '' for none.
-    `lost` counts the lost events by kind. `clock` is the offset of its clock to that of this computer (s),
-    `clock_within` the uncertainty. `place` is its place in the devices file. `error` is the error behind
-    `trouble`. `devices` are its devices by name. `report` is its last snapshot: read only fields that no
-    event changes.
+    about an activation does. `links` are its links to other hosts with their measurements, `away` the seconds
+    since its last contact with each unreachable one. Coordinators not started yet wait for the hosts in
+    `waits_for`, or for an operator because of `start_held`; `refused` are the hosts that it cannot link with,
+    each with the reason. `reads` are its agents that wait for a line of input. `bundle` are the first digits
+    of the digest of its bundle, '' for none. `lost` counts the lost events by kind. `clock` is the offset of
+    its clock to that of this computer (s), `clock_within` the uncertainty. `place` is its place in the
+    devices file. `error` is the error behind `trouble`. `devices` are its devices by name. `report` is its
+    last snapshot: read only fields that no event changes.
     """
 
     host: str
@@ -88,6 +88,7 @@ class HostState:
     held: bool = False
     waits_for: tuple[str, ...] = ()
     start_held: str = ""
+    reads: tuple[str, ...] = ()
     refused: Mapping[str, str] = field(default_factory=dict)
     bundle: str = ""
     late: float | None = None

@@ -13,10 +13,11 @@ from lfield.operator.dashboard.operator_actions import OperatorActions, OrderOut
 
 #: The reason of a stop from the page, in the logs of the hosts.
 REASON = "on the page of lfield watch"
-#: Maximum delay (s) of an order that lets vehicles move again.
+#: Maximum delay (s) of an order that lets vehicles move again, and of a line of input.
 MAX_DELAY = 10.0
-#: These orders. STOP and Pause make a team safer and are executed however late.
-_RELEASES = ("lift", "resume")
+#: These orders. STOP and Pause make a team safer and are executed however late; a late line would answer
+#: another question.
+_RELEASES = ("lift", "resume", "type")
 
 NOT_SHOWN_YET = "the page had no state of the team yet; check the state, and press it again"
 

@@ -171,6 +171,17 @@ def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
             return _refused(why, 409)
         return _json(order_json(await execute()))
 
+    @app.post("/type")
+    async def enter(request: Request) -> Response:
+        body = await _body(request)
+        host, text = body.get("host"), body.get("text")
+        if not isinstance(host, str) or not isinstance(text, str) or "\n" in text:
+            return _refused("a line of input has a host and one line of text")
+        if why := refusal("type", body.get("pressed"), clock.monotonic()):
+            return _refused(why, 409)
+        trouble = await actions.enter(host, text)
+        return _refused(trouble, 409) if trouble else _json(b"{}")
+
     @app.post("/query")
     async def query(request: Request) -> Response:
         text = (await _body(request)).get("text")

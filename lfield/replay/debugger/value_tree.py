@@ -79,7 +79,7 @@ class ValueReader:
         record = core.types[kind]
         if record.kind in ARRAYS:
             return f"{self.type_name(core.element(kind))}[]"
-        if record.kind in (OBJECT, PROXY):
+        if record.kind in (OBJECT, PROXY) or (record.kind == INT and record.of):
             return core.classes[record.of].name
         return _NAMES[record.kind]
 
@@ -179,14 +179,18 @@ class ValueReader:
         return layout.length(self._block.w, place) if is_array else None
 
     def plain(self, value: RawValue) -> object:
-        """The value for comparisons: a number, a text, None for null, or the place of an object."""
+        """The value for comparisons: a number, a text, None for null, or the place of an object.
+
+        A member of an enum is its name.
+        """
         kind, word = self._program.core.types[value[0]].kind, value[1]
         if kind == BOOLEAN:
             return bool(word)
         if kind == REAL:
             return real_from_bits(word)
         if kind == INT or kind not in REFERENCES:
-            return word
+            members = self._program.core.enum_members(value[0])
+            return members[word] if 0 <= word < len(members) else word
         if not word:
             return None
         return self._block.text(word) if kind == STRING else ("object", word)

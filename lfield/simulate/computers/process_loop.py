@@ -47,6 +47,8 @@ def unsupported(deed: str) -> NoReturn:
     raise OSError(errno.ENETUNREACH, f"it tried to {deed}, which a simulation does not support")
 
 
+#: New objects until a collection, and collections of each generation until one of the next.
+COLLECTION_THRESHOLDS = (100_000, 20, 100)
 #: Owners of running asynchronous generators, by id.
 _owners: WeakValueDictionary[int, ProcessLoop] = WeakValueDictionary()
 
@@ -70,12 +72,16 @@ def closing_generators() -> Iterator[None]:
 def unscanned_heap() -> Iterator[None]:
     """Within the block, Python's garbage collector does not scan the objects that existed before.
 
-    Nearly all objects of a large fleet live until its end, and each full collection would scan all hosts.
+    Nearly all objects of a large fleet live until its end, and each full collection would scan all hosts. New
+    objects are scanned less often than usual, for the same reason.
     """
+    thresholds = gc.get_threshold()
     gc.freeze()
+    gc.set_threshold(*COLLECTION_THRESHOLDS)
     try:
         yield
     finally:
+        gc.set_threshold(*thresholds)
         gc.unfreeze()
 
 

@@ -9,15 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import cast
 
-from lfield.authority.identity import ALL_RIGHTS, Identity
 from lfield.errors import MissionTestError, Stuck
 from lfield.mission.loader import load_mission
-from lfield.net.transport import Link
 from lfield.simulate.host_fleet import Fleet, FleetOptions, HostLife
 from lfield.testing.mission import argument_checks
 from lfield.testing.mission.call_record import CallRecorder, RecordedCall
@@ -28,7 +24,7 @@ from lfield.testing.mission.resource_doubles import ResourceDoubles
 from lfield.testing.mission.stuck_report import stuck_report
 from lfield.testing.mission.stuck_watchdog import StuckInterrupt, StuckWatchdog
 from lfield.testing.mission.track_picture import Mark
-from lfield.wire.observer_messages import Pause, with_epoch
+from lfield.testing.mission_operator import MissionOperator
 
 #: Default limit of a wait, in seconds of virtual time.
 DEFAULT_AT_MOST = 3600.0
@@ -44,15 +40,6 @@ MOVED = 0.5
 PATIENCE = 120.0
 #: Lines shown of a host that has ended.
 LAST_LINES = 5
-
-
-class _TestOperator:
-    # The operator of a test; answers are ignored.
-    peer, who, send = (
-        "the test",
-        Identity("person", "the test", ALL_RIGHTS),
-        staticmethod(lambda message: None),
-    )
 
 
 class MissionTeam:
@@ -98,6 +85,7 @@ class MissionTeam:
                     options=FleetOptions(mission.bindings.unreachable_after, keeps=keeps, time_of_day=DAY[0]),
                 )
                 self._watch(self._fleet)
+                self._operator = MissionOperator(self._fleet, mission.reading_hosts)
         except BaseException:
             self._guard.remove()
             raise
@@ -357,10 +345,11 @@ class MissionTeam:
 
     def _pause(self, *, lift: bool) -> None:
         self._be_open()
-        order = Pause(len(self.marks).to_bytes(16), lift)
-        for life in self._fleet.lives.values():
-            command = with_epoch(order, life.core.orders.epochs)
-            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, _TestOperator)))
+        self._operator.pause(lift=lift)
+
+    def type_line(self, host: str, text: str) -> None:
+        """Enters a line of input for `read` where a host runs; kept until a resource reads it."""
+        self._operator.type_line(self._host(host), text)
 
     def close(self) -> None:
         """Ends everything immediately; recorded data remains.

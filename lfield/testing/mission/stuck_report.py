@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from lfield.simulate.host_fleet import Fleet, HostLife
 from lfield.testing.mission.recorders import Hop
 from lfield.text.suggestions import listed
-from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.agent import POLLS, WAITS, Agent, TeamMember
 from lfield.vm.inspection import traceback
 from lfield.vm.memory.layout import (
     BLOCKED,
     CALLING,
     STATE_NAMES,
+    THREAD_ID,
     THREAD_PC,
     THREAD_STATE,
     W_GENERATION,
@@ -104,6 +105,8 @@ def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
         return f"waits for {_instruction(life, agent, place)}"
     if agent.id in life.core.machine.hooks.stubs:
         return "its double has not returned yet"
+    if agent.monitor_waits.get(agent.block.w[place + THREAD_ID]) in (WAITS, POLLS):
+        return "waits until its condition holds,"
     if state == BLOCKED:
         return f"waits for the lock {_holder(life, agent)},"
     if agent.member.kind == "coordinator":

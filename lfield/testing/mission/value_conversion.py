@@ -3,6 +3,7 @@
     L                       Python
     int, real, boolean      int, float, bool
     string                  str
+    a member of an enum     its name, a str
     an array                a list
     a map                   a dict
     an object               an LObject
@@ -94,7 +95,8 @@ class _Reader:
         if of == REAL:
             return real_from_bits(cell)
         if of == INT:
-            return cell
+            members = self._program.core.enum_members(kind)
+            return members[cell] if 0 <= cell < len(members) else cell
         return self._reference(cell) if of in REFERENCES and cell else None
 
     def _reference(self, place: int) -> object:
@@ -190,12 +192,17 @@ class _Writer:
 
     def _cell(self, kind: int, value: object) -> int:
         of = self._program.core.types[kind].kind
+        members = self._program.core.enum_members(kind)
+        if members and value in members:
+            return members.index(str(value))
         match value:
             case None if of == VOID or of in REFERENCES:
                 return 0
             case bool() if of == BOOLEAN:
                 return int(value)
-            case int() if of == INT and not isinstance(value, bool) and -(1 << 63) <= value < 1 << 63:
+            case int() if (
+                of == INT and not members and not isinstance(value, bool) and -(1 << 63) <= value < 1 << 63
+            ):
                 return value
             case float() if of == REAL:
                 return bits_of_real(value)

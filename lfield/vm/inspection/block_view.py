@@ -248,7 +248,8 @@ class _Decoder:
         if record.kind == DEVICE:
             return self.device(word)
         if record.kind == INT or record.kind not in REFERENCES:
-            return str(word)
+            members = self.program.core.enum_members(kind)
+            return members[word] if 0 <= word < len(members) else str(word)
         if not word:
             return "null"
         if record.kind == STRING:

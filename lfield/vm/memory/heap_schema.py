@@ -35,7 +35,10 @@ _TICKET_EXPECTS = dict(
 )
 _PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
 #: Opcodes at which coordinators migrate, and at which they are stored.
-_MIGRATING = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave", "take"))
+_MIGRATING = frozenset(
+    BY_NAME[name].code
+    for name in ("pcall", "start", "fetch", "leave", "take", "launch", "next", "ended", "cancel")
+)
 #: Offsets of references in words, each with its target type.
 Expected = tuple[tuple[int, int], ...]
 

@@ -256,6 +256,8 @@ class _Preparer:
                 return {0: "'reserve'"}
             case "start" | "fetch" | "leave" | "settle":
                 return {0: "'together'"}
+            case "launch" | "next" | "ended" | "cancel" | "failure":
+                return {0: "the futures"}
             case "write_str" | "print_str" | "find" | "agent" | "host":
                 return {0: f"'{row.name.partition('_')[0]}'"}
             case "device" if self.core.device_calls[operand].field == HELD_DEVICE:

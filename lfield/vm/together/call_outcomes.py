@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from lfield.bytecode.program import EXCEPTIONS, MESSAGE
-from lfield.vm.agent import Agent
-from lfield.vm.cancellation import CANCELLED
+from lfield.vm.agent import CANCELLED, Agent
 from lfield.vm.engine_interface import Trap
 from lfield.vm.inspection import traceback
 from lfield.vm.inspection.block_view import fields_of

@@ -163,6 +163,7 @@ class CallStarter:
         words = [ticket.proxy, *w[first : first + parameters].tolist()]
         portal = self._itinerary.portal(ticket)
         pending = PendingCall(agent.id, agent.generation, ticket.number, member.id, portal, agent.fenced)
+        pending.is_future = self._itinerary.head(agent) == "launch"
         served = portal_calls.start_call(scheduler, resource, agent, pending, method, words)
         number = resource.block.w[place_of(resource.block, served) + THREAD_CALL]
         pending.call, pending.method = number, method

@@ -34,7 +34,13 @@ VISITED_STATES = {
     "start": (TICKET_COLLECTED,),
     "fetch": (TICKET_COLLECTED, TICKET_STARTED),
     "leave": (TICKET_STARTED, TICKET_CANCELLING),
+    "launch": (TICKET_COLLECTED,),
+    "next": (TICKET_STARTED, TICKET_CANCELLING),
+    "ended": (TICKET_STARTED, TICKET_CANCELLING),
+    "cancel": (TICKET_STARTED, TICKET_CANCELLING),
 }
+#: The instructions that cancel calls: nothing but their time limit interrupts them.
+CANCELLING_HEADS = ("leave", "cancel")
 
 
 _PUSH = BY_NAME["push"].code
@@ -121,11 +127,44 @@ class Itinerary:
         return words
 
     def tickets(self, agent: Agent, thread: int) -> list[Ticket]:
-        """The tickets of the `together` at a coordinator's position, in the order of collection."""
-        sentinel = self.call_arguments(agent, thread)[0]
+        """The tickets of the `together` at a coordinator's position, in the order of collection, or those of
+        futures."""
+        first, w = self.call_arguments(agent, thread)[0], agent.block.w
+        if w[first] & 0xFF in layout.ARRAYS_ON_HEAP:
+            places = dict.fromkeys(ticket.place for _, ticket in self.tickets_by_element(agent, first))
+            return [Ticket(w, place) for place in places]
         # A block of another host may have none; the engine throws when it executes the instruction.
-        found = tickets_of(agent.block, sentinel) if sentinel else []
-        return [Ticket(agent.block.w, place) for place in found]
+        found = tickets_of(agent.block, first) if first else []
+        return [Ticket(w, place) for place in found]
+
+    def tickets_by_element(self, agent: Agent, first: int) -> list[tuple[int, Ticket]]:
+        """The tickets of a sentinel (index 0) or an array of futures, each with the index of its future."""
+        block = agent.block
+        w = block.w
+        sentinels = [first]
+        if w[first] & 0xFF in layout.ARRAYS_ON_HEAP:
+            # The ticket is the first field of a future.
+            sentinels = [w[w[i] + 1] if w[i] else 0 for i in range(*layout.elements(w, first))]
+        return [
+            (i, Ticket(w, place))
+            for i, sentinel in enumerate(sentinels)
+            if sentinel
+            for place in tickets_of(block, sentinel)
+        ]
+
+    def first_destination(self, agent: Agent, tickets: Sequence[Ticket]) -> list[Ticket]:
+        """The tickets on the host to which a coordinator goes that waits for any of these; [] if it stays.
+
+        It goes to a host where a call has ended, or to the only one.
+        """
+        open_tickets = [t for t in tickets if t.state in VISITED_STATES["next"]]
+        elsewhere = [t for t in open_tickets if not self.is_here(t)]
+        known = [t for t in elsewhere if t.number in agent.ended_elsewhere]
+        hosts = {self.resource(t).host for t in open_tickets}
+        if not elsewhere or (not known and len(hosts) > 1):
+            return []
+        host = self.resource((known or elsewhere)[0]).host
+        return [t for t in elsewhere if self.resource(t).host == host]
 
     def own_tickets(self, agent: Agent) -> list[Ticket]:
         """The tickets of a coordinator's only thread."""
@@ -165,7 +204,9 @@ class Itinerary:
     def awaited_tickets(self, agent: Agent) -> list[Ticket]:
         """The tickets that a suspended coordinator waits for: to start them here, or to reach their host."""
         head, found = self.head(agent), self.own_tickets(agent)
-        if head != "leave" and (
+        if head == "next":
+            return self.first_destination(agent, found)
+        if head not in CANCELLING_HEADS and (
             mine := [t for t in found if t.state == TICKET_COLLECTED and self.is_here(t)]
         ):
             return mine
@@ -238,6 +279,6 @@ class Itinerary:
     def may_continue(self, agent: Agent) -> bool:
         """Whether all effects of a restored coordinator's instruction are known."""
         head = self._current_head(agent)
-        if head not in VISITED_STATES or head == "leave":
-            return head in ("take", "leave")
+        if head not in VISITED_STATES or head in CANCELLING_HEADS:
+            return head == "take" or head in CANCELLING_HEADS
         return not any(t.state == TICKET_COLLECTED and self.is_here(t) for t in self.own_tickets(agent))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 
-from lfield.vm.agent import Agent
+from lfield.vm.agent import CANCELLED, Agent
 from lfield.vm.cancellation import Cancellation
 from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.call_tickets import pending_call_numbers
+from lfield.vm.memory.threads import only_thread
 from lfield.vm.pending_call import CallKey, PendingCall
 from lfield.vm.scheduler import Scheduler
 
@@ -17,6 +18,7 @@ class PendingCalls:
 
     def __init__(self, scheduler: Scheduler, cancelling: Cancellation, soundness: BlockVerifier) -> None:
         self._scheduler, self._cancellation, self._verifier = scheduler, cancelling, soundness
+        self._on_result: Callable[[PendingCall], None] | None = None
 
     def calls(self) -> list[PendingCall]:
         """Those that were not fetched yet, in the order of their start."""
@@ -39,9 +41,9 @@ class PendingCalls:
         if pending is None or pending.is_persisted:
             return
         pending.is_persisted = True
-        waiter, pending.waiter = pending.waiter, None
-        if waiter is not None:
-            self._scheduler.run_queue.push_front(*waiter)
+        self._scheduler.wake_waiter(pending)
+        if self._on_result is not None:
+            self._on_result(pending)
 
     def restore(self, calls: Iterable[PendingCall]) -> None:
         """Restore the records of an earlier incarnation; before any coordinator is restored.
@@ -73,6 +75,7 @@ class PendingCalls:
         return [pending.key for pending in found]
 
     def _cancel(self, calls: list[PendingCall], reason: str) -> None:
+        self._report_failures(calls)
         self.forget([pending.key for pending in calls])
         for pending in calls:
             resource = self._scheduler.agents.get(pending.resource)
@@ -88,7 +91,11 @@ class PendingCalls:
             return
         pending = [call for call in self._calls_of(agent.id) if call.generation == agent.generation]
         waited = pending_call_numbers(agent.block) if pending else set()
-        unneeded = [call for call in pending if call.number not in waited]
+        unneeded = [
+            call
+            for call in pending
+            if call.number not in waited and not (call.is_future and call.state == "running")
+        ]
         self._cancel(unneeded, f"the together of {agent.id} has ended without this call")
         agent.fetched.extend(call.key for call in unneeded)
 
@@ -109,7 +116,31 @@ class PendingCalls:
         waited = [b for b in self._calls_of(agent.id) if b.waiter is not None and b.waiter[0] is agent]
         for pending in waited:
             pending.waiter = None
-        return bool(waited)
+        return agent.stop_waiting_for_any() or bool(waited)
+
+    # --- futures --------------------------------------------------------------------------------------
+
+    def watch_results(self, on_result: Callable[[PendingCall], None]) -> None:
+        """Set the function that is called with each call whose result may be fetched."""
+        self._on_result = on_result
+
+    def on_ended_elsewhere(self, agent_id: str, generation: int, numbers: Collection[int]) -> None:
+        """Calls that a coordinator waits for here have ended on their host, or that is unreachable."""
+        agent = self._scheduler.agents.get(agent_id)
+        if agent is None or agent.generation != generation or not agent.waits_for_any or agent.frozen:
+            return
+        self.stop_waiting(agent)
+        agent.stop_waiting_for_any(numbers)
+        self._scheduler.run_queue.push_front(agent, only_thread(agent.block))
+
+    def _report_failures(self, calls: list[PendingCall]) -> None:
+        """Log the failures of calls whose futures were dropped. That they were cancelled is none."""
+        for pending in calls:
+            resource = self._scheduler.agents.get(pending.resource)
+            failed = pending.is_future and pending.failure and not pending.failure.startswith(CANCELLED)
+            if failed and resource is not None:
+                text = f"{pending.portal}() failed, and its future was not awaited: {pending.failure}"
+                self._scheduler.world.log(resource, text)
 
     def _calls_of(self, agent: str) -> Iterator[PendingCall]:
         return (pending for pending in self._scheduler.pending_calls.values() if pending.agent == agent)

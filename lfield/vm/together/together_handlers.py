@@ -7,8 +7,6 @@ starts its calls, and one fetches them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from lfield.vm.agent import Agent
 from lfield.vm.cancellation import Cancellation
 from lfield.vm.deadlines import TIME_LIMIT, Deadlines
@@ -16,10 +14,8 @@ from lfield.vm.engine_interface import Trap
 from lfield.vm.inspection import traceback
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import (
-    CALLING,
     TICKET_ARRAY,
     TICKET_CALL,
-    TICKET_CANCELLING,
     TICKET_COLLECTED,
     TICKET_INDEX,
     TICKET_NEXT,
@@ -30,14 +26,14 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.together.call_outcomes import RESTARTED, UNREACHABLE, CallOutcomes
+from lfield.vm.together.call_outcomes import RESTARTED, CallOutcomes
+from lfield.vm.together.call_progress import CallProgress, Handler
 from lfield.vm.together.call_start import CallStarter, add_settled, collect, new_sentinel
+from lfield.vm.together.future_handlers import FutureHandlers
 from lfield.vm.together.itinerary import Itinerary, Ticket
 
 RESERVED = "ReservedException"
-#: Message for a call whose host is unreachable when the time limit expires.
-UNREACHED_MESSAGE = "its host is unreachable; it ends the call itself at the time limit"
-Handler = Callable[[Agent, int, int, list[int]], None]
+_LEFT = "{agent} has left the together that called {{portal}}()"
 
 
 class TogetherHandlers:
@@ -51,32 +47,23 @@ class TogetherHandlers:
         cancelling: Cancellation,
         limits: Deadlines,
     ) -> None:
-        self._scheduler, self._itinerary, self._cancellation = scheduler, itinerary, cancelling
-        self._deadlines = limits
+        self._scheduler, self._itinerary, self._deadlines = scheduler, itinerary, limits
         self._outcomes = CallOutcomes(scheduler, itinerary)
-        self._starter = CallStarter(scheduler, itinerary, held, self._outcomes, limits)
+        starter = CallStarter(scheduler, itinerary, held, self._outcomes, limits)
+        self._progress = CallProgress(scheduler, itinerary, cancelling, limits, self._outcomes, starter)
+        self._futures = FutureHandlers(scheduler, itinerary, limits, self._outcomes, self._progress)
 
     def handlers(self) -> dict[str, Handler]:
         """The handlers by name. They raise HeapFull, and run again after the collection."""
         return {
             "gather": self._on_gather,
-            "begin": self._guarded(self._on_collect),
-            "start": self._guarded(self._on_start),
-            "fetch": self._guarded(self._on_fetch),
-            "leave": self._guarded(self._on_leave),
-            "settle": self._guarded(self._on_settle),
+            "begin": self._progress.guarded(self._on_collect),
+            "start": self._progress.guarded(self._on_start),
+            "fetch": self._progress.guarded(self._on_fetch),
+            "leave": self._progress.guarded(self._on_leave),
+            "settle": self._progress.guarded(self._on_settle),
+            **self._futures.handlers(),
         }
-
-    def _guarded(self, head: Handler) -> Handler:
-        """Convert a heap that cannot hold the results to an exception at the coordinator's position."""
-
-        def run_handler(agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-            try:
-                head(agent, thread, operand, words)
-            except Trap as trap:
-                self._scheduler.throw_builtin(agent, thread, trap.kind, trap.message)
-
-        return run_handler
 
     def on_failed(self, agent: Agent, thread: int, kind: str, message: str, source: str) -> None:
         """A suspended coordinator cannot reach what it waits for: its awaited calls return with an exception.
@@ -120,33 +107,18 @@ class TogetherHandlers:
     # --- start, fetch ---------------------------------------------------------------------------------
 
     def _on_start(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        if self._are_all_started(agent, thread):
+        if self._progress.are_all_started(agent, thread):
             self._scheduler.complete_at_once(agent, thread)
 
-    def _are_all_started(self, agent: Agent, thread: int) -> bool:
-        """Whether all collected calls have started; else the coordinator waits, or departs to start one."""
-        if not self._starter.start_local_calls(agent, thread):
-            return False
-        return not self._departs_for(agent, thread, TICKET_COLLECTED)
-
-    def _departs_for(self, agent: Agent, thread: int, state: int) -> bool:
-        """Whether a coordinator departs for the next host that has tickets in a state."""
-        elsewhere = self._itinerary.tickets_elsewhere(self._itinerary.tickets(agent, thread), state)
-        if not elsewhere:
-            return False
-        self._scheduler.freeze(agent, thread)
-        self._deadlines.depart(agent, self._itinerary.resource(elsewhere[0]))
-        return True
-
     def _on_fetch(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        if not self._are_all_started(agent, thread):
+        if not self._progress.are_all_started(agent, thread):
             return
         self._outcomes.mark_lost(agent, thread, TICKET_STARTED)
-        if self._is_waiting_for(agent, thread, TICKET_STARTED):
+        if self._progress.is_waiting_for(agent, thread, TICKET_STARTED):
             return
         if agent.overdue and self._deadlines.expire(agent):
             return
-        if self._departs_for(agent, thread, TICKET_STARTED):
+        if self._progress.departs_for(agent, thread, TICKET_STARTED):
             return
         found = self._itinerary.tickets(agent, thread)
         if any(ticket.thrown for ticket in found):
@@ -167,18 +139,6 @@ class TogetherHandlers:
             # The array has become shorter since the call began.
             self._scheduler.throw_builtin(agent, thread, "IndexException", removed)
 
-    def _is_waiting_for(self, agent: Agent, thread: int, state: int) -> bool:
-        """Fetch completed calls of the tickets in a state; whether one here is still running."""
-        found = self._itinerary.tickets(agent, thread)
-        numbers = [t.number for t in found if t.state == state and self._itinerary.is_here(t)]
-        for number in numbers:
-            pending = self._outcomes.fetch(agent, thread, number)
-            if pending is not None:
-                self._scheduler.set_state(agent, thread, CALLING)
-                pending.waiter = agent, thread
-                return True
-        return False
-
     def _throw(self, agent: Agent, thread: int) -> None:
         """Throw the exception of the first failed call in program order, with the others suppressed."""
         first = self._outcomes.first_error(agent, thread)
@@ -188,62 +148,16 @@ class TogetherHandlers:
     # --- leave ----------------------------------------------------------------------------------------
 
     def _on_leave(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        """Cancel all calls, host by host, then wait for them.
-
-        When a time limit around the block has expired, unreachable hosts are not awaited: they know the
-        limit, and end the calls themselves.
-        """
-        for state in (TICKET_STARTED, TICKET_CANCELLING):
-            self._outcomes.mark_lost(agent, thread, state)
+        """Cancel all calls, host by host, then wait for them."""
         for ticket in self._itinerary.tickets(agent, thread):
             if ticket.state == TICKET_COLLECTED:
                 ticket.w[ticket.place + TICKET_STATE], ticket.w[ticket.place + TICKET_CALL] = (
                     TICKET_RETURNED,
                     0,
                 )
-            elif ticket.state == TICKET_STARTED and self._itinerary.is_here(ticket):
-                self._send_cancel(agent, ticket)
-        if self._departs_in_time(agent, thread, TICKET_STARTED) or self._is_waiting_for(
-            agent, thread, TICKET_CANCELLING
-        ):
-            return
-        if not self._departs_in_time(agent, thread, TICKET_CANCELLING):
+        if self._progress.are_all_cancelled(agent, thread, _LEFT.format(agent=agent.id)):
             self._report(agent, thread)
             self._clear(agent, thread)
-
-    def _departs_in_time(self, agent: Agent, thread: int, state: int) -> bool:
-        """As `_departs_for`, but after the time limit only to hosts that are reachable at once.
-
-        All hosts are asked for a heartbeat together, so silence delays once, however many hosts are silent.
-        """
-        signs = self._scheduler.hooks.liveness
-        if signs is None or not self._deadlines.is_block_expired(agent):
-            return self._departs_for(agent, thread, state)
-        for ticket in self._itinerary.tickets(agent, thread):
-            if ticket.state in (TICKET_STARTED, TICKET_CANCELLING) and not self._itinerary.is_here(ticket):
-                signs.request_heartbeat(self._itinerary.resource(ticket), self._deadlines.over_for(agent))
-        while elsewhere := self._itinerary.tickets_elsewhere(self._itinerary.tickets(agent, thread), state):
-            target = self._itinerary.resource(elsewhere[0])
-            if not signs.is_silent(target):
-                self._departs_for(agent, thread, state)
-                if agent.frozen and signs.is_heartbeat_pending(target):
-                    self._deadlines.recheck_soon(agent)
-                    return True
-                if not (agent.frozen and self._scheduler.world.abandon_wait(agent)):
-                    return True
-                agent.resume()
-            for number in [ticket.number for ticket in elsewhere]:
-                self._outcomes.throw(agent, thread, number, UNREACHABLE, UNREACHED_MESSAGE)
-        return False
-
-    def _send_cancel(self, agent: Agent, ticket: Ticket) -> None:
-        """Cancel a call that runs here, if it is still running."""
-        ticket.w[ticket.place + TICKET_STATE] = TICKET_CANCELLING
-        pending = self._scheduler.pending_calls.get((agent.id, ticket.generation, ticket.number))
-        resource = self._scheduler.agents.get(self._itinerary.resource(ticket).id)
-        if pending is not None and pending.state == "running" and resource is not None:
-            reason = f"{agent.id} has left the together that called {self._itinerary.portal(ticket)}()"
-            self._cancellation.cancel_call(resource, pending.call, reason)
 
     def _report(self, agent: Agent, thread: int) -> None:
         """Add the outcomes of the calls to the thrown exception, if there is one."""

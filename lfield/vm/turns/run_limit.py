@@ -38,21 +38,23 @@ class RunLimit:
         self.stopwatch = stopwatch
         self._turns = 0
         self._early: dict[int, int] = {}
+        #: Whether `drain_cuts` has something.
+        self.has_cuts = False
 
     def on_time_over(self, turns: int) -> None:
         """A run ends after so many turns because of its duration."""
-        self._turns = turns
+        self._turns, self.has_cuts = turns, True
 
     def on_early_end(self, turn: int, executed: int) -> None:
         """The engine has ended a turn, by number, after that many instructions because of its duration."""
-        self._early[turn] = executed
+        self._early[turn], self.has_cuts = executed, True
 
     def drain_cuts(self) -> RunCuts:
         """Where time has cut the runs since the last call."""
-        if not self._turns and not self._early:
+        if not self.has_cuts:
             return UNCUT
         found = RunCuts(self._turns, self._early)
-        self._turns, self._early = 0, {}
+        self._turns, self._early, self.has_cuts = 0, {}, False
         return found
 
 

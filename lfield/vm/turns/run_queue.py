@@ -26,7 +26,7 @@ class RunQueue:
         #: Threads that can run; the first is next.
         self.ready: deque[tuple[Agent, int]] = deque()
         #: Timers of sleeping threads, and alarms: if empty, `pop_due` has nothing to do.
-        self.timers: list[tuple[float, int, Agent, int]] = []
+        self.timers: list[tuple[float, int, int, Agent, int]] = []
         self.alarms: list[tuple[float, int, Agent, Callable[[], None]]] = []
         #: The valid timer of each sleeping thread, by number.
         self._sleeping: dict[tuple[Agent, int], int] = {}
@@ -57,10 +57,15 @@ class RunQueue:
 
     def sleep(self, agent: Agent, thread: int, seconds: float) -> None:
         """The thread becomes ready after that many seconds."""
+        self.sleep_until(agent, thread, self._clock.monotonic() + seconds)
+
+    def sleep_until(self, agent: Agent, thread: int, at: float, rank: int = 0) -> None:
+        """The thread becomes ready at that time. Of threads with one time that with the lowest rank is
+        first."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = SLEEPING
         self._timed += 1
         self._sleeping[agent, thread] = self._timed
-        heappush(self.timers, (self._clock.monotonic() + seconds, self._timed, agent, thread))
+        heappush(self.timers, (at, rank, self._timed, agent, thread))
 
     def remove(self, agent: Agent, thread: int) -> None:
         """Remove a thread from queue and timers."""
@@ -94,7 +99,7 @@ class RunQueue:
 
     def _push_due(self, until: float) -> None:
         while self.timers and self.timers[0][0] <= until:
-            _, number, agent, thread = heappop(self.timers)
+            _, _, number, agent, thread = heappop(self.timers)
             if self._sleeping.get((agent, thread)) != number:
                 continue
             del self._sleeping[agent, thread]
@@ -109,7 +114,7 @@ class RunQueue:
             return None
         while self.alarms and self.alarms[0][2].ended:
             heappop(self.alarms)
-        while self.timers and self._sleeping.get(self.timers[0][2:]) != self.timers[0][1]:
+        while self.timers and self._sleeping.get(self.timers[0][3:]) != self.timers[0][2]:
             heappop(self.timers)
         due = [queue[0][0] for queue in (self.timers, self.alarms) if queue]
         return max(0.0, min(due) - self._clock.monotonic()) if due else None

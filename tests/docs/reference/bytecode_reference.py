@@ -36,6 +36,7 @@ _SECTIONS = {
     1500: "Devices",
     1600: "Parallel work and time limits",
     1700: "Reservations",
+    1870: "Loops of resources",
 }
 
 

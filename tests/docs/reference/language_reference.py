@@ -11,11 +11,16 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lfield.lang.language_library import (
+    ENUM_METHODS,
+    ENUM_VALUE_METHODS,
     EXCEPTION_METHODS,
     FUNCTIONS,
     LIBRARY_OF_ARRAYS,
+    LIBRARY_OF_FUTURES,
     LIBRARY_OF_MAPS,
+    LOOP_METHODS,
     PROXY_METHODS,
+    RACES,
     STRING_METHODS,
     LibraryFunction,
     array_methods,
@@ -38,8 +43,13 @@ def library_table() -> str:
     for receiver, methods in (
         ("array", (*array_methods(array_of(Type("T"))), *LIBRARY_OF_ARRAYS)),
         ("map", LIBRARY_OF_MAPS),
+        ("future", LIBRARY_OF_FUTURES),
+        ("futures", RACES),
         ("string", STRING_METHODS),
+        ("member", ENUM_VALUE_METHODS),
+        ("Enum", ENUM_METHODS),
         ("exception", EXCEPTION_METHODS),
+        ("loop", LOOP_METHODS),
         ("proxy", PROXY_METHODS),
     ):
         rows += [(f"{receiver}.{_heading(f)}", f"{f.result}", _WHERE[f.scope], f.meaning) for f in methods]

@@ -11,9 +11,23 @@ from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import ProgramPiece, written
 
 #: What these statements are, for whoever draws one.
-COORDINATED = ("within", "reserve", "together")
+COORDINATED = ("within", "reserve", "together", "futures")
 #: Locals that get what calls of a together give, and are used in no other way.
 RESULTS = (("int", "t0", "0"), ("int", "t1", "5"), ("int[]", "u0", "new int[3]"))
+#: Locals of futures, and what is done with them.
+FUTURES = (("future<int>", "f0", "null"), ("future<int>[]", "g0", "new future<int>[3]"))
+_BEGIN = (
+    "f0 = async #.ask(#, #);|Store! int Node",
+    "for (int m = 0; m < 3; m = m + 1) g0[m] = async #.ask(m, #);|Store! Node",
+    "for (int m = 0; m < 3; m = m + 1) if (#) g0[m] = async #.ask(m, #);|boolean Store! Node",
+    "g0[#] = async #.ask(#, #);|int Store! int Node",
+)
+_FETCH = (
+    *("i0 = f0.await();|", "i1 = f0.await(0.3);|", "b0 = f0.done();|", "f0.cancel();|", "f0 = null;|"),
+    *("i0 = g0.race();|", "i1 = g0.race(big);|", "i2 = g0.next();|", "i2 = g0[#].await();|int"),
+    *("g0[1] = f0;|", "g0[#] = null;|int"),
+    "for (int m = g0.next(); m >= 0; m = g0.next()) { i0 = i0 + m; g0[m] = null; }|",
+)
 #: Draws statements of at most so many levels, at most so many.
 Block = Callable[[int, int], list[ProgramPiece]]
 
@@ -40,7 +54,22 @@ class Coordination:
 
     def draw(self, which: str, depth: int) -> ProgramPiece:
         """One of COORDINATED."""
-        return {"within": self._within, "reserve": self._reserve, "together": self._calls}[which](depth)
+        drawers = {
+            "within": self._within,
+            "reserve": self._reserve,
+            "together": self._calls,
+            "futures": self._futures,
+        }
+        return drawers[which](depth)
+
+    def _futures(self, depth: int) -> ProgramPiece:
+        """Calls that begin, and are fetched, raced, cancelled or dropped among other statements."""
+        between = self._block(depth - 1, 1) if self._rng.random() < 0.5 else []
+        return written("", "{ # }", [*self._some(_BEGIN, 2), *between, *self._some(_FETCH, 3)])
+
+    def _some(self, forms: tuple[str, ...], most: int) -> list[ProgramPiece]:
+        chosen = self._rng.choices(forms, k=self._rng.randint(1, most))
+        return [self._expressions.form("", form, 1) for form in chosen]
 
     def _within(self, depth: int) -> ProgramPiece:
         """What is given up after some time, which passes in sleeps only."""

@@ -8,7 +8,7 @@ random besides, since between any two instructions one engine may take over from
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from engine_fuzzer.space_pair import SpacePair
@@ -19,11 +19,11 @@ from lfield.vm.engine_interface import (
     Engine,
     EngineExit,
     Engines,
-    Group,
+    EngineWrapper,
     Reading,
 )
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC, Layouts
+from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC
 from lfield.vm.reference import ReferenceEngine as Reference
 
 
@@ -31,7 +31,7 @@ class TrialOver(Exception):
     """So many instructions were done, or a difference was found: the trial is over."""
 
 
-class EnginePair:
+class EnginePair(EngineWrapper):
     """The engine that is tried, and the reference engine on a copy of each block.
 
     `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and
@@ -47,32 +47,17 @@ class EnginePair:
         longest: int,
     ) -> None:
         self.reference = Reference(program, now)
+        super().__init__(self.reference)
         self.tried: Engine = engines(program, now)
-        self.space, self.pace = SpacePair(self.tried.space, self._differs), 1
+        self._space = SpacePair(self.tried.space, self._differs)
         self.differences: list[str] = []
         self.done, self.exits = 0, 0
         self._rng, self._longest = rng, longest
-        self._unused = 0
 
     @property
-    def unused_budget(self) -> int:
-        """As of both."""
-        return self._unused
-
-    @property
-    def has_read_external(self) -> bool:
-        """As of both."""
-        return self.reference.has_read_external
-
-    @property
-    def layouts(self) -> Layouts:
-        """As of the reference engine."""
-        return self.reference.layouts
-
-    @property
-    def groups(self) -> Mapping[int, Group]:
-        """As of the reference engine."""
-        return self.reference.groups
+    def space(self) -> SpacePair:
+        """Blocks as the engine that is tried has them."""
+        return self._space
 
     def run(
         self,
@@ -89,7 +74,8 @@ class EnginePair:
             leave = self._slice(block, thread, part, limits, readings)
             left -= part - self.reference.unused_budget
             if leave != BUDGET_EXHAUSTED or left <= 0:
-                self._unused = left
+                self.unused_budget = left
+                self.has_read_external = self.reference.has_read_external
                 return leave
 
     def _part(self) -> int:

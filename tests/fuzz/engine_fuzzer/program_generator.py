@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import random
 import re
+import zlib
+from collections.abc import Iterator
 from itertools import count
 
 from engine_fuzzer.calculations import random_calculation
-from engine_fuzzer.coordination import RESULTS
+from engine_fuzzer.coordination import FUTURES, RESULTS
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece, written
 from engine_fuzzer.statement_generator import StatementGenerator
@@ -61,11 +63,13 @@ private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
 #
 #
+#
 }"""
 _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
 private boolean before(Node v, Node w) { return v.n < w.n; }
 private real key(Node v) { return v.r; }
+private boolean big(int k) { return k > 3; }
 #
 #
 }"""
@@ -75,7 +79,7 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
     """The declarations of what a body uses, and of what those use."""
     text = " ".join(piece.text() for piece in body)
     found: list[ProgramPiece] = []
-    for kind, name, value in reversed(_LOCALS + RESULTS):
+    for kind, name, value in reversed(_LOCALS + RESULTS + FUTURES):
         if re.search(rf"\b{name}\b", text):
             text += f" {value}"
             found.insert(0, ProgramPiece("", [f"{kind} {name} = {value};"]))
@@ -94,6 +98,8 @@ _OF_WALKERS = (
     'st = findStore("" + #);|string',
 )
 _OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+#: What a synchronized method of a resource does besides.
+_IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
 #: What coordinators ask, by how many portals there are.
 _ASKED = ("i0 = #.ask(#, #);|Store! int Node", "#.tell(#, #, #);|Store! real string int[]")
 #: What only coordinators can say, by type.
@@ -131,13 +137,16 @@ class _ProgramGenerator:
         store = [self._method("Store", kind, name) for kind, name in self._all("Store")]
         walker = [self._method("Walker", kind, name) for kind, name in self._all("Walker")]
         portals = [self._portal(number) for number in range(self.portals)]
+        other = ProgramPiece("", [self.rng.choice(("", _OTHER))])
+        init, start = self._init("Store"), self._init("Walker")
+        loops = [self._loop(number) for number in range(self.rng.choice((0, 0, 1, 2)))]
         return written(
             "",
             "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
-            ProgramPiece("", [self.rng.choice(("", _OTHER))]),
+            other,
             written("", _NODE, ProgramPiece("", list(node))),
-            written("", _RESOURCE, self._init("Store"), ProgramPiece("", [*store, *portals])),
-            written("", _COORDINATOR, self._init("Walker"), ProgramPiece("", list(walker))),
+            written("", _RESOURCE, init, ProgramPiece("", [*store, *portals]), ProgramPiece("", list(loops))),
+            written("", _COORDINATOR, start, ProgramPiece("", list(walker))),
         )
 
     def _all(self, unit: str) -> list[tuple[str, str]]:
@@ -157,11 +166,18 @@ class _ProgramGenerator:
         return found
 
     def _body(
-        self, unit: str, result: str, end: str, guarded: bool = False, pauses: bool = False
+        self,
+        unit: str,
+        result: str,
+        end: str,
+        guarded: bool = False,
+        pauses: bool = False,
+        locked: bool = False,
     ) -> ProgramPiece:
         """A method's own: the variables that it uses, statements, and an end."""
         walks = unit == "Walker"
         waits = _WAITS + {"Walker": _OF_WALKERS, "Store": _OF_STORES}.get(unit, ())
+        waits += _IN_MONITOR * 3 if locked and unit == "Store" else ()
         variables = _VARIABLES | _PROXIES if walks else _VARIABLES
         grows = self.rng.random() < 0.5
         expressions = ExpressionGenerator(self.rng, variables, self._calls(unit), grows=grows)
@@ -194,7 +210,7 @@ class _ProgramGenerator:
         return written(
             "",
             f"\n{how} {kind} {name}({_PARAMETERS}) {{ if (d <= 0) return {PLAIN[kind]};\n#\n}}",
-            self._body(unit, kind, end),
+            self._body(unit, kind, end, locked="synchronized" in how),
         )
 
     def _init(self, unit: str) -> ProgramPiece:
@@ -208,10 +224,116 @@ class _ProgramGenerator:
     def _portal(self, number: int) -> ProgramPiece:
         how = self.rng.choice(("portal", "portal synchronized"))
         head = ("ask(int m, Node o) emit int", "tell(real y, string t, int[] v)")[number]
-        body = self._body("Store", *(("int", "return i1;") if number == 0 else ("", "")), pauses=True)
+        result, end = ("int", "return i1;") if number == 0 else ("", "")
+        body = self._body("Store", result, end, pauses=True, locked="synchronized" in how)
         return written("", f"\n{how} {head} {{ int d = 3;\n#\n}}", body)
+
+    def _loop(self, number: int) -> ProgramPiece:
+        """A loop of the resource, which may suppress the other one, or be suppressed."""
+        rate = self.rng.choice(("at 4", "every 0.2", "at 3 + n", "every 0.5", "every x"))
+        when = self.rng.choice((" when (n > 1)", f" when (loop{number}.overruns() < 2 && n > 0)"))
+        priority = f" priority {self.rng.choice((-1, 1, 2))}{when}" if self.rng.random() < 0.7 else when
+        throws = self.rng.choice(
+            ("", 'if (n > 3) throw new DeviceException("f");', f"print(loop{number}.running());")
+        )
+        body = self._body("Store", "", "n = n + 1;", guarded=self.rng.random() < 0.8, pauses=True)
+        return written("", f"\nloop loop{number} {rate}{priority} {{ int d = 3; {throws}\n#\n}}", body)
+
+
+# --- constants, enums and functions -------------------------------------------------------------------------
+
+#: Which of so many programs has them.
+_TOP_LEVEL_EVERY = 3
+_TOP_LEVEL = """
+const int MANY = 5 * LEAST - 3;
+const int LEAST = -2;
+const real CALM = 2.5 / 4;
+const string LABEL = "l" + "ö";
+const boolean LOUD = !(MANY > 0) && LABEL != "";
+const Phase FIRST = Phase.HOME;
+enum Phase { SEARCH, LIFT, HOME }
+
+int squared(int n) { return n * n % 1000003; }
+real squared(real x) { return x * x; }
+int steps(int n) { if (n < 2) return n; return steps(n - 1) + steps(n - 2); }
+boolean isEven(int n) { if (n < 0) return isEven(-n % 50); return n == 0 || isOdd(n % 50 - 1); }
+boolean isOdd(int n) { return n != 0 && isEven(n % 50 - 1); }
+string doubled(string s) { if (s.length() > 40) return LABEL; return s + s; }
+boolean larger(int a, int b) { return a > b; }
+int[] copied(int[] given) {
+int[] made = new int[0];
+for (int n : given) made.append(squared(n));
+if (made.length() < 20) made.sort(larger);
+return made; }
+int[] sliced(int[] given) {
+if (given.length() < 2) throw new IndexException(LABEL);
+return given.slice(0, 2); }
+Phase following(Phase p) { if (p == Phase.HOME) return Phase.SEARCH; return Phase.values()[p.ordinal() + 1]; }
+Phase ranked(int n) {
+Phase p = FIRST;
+for (int i = 0; i < abs(n % 4); i += 1) p = following(p);
+return p; }
+int counted(int[] given) {
+map<Phase, int> found = new map<Phase, int>();
+for (int n : given) { Phase p = ranked(n); if (!found.contains(p)) found[p] = 0; found[p] += 1; }
+int sum = 0;
+for (Phase p : found) sum = sum * 7 + found[p] + p.ordinal();
+return sum; }
+int attempted(string s) {
+try { return Phase.of(s).ordinal(); }
+catch (ConversionException e) { return s.length(); } finally { s = ""; } }
+"""
+#: By type, what an expression becomes: `#` is what it was.
+_TOP_LEVEL_FORMS = {
+    "int": (
+        *("squared(#)", "steps(# % 12)", "(# + MANY)", "ranked(#).ordinal()", "attempted(i2s(#))"),
+        *("counted(new int[] {#, MANY, 1, 4})", "copied(new int[] {#, LEAST})[1]", "(# * LEAST)"),
+    ),
+    "real": ("squared(#)", "(# * CALM)", "i2f(squared(f2i(#)))"),
+    "boolean": (
+        "(isEven(MANY) == #)",
+        "(# || ranked(MANY) > FIRST)",
+        "(LOUD && #)",
+        "(# != (FIRST == Phase.LIFT))",
+    ),
+    "string": ("doubled(#)", "(# + LABEL)", "(ranked(#.length()).name() + #)", "(FIRST.name() + #)"),
+    "int[]": ("copied(#)", "sliced(#)"),
+}
+
+
+def _with_top_level(program: ProgramPiece) -> ProgramPiece:
+    """The program, or one of every few with constants, enums and functions, which get some expressions.
+
+    Which ones is decided by the text of the program, so that the dice give the same programs as before.
+    """
+    text = program.text()
+    chance = zlib.crc32(text.encode("utf-8"))
+    if chance % _TOP_LEVEL_EVERY:
+        return program
+    rng = random.Random(chance)
+    places = [piece for piece in _values(program) if piece.kind in _TOP_LEVEL_FORMS]
+    for piece in rng.sample(places, min(len(places), rng.randint(1, 12))):
+        form = rng.choice(_TOP_LEVEL_FORMS[piece.kind])
+        piece.parts = written(
+            piece.kind, form, *([ProgramPiece(piece.kind, piece.parts)] * form.count("#"))
+        ).parts
+    return written("", "##", program, ProgramPiece("", [_TOP_LEVEL]))
+
+
+def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:
+    """The expressions that are read, not assigned to or changed."""
+    for piece in program.pieces():
+        for at, part in enumerate(piece.parts):
+            following = piece.parts[at + 1] if at + 1 < len(piece.parts) else ""
+            before = following.lstrip() if isinstance(following, str) else ""
+            is_read = before[:1] not in (".", "[", "=") or before[:2] == "=="
+            for one in part if isinstance(part, list) else [part]:
+                if isinstance(one, ProgramPiece) and one.kind and is_read:
+                    yield one
 
 
 def random_program(rng: random.Random) -> ProgramPiece:
     """A program by what the dice say; `ProgramPiece.text` is its L."""
-    return random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
+    return _with_top_level(
+        random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
+    )

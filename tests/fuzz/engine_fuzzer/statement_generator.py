@@ -92,7 +92,7 @@ class StatementGenerator:
                 return self._call()
             case "throw":
                 return self._throw()
-            case "within" | "reserve" | "together":
+            case "within" | "reserve" | "together" | "futures":
                 return self._coordination.draw(chosen, depth)
             case "leave":
                 return self._leave()

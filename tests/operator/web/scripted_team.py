@@ -63,6 +63,8 @@ class Script:
     paused: bool = False
     #: Hosts that a vote about an activation holds.
     voting: set[str] = field(default_factory=set)
+    #: The agent of each host that waits for a line of input.
+    reading: dict[str, str] = field(default_factory=dict)
     pressed: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -99,6 +101,8 @@ class Script:
                 self.held |= {self.host_of(number) for number in range(self.count)} - self.dead
             case ["vote", host]:
                 self.voting.add(host)
+            case ["read", host, agent]:
+                self.reading[host] = agent
             case ["low", agent]:
                 self.low.add(agent)
             case ["refuse", host, *reason]:
@@ -149,6 +153,12 @@ class Script:
         self.order("resume")
         print("pressed resume", flush=True)
         return OrderOutcome("resume")
+
+    async def enter(self, host: str, text: str) -> str:
+        if self.reading.pop(host, None) is None:
+            return "no agent of this host waits for a line"
+        print(f"entered {host} {text}", flush=True)
+        return ""
 
     async def query(self, text: str) -> QueryAnswer:
         if text == "Lift":
@@ -231,6 +241,7 @@ class Script:
                 held=name in self.voting,
                 stopped="stop" if name in self.held else "",
                 waits_for=tuple(self.refused),
+                reads=tuple(filter(None, [self.reading.get(name)])),
                 refused=self.refused,
                 bundle="5cde09b1f2a37c44",
                 links={

@@ -39,6 +39,19 @@ def test_two_copters_move(browser, page_of):
     assert browser.errors == []
 
 
+def test_a_line_is_entered_where_an_agent_waits_for_one(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    page.line()
+    assert not browser.driver.find_elements(By.CSS_SELECTOR, ".panel.input")
+    page.do("read bravo wing")
+    browser.says("input-bravo", "wing at bravo waits for a line")
+    browser.driver.find_element(By.CSS_SELECTOR, "[data-testid=line-bravo]").send_keys("take off", Keys.ENTER)
+    assert page.line() == "entered bravo take off"
+    browser.wait(lambda: not browser.driver.find_elements(By.CSS_SELECTOR, ".panel.input"))
+    assert browser.errors == []
+
+
 @pytest.mark.few(0)
 def test_nothing_leaves_this_computer(browser, page_of):
     page = page_of("--earth")

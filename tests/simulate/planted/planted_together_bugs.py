@@ -7,12 +7,14 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
+from lfield.host.location.call_watch import CallWatch
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.vm.agent import Agent
 from lfield.vm.deadlines import Deadlines
 from lfield.vm.pending_call import PendingCall
+from lfield.vm.together.future_handlers import FutureHandlers
 from lfield.vm.together.itinerary import Itinerary
-from simulation_testing.scenarios.scenario import crew
+from simulation_testing.scenarios.scenario import crew, racer
 
 
 def a_result_is_told_before_it_is_kept(patch: Patch) -> None:
@@ -50,6 +52,16 @@ def who_may_have_begun_begins_again(patch: Patch) -> None:
 
 def a_begun_call_knows_no_time_limit(patch: Patch) -> None:
     patch.setattr(Deadlines, "schedule_cancel", lambda self, agent, resource, begun: None)
+
+
+def an_end_is_not_reported(patch: Patch) -> None:
+    patch.setattr(CallWatch, "_on_result", lambda self, pending: None)
+    patch.setattr(CallWatch, "_update_due", lambda self: None)
+    patch.setattr(CallWatch, "_on_link_opened", lambda self, event: None)
+
+
+def a_result_does_not_reach_its_future(patch: Patch) -> None:
+    patch.setattr(FutureHandlers, "_store", lambda self, ticket: None)
 
 
 def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
@@ -92,5 +104,22 @@ TOGETHER_BUGS = [
         "a started call has no time limit: it continues on an unreachable host after its 'within' has ended",
         "outlives",
         91,
+    ),
+]
+
+FUTURE_BUGS = [
+    Bug(
+        an_end_is_not_reported,
+        "no host reports the end of a call: a coordinator waits for the first of several without end",
+        frozenset({"stuck"}),
+        5,
+        racer,
+    ),
+    Bug(
+        a_result_does_not_reach_its_future,
+        "the result of a call stays in its ticket: a future gives the initial value of its type",
+        frozenset({"I4"}),
+        0,
+        racer,
     ),
 ]

@@ -10,11 +10,11 @@ from planted_order_bugs import ORDER_BUGS
 from planted_quorum_bugs import QUORUM_BUGS
 from planted_reserve_bugs import RESERVE_BUGS
 from planted_terminated_bugs import TERMINATED_BUGS
-from planted_together_bugs import TOGETHER_BUGS
+from planted_together_bugs import FUTURE_BUGS, TOGETHER_BUGS
 
 from simulation_testing.seed_runner import first_broken, run_seed
 
-EVERY = [*BUGS, *QUORUM_BUGS, *TOGETHER_BUGS, *RESERVE_BUGS, *ORDER_BUGS, *TERMINATED_BUGS]
+EVERY = [*BUGS, *QUORUM_BUGS, *TOGETHER_BUGS, *FUTURE_BUGS, *RESERVE_BUGS, *ORDER_BUGS, *TERMINATED_BUGS]
 
 
 @pytest.mark.few(12)

@@ -216,3 +216,19 @@ def test_a_resource_that_dies_while_it_is_cancelled_ends_the_wait() -> None:
     yard.machine._scheduler.die(yard.crane, "a test")
     assert yard.pass_time(0.0) == []
     assert yard.machine.agents.get("boss") is None
+
+
+def test_a_future_that_is_cancelled_cancels_the_instruction_of_the_device() -> None:
+    yard = Yard("future<void> f = async c.ends(); sleep(1.0); f.cancel(); print(f.done());")
+    yard.pass_time(1.5)
+    assert len(yard.place.cancelled) == 1
+    yard.refuse("turn() was cancelled: it stands")
+    assert yard.pass_time(0.1) == ["true", "in time"]
+
+
+def test_the_loser_of_a_race_is_cancelled_where_it_waits_for_its_device() -> None:
+    yard = Yard("future<void>[] all = {async c.ends(), async c.sleeps(1.0)}; print(all.race());")
+    assert yard.pass_time(1.0) == ["slept"]
+    assert len(yard.place.cancelled) == 1
+    yard.refuse("turn() was cancelled: it stands")
+    assert yard.pass_time(0.1) == ["slept", "1", "in time"]

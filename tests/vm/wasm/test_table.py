@@ -13,7 +13,10 @@ _LEAVES = """
     pcall gather begin start fetch leave limit settle hold take drop find findall offers explain device
     write_int write_float write_str write_bool print_int print_float print_str print_bool
     yield sleep now lived random random_int heartbeat_interval agent host teams
+    tick suppress control tick_failed
+    launch next ended cancel failure wait_limit wait_leave wait_enter
     s2f f2s f2s_digits exc_message exc_type exc_source exc_others noreturn
+    read_line tick suppress control tick_failed
 """
 
 

@@ -1,1 +1,1 @@
-"""Calls of the library that is written in L: methods of arrays, and maps."""
+"""Calls of what is a private method of each unit that calls it: the library in L, enums, functions."""

@@ -8,7 +8,7 @@ calls of methods of the class of the map.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import (
@@ -18,11 +18,11 @@ from lfield.lang.checker.conversions import (
     unknown,
     with_article,
 )
+from lfield.lang.checker.library.unit_methods import text_call
 from lfield.lang.checker.scope import BodyContext
-from lfield.lang.parser import parse_file
-from lfield.lang.standard_library.instances import LibraryBody, array_texts
+from lfield.lang.standard_library.instances import array_texts
 from lfield.lang.types import BOOLEAN, INT, REAL, STRING, UNKNOWN, VOID, ArrayType, MapType, Type, array_of
-from lfield.text.source_text import Diagnostics, Source, Span
+from lfield.text.source_text import Span
 from lfield.text.suggestions import listed
 
 _CALL = re.compile(r"BEFORE\((\w+), (\w+)\)")
@@ -61,7 +61,8 @@ def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Ex
         body.report(messages.SORT_ARGUMENT, arguments[-1].span)
         return unknown(raw.span)
     name = arguments[0].name
-    for method in body.methods(name):
+    functions = [one.head for one in body.symbols.functions.get(name, ())]
+    for method in body.methods(name) or functions:
         types = [parameter.type for parameter in method.parameters]
         if types == [of] and method.result in _NATURAL:
             text = _natural("sortByKey", method.result).replace("KEY(", f"{name}(")
@@ -70,10 +71,17 @@ def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Ex
             text = _CALL.sub(rf"{name}(\1, \2)", array_texts()["sort"])
             return _call(body, raw, "sort", text, (owner,), VOID)
     if not body.is_broken() and of is not UNKNOWN:
-        known = [method.signature for method in body.methods(name)]
-        found = f"'{name}' is {listed(known)}" if known else f"there is no method '{name}' here"
+        known = [method.signature for method in body.methods(name) or functions]
+        found = f"'{name}' is {listed(known)}" if known else f"there is no method or function '{name}' here"
         body.report(messages.SORT_METHOD, arguments[0].span, found=found, element=of, name=name)
     return unknown(raw.span)
+
+
+def call_of_text(
+    body: BodyContext, raw: syntax.Call, name: str, text: str, array: tree.Expr, result: Type
+) -> tree.Expr:
+    """The call of a method with this text, of an array without other arguments."""
+    return _call(body, raw, name, text, (array,), result)
 
 
 def _place(raw: syntax.Call) -> Span:
@@ -99,34 +107,7 @@ def _call(
     array = arguments[0].type
     assert isinstance(array, ArrayType)
     types = {"T": array.element, "K": key}
-    instance = body.symbols.library.method(
-        (body.unit, name, text, array, key), lambda: _instance(body, name, text, types)
-    )
-    return tree.Call(raw.span, result, body.this(raw.span), instance, list(arguments))
-
-
-def _instance(body: BodyContext, name: str, text: str, types: Mapping[str, Type]) -> LibraryBody:
-    """The method of that name in the unit, with types for T and K; its body is checked later."""
-    source = body.symbols.library.source(text)
-    written = next(method for method in _parsed(source) if method.name == name)
-    kinds = {"T": types["T"], "T[]": array_of(types["T"]), "int": INT, "boolean": BOOLEAN, "void": VOID}
-    method = tree.Method(
-        name,
-        "method",
-        body.unit,
-        [tree.Local(p.name, kinds[str(p.type)], p.span) for p in written.parameters],
-        kinds[str(written.result or "void")],
-        public=False,
-        synchronized=False,
-        span=written.span,
-        end=written.end,
-    )
-    body.unit.add_library_method(method)
-    return LibraryBody(method, written, types)
-
-
-def _parsed(source: Source) -> list[syntax.Method]:
-    return parse_file(source, Diagnostics()).units[0].methods
+    return text_call(body, raw, name, text, types, arguments, result)
 
 
 # --- maps ---------------------------------------------------------------------------------------------

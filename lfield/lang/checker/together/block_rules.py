@@ -1,4 +1,4 @@
-"""Where `together`, `within` and `reserve` are allowed, and the operands of `within` and `reserve`."""
+"""Where `together`, `within`, `reserve` and `wait until` are allowed, and their operands."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from lfield.lang.checker.symbols import describe
 from lfield.lang.tree import Binary, Expr, Literal_, Negate, ToReal
 from lfield.lang.tree_traversal import left_spine
 from lfield.lang.types import INT, REAL, UNKNOWN, ArrayType, ResourceType
+from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Span
 
 _INSTEAD = {
@@ -39,11 +40,28 @@ def check_coordinator_block(body: BodyContext, keyword: Span) -> None:
 
 def check_within_seconds(body: BodyContext, raw: syntax.Expr) -> Expr:
     """The seconds of a `within`; a constant that nothing can end in is reported."""
+    return _seconds(body, raw, messages.WITHIN_OVER)
+
+
+def check_wait_seconds(body: BodyContext, raw: syntax.Expr) -> Expr:
+    """The seconds of a `wait until`, likewise."""
+    return _seconds(body, raw, messages.WAIT_SECONDS)
+
+
+def check_wait_place(body: BodyContext, keyword: Span) -> None:
+    """Report a `wait until` outside of the synchronized methods and portals of resources."""
+    method, unit = body.method, body.unit
+    if unit.usage != "resource" or not method.synchronized:
+        name = "init" if method.kind == "init" else f"the {method.kind} '{method.name}'"
+        body.report(messages.WAIT_PLACE, keyword, method=name, viewer=describe(unit))
+
+
+def _seconds(body: BodyContext, raw: syntax.Expr, rule: FindingKind) -> Expr:
     found = require_type(body.symbols, value(body, raw), REAL)
     seconds = None if found.type is UNKNOWN else constant_number(found)
     if seconds is not None and not seconds > 0:
         given = "no number (NaN)" if math.isnan(seconds) else f"{seconds:g}"
-        body.report(messages.WITHIN_OVER, found.span, given=given)
+        body.report(rule, found.span, given=given)
     return found
 
 

@@ -15,6 +15,7 @@ from lfield.lang.checker.together.result_targets import StartedCall, check_targe
 from lfield.lang.checker.together.target_uses import check_uses
 from lfield.lang.tree import (
     Assign,
+    Async,
     Call,
     Declare,
     Evaluate,
@@ -115,8 +116,13 @@ class _StartedCalls:
 
     def refuse(self, value: Expr, place: _CallSite) -> None:
         """Report the calls inside an expression."""
+        started = {id(one.call) for one in descendants(value) if isinstance(one, Async)}
         for one in descendants(value):
-            if _portal_call(one) is one and place.barring_keyword:
+            if isinstance(one, Async):
+                self.symbols.report(messages.ASYNC_TOGETHER, one.span)
+            elif id(one) in started:
+                continue
+            elif _portal_call(one) is one and place.barring_keyword:
                 self.symbols.report(messages.TOGETHER_BARRED, one.span, keyword=place.barring_keyword)
             elif _portal_call(one) is one:
                 self.symbols.report(messages.TOGETHER_INSIDE, one.span)

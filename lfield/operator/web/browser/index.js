@@ -4,5 +4,6 @@ export { default as Halt } from "./halt.js";
 export { default as TeamLog } from "./log.js";
 export { Program, Replay } from "./replay.js";
 export { default as Plots } from "./plots.js";
-export { act, ask, looks } from "./server.js";
+export { default as OperatorInput } from "./input.js";
+export { act, ask, enter, looks } from "./server.js";
 export * as words from "./words.js";

@@ -27,6 +27,9 @@ function post(path, body) {
 // server's clock. The server refuses a late order, except one that makes the team safer (button_orders.py).
 export const act = (action, pressed) => post("act", { action, pressed });
 
+// A line of input for an agent of a host that waits for one.
+export const enter = (host, text, pressed) => post("type", { host, text, pressed });
+
 export const ask = (text) => post("query", { text });
 
 // Moves a replay; of several requests the server executes the newest.

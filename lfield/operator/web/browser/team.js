@@ -1,6 +1,6 @@
 // The whole page: STOP and the other buttons, state of the stop, map, vehicles, coordinators, hosts, log, queries,
 // plots. It draws the last snapshot and marks an old one.
-import { Halt, Plots, Program, Replay, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, OperatorInput, Plots, Program, Replay, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
 
 // A snapshot older than this (ms) is marked as old.
 const OLD = 2000;
@@ -19,7 +19,7 @@ const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
 const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
 
 export default {
-  components: { TeamMap, Halt, Plots, Program, Replay, TeamLog },
+  components: { TeamMap, Halt, OperatorInput, Plots, Program, Replay, TeamLog },
   props: { title: String, recorded: Boolean, resourcePath: String },
   template: `
   <div class="watch" :class="{stale, halted: look && (look.stands || Object.keys(look.stop.unreached).length)}">
@@ -41,6 +41,7 @@ export default {
     <p v-if="trouble" class="trouble" role="alert" data-testid="trouble">{{ trouble }}</p>
     <replay v-if="replay" :replay="replay"/>
     <halt :look="look" :pending="pending" :failures="failures" :now="now"/>
+    <operator-input v-if="look && !recorded" :hosts="look.hosts" :at="at" :taken="taken" :denied="barred.resume ?? ''"/>
     <main v-if="look">
       <div class="column-of">
       <section class="place" aria-label="Map">

@@ -101,7 +101,7 @@ class BlockChecks:
                 self._steps(life, agent, (who, int(number)), int(piece))
             case ["gives", who, number, piece]:
                 self._blocks[who, int(number)].pieces[int(piece)].given = True
-            case ["leaves", *_]:
+            case ["leaves", *_] | [_, "failed,", "and", "its", "future", *_]:
                 pass
             case _:
                 return False
@@ -139,6 +139,8 @@ class BlockChecks:
         block.how = how
         self.closed[agent.id] += 1
         self.restarts += how == "restarted"
+        if how == "won":
+            self._check_winner(host, key, given)
         if how != "came-back":
             return
         wanted = [str(10 * number + piece) for piece in range(len(given))]
@@ -149,6 +151,16 @@ class BlockChecks:
             if not block.pieces[piece].given:
                 found = f"block {number} of {who} came back, and piece {piece} has not come to its end"
                 self._breaches.add("I4", (host,), found)
+
+    def _check_winner(self, host: str, key: tuple[str, int], given: list[str]) -> None:
+        """A racer has the result of one piece, which has come to its end."""
+        block, (who, number) = self._blocks[key], key
+        won = [piece for piece, result in enumerate(given) if result != "-1"]
+        if [given[piece] for piece in won] != [str(10 * number + piece) for piece in won] or len(won) != 1:
+            self._breaches.add("I4", (host,), f"block {number} of {who} was won with {' '.join(given)}")
+        elif not block.pieces[won[0]].given:
+            found = f"block {number} of {who} was won by piece {won[0]}, which has not come to its end"
+            self._breaches.add("I4", (host,), found)
 
     # --- what resources say ---------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from lfield.mission.bindings import DEFAULT_LEASE, DEFAULT_RESERVATION, MAX_MEMB
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from simulation_testing.fault_injection import ORDERS, Fault, FaultRates
-from simulation_testing.scenarios import crew_programs, flown_programs, keeper_programs
+from simulation_testing.scenarios import crew_programs, flown_programs, keeper_programs, racer_programs
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
 PROGRAM = """
@@ -329,6 +329,11 @@ def crew(seed: int) -> Scenario:
     )
 
 
+def racer(seed: int) -> Scenario:
+    """One of coordinators that begin calls and fetch them later, or the first of them; else as of crews."""
+    return replace(crew(seed), kind="racer")
+
+
 def keeper(seed: int) -> Scenario:
     """One of coordinators that reserve what they work with; a majority may recover some of them.
 
@@ -347,7 +352,12 @@ def keeper(seed: int) -> Scenario:
 
 
 #: What is flown where it is not the usual program.
-PROGRAMS = {"crew": crew_programs.PROGRAM, "keeper": keeper_programs.PROGRAM, "flown": flown_programs.PROGRAM}
+PROGRAMS = {
+    "crew": crew_programs.PROGRAM,
+    "racer": racer_programs.PROGRAM,
+    "keeper": keeper_programs.PROGRAM,
+    "flown": flown_programs.PROGRAM,
+}
 #: In which every round may have to wait for what others have reserved.
 RESERVES = ("keeper", "flown")
 

@@ -26,12 +26,15 @@ from simulation_testing.scenarios.scenario import (
     keeper,
     parted,
     plain,
+    racer,
 )
 
 #: Of what kinds stories of hosts with journals are.
 KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
 #: So many of them are of crews, and so many of those of keepers instead.
 CREWS, KEEPERS = 0.25, 0.5
+#: So many of the other crews are racers instead.
+RACERS = 0.5
 #: How likely stories of these kinds are, beside all others.
 RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
 #: So many stories are under orders of a person, and so many of those with devices; so many on slow computers.
@@ -73,7 +76,9 @@ def _usual(seed: int) -> Scenario:
     if not story.journals:
         return forgetful(seed)
     if random.Random(f"together {seed}").random() < CREWS:
-        return (keeper if random.Random(f"reserve {seed}").random() < KEEPERS else crew)(seed)
+        if random.Random(f"reserve {seed}").random() < KEEPERS:
+            return keeper(seed)
+        return (racer if random.Random(f"race {seed}").random() < RACERS else crew)(seed)
     dice = random.Random(f"kind {seed}")
     kind = dice.choice(KEPT)
     return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
@@ -195,6 +200,7 @@ KINDS: Mapping[str, Callable[[int], Scenario]] = {
     "parted": parted,
     "ending": ending,
     "crew": crew,
+    "racer": racer,
     "keeper": keeper,
     "split": split,
     "apart": apart,

@@ -1,0 +1,59 @@
+"""Pickers learn, alone and together: `lfield test examples/17-learning`."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import learning
+import pytest
+
+HERE = Path(__file__).parent
+README = (HERE / "README.md").read_text(encoding="utf-8")
+
+
+def held(team):
+    """The parts that held in each shift."""
+    found = (re.search(r"shift \d+: (\d+) of 80 parts held", line.text) for line in team.log)
+    return [int(one[1]) for one in found if one]
+
+
+def test_the_mission_learns(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"teacher": "done"}
+    shifts = held(team)
+    assert len(shifts) == 30
+    assert sum(shifts[:2]) < 0.5 * 160
+    assert sum(shifts[4:10]) > 0.8 * 480
+    # Six a shift: the experience travels with the orders.
+    assert len(team.hops) == 180
+
+
+def test_what_is_shared_is_learnt_sooner_at_the_same_number_of_hops():
+    (alone, alone_hops), (shared, shared_hops) = (learning.run(4, shares, 0) for shares in (False, True))
+    assert sum(shared[:10]) > 1.3 * sum(alone[:10])
+    assert shared_hops == alone_hops
+
+
+def test_a_run_is_repeated_exactly():
+    assert learning.run(2, True, 3) == learning.run(2, True, 3)
+
+
+def test_a_picker_keeps_its_own_experience_apart(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until="shift 5")
+    picks = Counter()
+    for call in team.calls:
+        picks[call.resource] += 1
+        assert sum(call.result.tried) == 20 * picks[call.resource]
+        assert sum(call.arguments[1].tried) == 60 * (picks[call.resource] - 1)
+    assert picks == dict.fromkeys(("north", "east", "south", "west"), 5)
+
+
+@pytest.mark.few(0)
+def test_the_table_and_the_picture_are_those_of_the_script():
+    learnt = learning.measured()
+    assert learning.table(learnt) in README
+    assert learning.draw(learnt) == (HERE / "learning.svg").read_text(encoding="utf-8"), "draw it again"

@@ -1,0 +1,141 @@
+"""How a plane differs from the standard one: size, numbers, moves, intelligence of prey, terrain. Pure.
+
+A binding states it in one text for all robots of a plane: `world: "size=6 prey=2 mind=random"`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import get_type_hints
+
+from lfield_arena.box import Vector
+
+#: The prey: its radius, range of sight and flight distance in metres, and its speed in m/s.
+PREY_RADIUS, VISUAL_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+#: Metres: a prey flees from walls that are nearer, also when no robot is near.
+WALL = 0.7
+#: Seconds after which a prey that moves at random turns.
+TURN = 1.0
+MINDS = ("still", "random", "away", "gap")
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """The properties of a plane; the default ones are those of the standard plane.
+
+    `size` is the side of a square with walls in metres, 0 for an open plane. `moves` and `prey_moves` are the
+    numbers of directions in which robots and prey can move, 0 for any and 4 for north, east, south, west.
+    `mind` of a prey: it stands `still`, moves at `random`, flees `away` from the nearest robot, or to the
+    widest `gap` between robots. `slope` is the gradient of the floor, downwards to the east; `mud` the
+    friction of a box in the stripe from 1 m to 2 m north, in multiples of that elsewhere.
+    """
+
+    size: float = 0.0
+    predators: int = 4
+    prey: int = 1
+    mind: str = "gap"
+    moves: int = 0
+    prey_moves: int = 0
+    seed: int = 0
+    slope: float = 0.0
+    mud: float = 1.0
+
+    @classmethod
+    def parse(cls, text: str) -> World:
+        """The world of a text of `name=value`. Raises ValueError."""
+        kinds, values = get_type_hints(cls), {}
+        for part in text.split():
+            name, _, value = part.partition("=")
+            if name not in kinds:
+                raise ValueError(f"a world has no {name!r}; it has {', '.join(f.name for f in fields(cls))}")
+            values[name] = kinds[name](value)
+        world = replace(cls(), **values)
+        if world.mind not in MINDS:
+            raise ValueError(f"no prey has the mind {world.mind!r}; there are {', '.join(MINDS)}")
+        if {world.moves, world.prey_moves} - {0, 4} or not (
+            1 <= world.predators <= 9 and 1 <= world.prey <= 9
+        ):
+            raise ValueError("moves are 0 or 4, predators and prey 1 to 9")
+        return world
+
+    def robots(self) -> dict[int, Vector]:
+        """The first places of predators, by number: in a line from west to east."""
+        north = -self.size / 4.0
+        return {n: (north, 0.8 * (n - (self.predators + 1) / 2.0)) for n in range(1, self.predators + 1)}
+
+    def prey_places(self) -> list[Vector]:
+        """The first places of the prey: north of the robots, others with another seed."""
+        places = []
+        for number in range(self.prey):
+            turn = 2.399963 * (self.seed + 3 * number)
+            spread = 0.0 if self.seed == number == 0 else 0.5
+            place = 1.6 + spread * math.cos(turn) + 0.6 * number, 0.2 + 2.0 * spread * math.sin(turn)
+            places.append(self.inside((place[0] - self.size / 4.0, place[1]), PREY_RADIUS + 0.5))
+        return places
+
+    def inside(self, place: Vector, radius: float) -> Vector:
+        """The nearest place within the walls."""
+        most = self.size / 2.0 - radius if self.size else math.inf
+        return min(most, max(-most, place[0])), min(most, max(-most, place[1]))
+
+
+def along_axes(way: Vector, moves: int) -> Vector:
+    """A velocity in the nearest permitted direction, as fast as before."""
+    if not moves or way == (0.0, 0.0):
+        return way
+    speed = math.hypot(*way)
+    if abs(way[0]) >= abs(way[1]):
+        return math.copysign(speed, way[0]), 0.0
+    return 0.0, math.copysign(speed, way[1])
+
+
+def escape(world: World, place: Vector, hunters: Sequence[Vector], now: float, number: int) -> Vector:
+    """The velocity of a prey in m/s, by its mind; walls are obstacles to all."""
+    walls = _near_walls(world, place)
+    if world.mind == "still":
+        return 0.0, 0.0
+    if world.mind == "random":
+        turn = 2.399963 * (world.seed + 7 * number + int(now / TURN) ** 2)
+        way = PREY_SPEED * math.cos(turn), PREY_SPEED * math.sin(turn)
+        return along_axes(flight(place, walls) if walls else way, world.prey_moves)
+    if world.mind == "away":
+        nearest = sorted(hunters, key=lambda hunter: math.dist(hunter, place))[:1]
+        return along_axes(flight(place, [*nearest, *walls]), world.prey_moves)
+    return along_axes(flight(place, [*hunters, *walls]), world.prey_moves)
+
+
+def _near_walls(world: World, place: Vector) -> list[Vector]:
+    """The nearest points of the walls that a prey avoids."""
+    edge = world.size / 2.0
+    if not edge:
+        return []
+    points = [(edge, place[1]), (-edge, place[1]), (place[0], edge), (place[0], -edge)]
+    return [point for point in points if math.dist(point, place) < WALL]
+
+
+def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
+    """The velocity of a prey in m/s: to the middle of the widest gap between the hunters that it sees."""
+    visible = [
+        (hunter[0] - place[0], hunter[1] - place[1])
+        for hunter in hunters
+        if math.dist(hunter, place) < VISUAL_RANGE
+    ]
+    if all(math.hypot(*way) > NEAR for way in visible):
+        return 0.0, 0.0
+    angles = sorted(math.atan2(east, north) for north, east in visible)
+    ends = [*angles[1:], angles[0] + math.tau]
+    gap, start = max((end - start, start) for start, end in zip(angles, ends, strict=True))
+    return PREY_SPEED * math.cos(start + gap / 2.0), PREY_SPEED * math.sin(start + gap / 2.0)
+
+
+def is_enclosed(place: Vector, robots: Sequence[tuple[Vector, float]]) -> bool:
+    """Whether a prey fits through no gap between robots (place and radius), which are on all sides."""
+    around = sorted(robots, key=lambda robot: math.atan2(robot[0][1] - place[1], robot[0][0] - place[0]))
+    for (one, radius), (other, other_radius) in zip(around, [*around[1:], *around[:1]], strict=True):
+        first = math.atan2(one[1] - place[1], one[0] - place[0])
+        turn = (math.atan2(other[1] - place[1], other[0] - place[0]) - first) % math.tau
+        if turn >= math.pi or math.dist(one, other) - radius - other_radius >= 2.0 * PREY_RADIUS:
+            return False
+    return len(around) > 2

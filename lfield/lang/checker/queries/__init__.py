@@ -1,0 +1,1 @@
+"""Queries of capabilities: their conditions, and the values of the program in them."""

@@ -1,0 +1,1 @@
+"""What a program declares beside its units: constants, enums, functions."""

@@ -1,0 +1,61 @@
+"""The operator of a mission under test: pauses and resumes it, and enters lines of input.
+
+A pause is sent as by `lfield pause`: as an order, which each host executes once. A line goes where the host's
+process would read its standard input: into the core, whether an agent waits for it or not.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, cast
+
+from lfield.authority.identity import ALL_RIGHTS, Identity
+from lfield.errors import MissionTestError
+from lfield.host.inputs import LineEntered
+from lfield.net.transport import Link
+from lfield.wire.observer_messages import Pause, with_epoch
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lfield.simulate.host_fleet import Fleet
+
+
+class _OperatorLink:
+    # The link of the operator; answers are ignored.
+    peer, who, send = (
+        "the test",
+        Identity("person", "the test", ALL_RIGHTS),
+        staticmethod(lambda message: None),
+    )
+
+
+class MissionOperator:
+    """The operator of a fleet; `readers` are the hosts with resources that read input."""
+
+    def __init__(self, fleet: Fleet, readers: Sequence[str]) -> None:
+        self._fleet, self._readers, self._orders = fleet, readers, 0
+
+    def pause(self, *, lift: bool) -> None:
+        """Pause the mission on all hosts that run, or with `lift` resume it."""
+        self._orders += 1
+        order = Pause(self._orders.to_bytes(16), lift)
+        for life in self._fleet.lives.values():
+            command = with_epoch(order, life.core.orders.epochs)
+            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, _OperatorLink)))
+
+    def type_line(self, host: str, text: object) -> None:
+        """Enter a line where a host runs, at the end of the present moment. Raises MissionTestError."""
+        call = f"type_line({host!r}, {text!r})"
+        if not isinstance(text, str) or "\n" in text:
+            raise MissionTestError(f"{call}: give one line of text, without its newline")
+        if host not in self._readers:
+            known = ", ".join(self._readers) or "none"
+            raise MissionTestError(
+                f"{call}: no resource of {host} reads input; these hosts have one: {known}"
+            )
+        self._fleet.later(0.0, partial(self._enter, host, text))
+
+    def _enter(self, host: str, text: str) -> None:
+        if (life := self._fleet.lives.get(host)) is not None:
+            life.process.loop.enter(partial(life.host.dispatch, LineEntered(text)))

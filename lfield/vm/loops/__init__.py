@@ -1,0 +1,1 @@
+"""Loops of resources: their ticks, and which loop controls the devices."""

@@ -1,0 +1,109 @@
+"""Bugs of constants, enums, functions and parameters of queries: golden programs must find each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import pytest
+
+from lfield.capability.condition_compiler import compile_query
+from lfield.capability.model import Attribute, OfferQuery
+from lfield.capability.parameter_units import UnitCheck
+from lfield.capability.query_values import Bindable, bind
+from lfield.host import offer_queries
+from lfield.lang.checker.library import enum_members
+from lfield.lang.checker.scope import BodyContext
+from lfield.lang.checker.top_level import constant_values, purity
+from lfield.lang.standard_library.instances import enum_text
+
+Patch = pytest.MonkeyPatch
+_ATTRIBUTES = {
+    **{name: Attribute(name, "real", unit="m") for name in ("north", "east", "down")},
+    "payload": Attribute("payload", "real", unit="kg"),
+    "colour": Attribute("colour", "text"),
+}
+
+
+@dataclass(frozen=True)
+class LanguageBug:
+    """A bug: how it is planted, what is broken, and the golden program that finds it."""
+
+    plant: Callable[[Patch], None]
+    broken: str
+    program: str
+
+    @property
+    def name(self) -> str:
+        return self.plant.__name__
+
+
+def values_are_pasted_into_the_query(patch: Patch) -> None:
+    def paste(query: OfferQuery, values: list[Bindable]) -> OfferQuery:
+        text = query.condition.text if query.condition is not None else ""
+        for number, value in enumerate(values):
+            for letter in "ntb":
+                written = f'"{value}"' if isinstance(value, str) else str(value).lower()
+                text = text.replace(f"${letter}{number}", written)
+        bound = bind(query, values)
+        return replace(bound, condition=compile_query(text, _ATTRIBUTES).condition) if text else bound
+
+    patch.setattr(offer_queries, "bind", paste)
+
+
+def units_of_parameters_are_ignored(patch: Patch) -> None:
+    patch.setattr(UnitCheck, "_convert", lambda self, parameter, needed: needed)
+
+
+def the_name_of_a_member_is_that_of_its_neighbour(patch: Patch) -> None:
+    patch.setattr(
+        enum_members, "enum_text", lambda name, members: enum_text(name, [*members[1:], members[0]])
+    )
+
+
+def functions_see_the_methods_of_their_caller(patch: Patch) -> None:
+    patch.setattr(BodyContext, "methods", lambda self, name: self.unit.overloads(name, "method"))
+
+
+def constants_divide_to_the_lower_number(patch: Patch) -> None:
+    patch.setattr(
+        constant_values, "_whole", lambda op, left, right: left // right if op == "/" else left % right
+    )
+
+
+def what_is_stored_in_an_array_is_forgotten(patch: Patch) -> None:
+    patch.setattr(purity._Changes, "_put", lambda self, target, values: None)
+
+
+BUGS = (
+    LanguageBug(
+        values_are_pasted_into_the_query,
+        "values of a query are pasted into its text: a quote in one changes the query",
+        "capability_parameters",
+    ),
+    LanguageBug(
+        units_of_parameters_are_ignored,
+        "a parameter in grams is compared with kilograms",
+        "capability_parameters",
+    ),
+    LanguageBug(
+        the_name_of_a_member_is_that_of_its_neighbour,
+        "name() of a member returns the name of the next one",
+        "top_level_enums",
+    ),
+    LanguageBug(
+        functions_see_the_methods_of_their_caller,
+        "a function calls a method of the unit that calls it, which has the name of another function",
+        "top_level_functions",
+    ),
+    LanguageBug(
+        constants_divide_to_the_lower_number,
+        "constants divide towards minus infinity, and the machine towards zero",
+        "top_level_constants",
+    ),
+    LanguageBug(
+        what_is_stored_in_an_array_is_forgotten,
+        "a function changes an argument through an array in which it has stored it",
+        "L438_argument",
+    ),
+)

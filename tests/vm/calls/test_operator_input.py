@@ -1,0 +1,93 @@
+"""`read`: which thread gets a line, what is kept, and what ends a wait."""
+
+from __future__ import annotations
+
+from joined_hosts import JoinedHosts
+
+from lfield.testing.golden import compile_text
+from lfield.vm.agent import TeamMember
+from lfield.vm.waits.operator_input import MAX_KEPT, MAX_LINE, NO_READER, TOO_MANY, OperatorInput
+
+PROGRAM = """
+resource Desk {
+    init(string[] arg) { }
+    portal ask(string who, real limit) emit string {
+        try {
+            return who + ": " + read(limit);
+        } catch (CancelledException e) {
+            write(who + " is cancelled\\n");
+            throw e;
+        }
+    }
+}
+coordinator Asker {
+    init(string[] arg) {
+        try {
+            within (s2f(arg[2])) { print(findDesk("desk").ask(arg[0], s2f(arg[1]))); }
+        } catch (TimeLimitException e) {
+            print(e.message());
+        }
+    }
+}
+"""
+
+
+class Desk:
+    """A host with a desk, and a coordinator for each (limit, time limit)."""
+
+    def __init__(self, *askers: tuple[float, float]) -> None:
+        program = compile_text(PROGRAM)
+        team = [TeamMember(0, "desk", "Desk", "resource", 0)]
+        for number, limits in enumerate(askers, 1):
+            words = tuple(map(str, limits))
+            team.append(TeamMember(number, f"a{number}", "Asker", "coordinator", 0, words))
+        self.hosts = JoinedHosts(program, team)
+        self.world, self.machine = self.hosts.places[0], self.hosts.places[0].machine
+        self.run()
+
+    @property
+    def given(self) -> OperatorInput:
+        return self.machine.operator_input
+
+    def run(self, seconds: float = 0.0) -> list[str]:
+        self.hosts.clock.advance(seconds)
+        while self.machine.run() == 0:
+            pass
+        said, self.world.output[:] = list(self.world.output), []
+        return said
+
+
+def test_the_thread_that_has_waited_longest_gets_the_next_line() -> None:
+    desk = Desk((10.0, 60.0), (10.0, 60.0))
+    assert desk.given.waiting_agents == ["desk"]
+    assert [desk.given.enter(text, is_kept=False) for text in ("yes", "no")] == ["", ""]
+    assert desk.run() == ["a1: yes", "a2: no"]
+    assert desk.given.waiting_agents == []
+
+
+def test_a_line_that_no_thread_waits_for_is_kept_but_not_many() -> None:
+    desk = Desk()
+    assert desk.given.enter("from the page", is_kept=False) == NO_READER
+    assert {desk.given.enter(str(n), is_kept=True) for n in range(MAX_KEPT)} == {""}
+    assert desk.given.enter("more", is_kept=True) == TOO_MANY
+
+
+def test_a_line_is_shortened() -> None:
+    desk = Desk((10.0, 60.0))
+    desk.given.enter("x" * (MAX_LINE + 1), is_kept=True)
+    assert desk.run() == ["a1: " + "x" * MAX_LINE]
+
+
+def test_the_limit_of_the_caller_cancels_a_wait_and_the_line_goes_to_the_next() -> None:
+    desk = Desk((10.0, 1.0), (10.0, 60.0))
+    said = desk.run(1.1)
+    assert "a1 is cancelled" in said
+    desk.given.enter("late", is_kept=False)
+    assert desk.run() == ["a2: late"]
+
+
+def test_the_limit_is_that_of_each_thread() -> None:
+    desk = Desk((1.0, 60.0), (2.0, 60.0))
+    assert [line.partition(":")[0] for line in desk.run(1.1)] == ["no line was entered at desk within 1 s"]
+    assert [line.partition(":")[0] for line in desk.run(1.0)] == ["no line was entered at desk within 2 s"]
+    assert desk.given.enter("late", is_kept=False) == NO_READER

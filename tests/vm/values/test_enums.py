@@ -1,0 +1,137 @@
+"""Enums as a person reads them: decoded blocks, a debugger, listings, tests of missions; and the verifier."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from lfield.bytecode.disassembler import disassemble
+from lfield.bytecode.encoding import decode, encode
+from lfield.bytecode.program import INT, Program, TypeRecord
+from lfield.bytecode.verifier import verify
+from lfield.errors import ProgramFileError
+from lfield.replay.debugger.value_tree import ValueReader
+from lfield.testing.golden import compile_text, run_text
+from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
+from lfield.vm.inspection.block_view import view
+from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+
+TEXT = """
+enum Phase { SEARCH, LIFT, HOME }
+class Step { public Phase phase; }
+resource R {
+    Phase now = Phase.LIFT;
+    Phase[] all = {Phase.HOME, Phase.SEARCH};
+    map<Phase, Phase> next = new map<Phase, Phase>();
+    Step step = new Step();
+    int number = 2;
+    init(string[] arg) {
+        Phase held = Phase.HOME;
+        next[Phase.SEARCH] = Phase.LIFT;
+        step.phase = held;
+        while (true) yield();
+    }
+    portal given(Phase p, Phase[] more) emit Phase { return more[0]; }
+}
+"""
+
+
+def running() -> tuple[Machine, Block]:
+    _, machine = run_text(TEXT)
+    return machine, machine.agents["r"].block
+
+
+def test_a_decoded_block_shows_names() -> None:
+    machine, block = running()
+    shown = view(block, machine.program)
+    fields = dict(shown.fields)
+    assert fields["now"] == "LIFT"
+    assert fields["all"].endswith("{HOME, SEARCH}")
+    assert fields["next"].endswith("{SEARCH: LIFT}")
+    assert fields["step"].endswith("{HOME}")
+    assert fields["number"] == "2"
+    assert ("held", "HOME") in shown.threads[0].frames[0].locals
+
+
+def test_a_number_without_a_member_is_shown_as_a_number() -> None:
+    """A block of another host is checked for references, not for the numbers of enums."""
+    machine, block = running()
+    block.w[block.w[layout.W_SELF] + 1] = 77
+    assert dict(view(block, machine.program).fields)["now"] == "77"
+
+
+def test_a_debugger_has_types_and_names() -> None:
+    machine, block = running()
+    reader = ValueReader(block, machine.program)
+    record = machine.program.core.classes[machine.program.class_index["R"]]
+    types = {field.name: field.type for field in record.fields}
+    assert [reader.type_name(types[name]) for name in ("now", "all", "number")] == ["Phase", "Phase[]", "int"]
+    assert reader.variable("now", types["now"], 2).value == "HOME"
+    assert reader.plain((types["now"], 1)) == "LIFT"
+    assert reader.plain((types["number"], 1)) == 1
+
+
+def test_a_test_of_a_mission_has_names() -> None:
+    program = compile_text(TEXT)
+    portal = next(method for method in program.core.methods if method.name == "given")
+    kind, array = portal.slots[1], portal.slots[2]
+    block = Block(bytearray(8 * 4096), 64, 4096)
+    words = [
+        EncodedValue(program, kind, "HOME").put(block),
+        EncodedValue(program, array, ["LIFT"]).put(block),
+    ]
+    assert values_of(block, program, [kind, array], words) == ["HOME", ["LIFT"]]
+    for wrong in ("Home", 1, None, True):
+        with pytest.raises(Mismatch) as caught:
+            EncodedValue(program, kind, wrong)
+        assert caught.value.expected == "Phase"
+
+
+def test_a_program_with_an_enum_is_encoded_and_listed() -> None:
+    program = compile_text(TEXT)
+    again = decode(encode(program))
+    assert again.digest == program.digest
+    listing = disassemble(again)
+    assert "enum Phase\n    0  SEARCH\n    1  LIFT\n    2  HOME\n" in listing
+    assert "portal R.given(Phase, Phase[]) Phase" in listing
+
+
+def test_the_names_are_part_of_the_identity_of_a_program() -> None:
+    assert compile_text(TEXT).digest != compile_text(TEXT.replace("LIFT", "RAISE")).digest
+
+
+def test_an_unused_constant_or_function_changes_nothing() -> None:
+    text = "resource R { init(string[] arg) { } }"
+    unused = "const int ONE = 1; int twice(int n) { return 2 * n; } "
+    assert compile_text(text).digest == compile_text(unused + text).digest
+
+
+def changed(program: Program, record: TypeRecord) -> Program:
+    """The program with another record for the type of the enum."""
+    types = tuple(record if one.kind == INT and one.of else one for one in program.core.types)
+    return Program(replace(program.core, types=types), program.debug, program.digest)
+
+
+def test_the_verifier_refuses_an_enum_without_members() -> None:
+    program = compile_text(TEXT)
+    verify(program)
+    index = program.class_index
+    for of in (0, 1, index["R"], index["Step"], len(program.core.classes), -1):
+        with pytest.raises(ProgramFileError):
+            verify(changed(program, TypeRecord(INT, of)))
+
+
+def test_the_verifier_keeps_enums_apart_from_other_values() -> None:
+    program = compile_text(TEXT)
+    kind = next(i for i, one in enumerate(program.core.types) if one.kind == INT and one.of)
+    step = program.class_index["Step"]
+    record = program.core.classes[step]
+    for wrong in (1, 3, 4):  # boolean, real, string
+        fields = tuple(replace(field, type=wrong) if field.type == kind else field for field in record.fields)
+        classes = list(program.core.classes)
+        classes[step] = replace(record, fields=fields)
+        core = replace(program.core, classes=tuple(classes))
+        with pytest.raises(ProgramFileError):
+            verify(Program(core, program.debug, program.digest))
