@@ -41,6 +41,7 @@ from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.parts.standstill import StandstillCheck
 from lfield_mavlink.parts.storage import Files, Settings
+from lfield_mavlink.plan_flight import PlanFlight
 from lfield_mavlink.services.autopilot_version import AutopilotVersion
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import Parameters
@@ -103,12 +104,14 @@ class MavlinkVehicle(Contact):
         self._nature = VehicleFacts(self, self.parameters, self.motion.fence, binding)
         self._guidance = Guidance(self, self.motion, limits)
         self._missions = Missions(self, self.motion, limits, self.plans, returns)
+        fences = Fences(self, self.plans, self.parameters)
         self.parts = (
             self._flight,
             readiness,
             self._guidance,
             self._missions,
-            Fences(self, self.plans, self.parameters),
+            fences,
+            PlanFlight(self, self.motion, self._missions, fences, self.plans),
             Rally(self, self.plans),
             Payload(self),
             Maintenance(self, self._renew),
