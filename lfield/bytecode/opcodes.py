@@ -382,6 +382,17 @@ TABLE: tuple[Opcode, ...] = (
         exits=True,
     ),
     _head(1873, "tick_failed", "ref", "Reports the exception that has ended a tick of a loop.", exits=True),
+    # sequencing: each moves the coordinator to the home of the one that it names, which decides
+    _head(
+        1851,
+        "seq_start",
+        "string int",
+        "Starts a coordinator; 2 identifies the request. ReservedException when it runs.",
+        exits=True,
+    ),
+    _head(1852, "seq_stop", "string", "Orders the end of a coordinator, if it runs.", exits=True),
+    _head(1853, "seq_end", "string->string", "Waits for the end of a coordinator: how it ended.", exits=True),
+    _head(1854, "seq_alive", "string->boolean", "Whether a coordinator runs.", exits=True),
     # the operator's input
     _head(
         1850,
@@ -450,3 +461,6 @@ TABLE: tuple[Opcode, ...] = (
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}
 BY_NAME: dict[str, Opcode] = {row.name: row for row in TABLE}
+
+#: The instructions that visit the home of another coordinator, with their functions in L.
+SEQUENCING = {"seq_start": "start", "seq_stop": "stop", "seq_end": "awaitEnd", "seq_alive": "running"}

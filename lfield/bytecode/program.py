@@ -13,6 +13,8 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
+from lfield.bytecode.opcodes import BY_NAME
+
 # Kinds of types. The first eight types of every program are those without parts, at these indexes.
 VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
 ARRAY, OBJECT, PROXY = 8, 9, 10
@@ -77,6 +79,7 @@ UnitKind = Literal["class", "resource", "coordinator"]
 LIBRARY_SOURCE = "<library>"
 
 _QUAD = struct.Struct("<4i")
+_SEQ_STOP = BY_NAME["seq_stop"].code
 
 
 class Quad(NamedTuple):
@@ -307,6 +310,11 @@ class Program:
     def has_reserves(self) -> bool:
         """Whether it has a `reserve`."""
         return any(h.kind == RESERVED for method in self.core.methods for h in method.handlers)
+
+    @cached_property
+    def has_stops(self) -> bool:
+        """Whether it stops coordinators: then a limit is around the `init` of each."""
+        return any(quad.op == _SEQ_STOP for quad in self.quads)
 
     @cached_property
     def kinds(self) -> tuple[frozenset[int], ...]:

@@ -208,7 +208,7 @@ def _homes(mission: Mission | None) -> dict[str, str] | None:
     if mission is None:
         return None
     homes = mission.team.homes
-    return {member.id: homes[member.id] for member in mission.team.coordinators}
+    return {member.id: homes[member.id] for member in mission.team.initial_coordinators}
 
 
 async def _watch_end(feed: EventFeed, end: MissionEnd) -> None:

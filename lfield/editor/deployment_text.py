@@ -81,7 +81,8 @@ def hover_of_name(name: DeploymentName, text: str) -> str:
     agent = next((one for one in entries if one.id.text == name.span.text and not one.is_witness), None)
     if agent is None:
         return ""
-    return f"agent `{agent.id.text}`: {agent.type.text} on host `{agent.host.text}`"
+    what = " ".join(filter(None, (agent.startable.text, agent.type.text)))
+    return f"agent `{agent.id.text}`: {what} on host `{agent.host.text}`"
 
 
 def _has_host(entry: DeploymentEntry, host: str) -> bool:

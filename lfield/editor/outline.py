@@ -43,7 +43,8 @@ def deployment_outline(entries: list[DeploymentEntry]) -> list[OutlineEntry]:
     found = []
     for entry in entries:
         name, host = (entry.host, "witness") if entry.is_witness else (entry.id, entry.host.text)
-        detail = host if entry.is_witness else f"{entry.type.text} on {host}"
+        what = " ".join(filter(None, (entry.startable.text, entry.type.text)))
+        detail = host if entry.is_witness else f"{what} on {host}"
         kind = "witness" if entry.is_witness else "agent"
         span = entry.span
         found.append(OutlineEntry(name.text, detail, kind, span.start, span.end, name.start, name.end))

@@ -31,6 +31,7 @@ from lfield.host.migration.delayed_acks import DelayedAcks
 from lfield.host.migration.init_barrier import InitBarrier
 from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.host.sequencing.sequencing_service import SequencingService
 from lfield.host.team import operator_commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
@@ -108,6 +109,7 @@ class HostCore:
         self.offers = CapabilityQueries(self.directory, mission)
         self._inits = InitBarrier(machine.opening, context.log)
         self.commands = DeviceCommands(context, machine, self.leases, membership, mobility)
+        self.sequencing = SequencingService(context, self.coordinators, self.leases, machine)
         self.locator = Locator(context, self.coordinators, self.leases, self.commands)
         self.reachability = Reachability(context, membership, mobility)
         self.call_watch = CallWatch(context, machine, self.reachability)
@@ -117,6 +119,7 @@ class HostCore:
         self._parts: list[Part | QueryRelay[Effect]] = [
             acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
             self.commands, self.pending_calls, self.reservations, self.locator, self.call_watch,
+            self.sequencing,
         ]  # fmt: skip
         self._handlers = {kind: handler for part in self._parts for kind, handler in part.handles.items()}
         self._observers: dict[type[HostEvent], list[EventHandler]] = {
@@ -216,6 +219,7 @@ class HostCore:
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
                 self._migrations.restore_in_flight(known)
                 self.require_link(known.where)
+        self.sequencing.open(first=first)
         self.startup.open(first=first)
 
     def stop_agents(self) -> None:
@@ -226,7 +230,8 @@ class HostCore:
     @property
     def has_coordinators(self) -> bool:
         """Whether coordinators start here, or were here in the previous incarnation."""
-        return bool(self.startup.own_agents or self.coordinators.recovery.copies)
+        own = self.startup.own_agents or self.sequencing.own_agents
+        return bool(own or self.coordinators.recovery.copies)
 
     def wait_reason(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
@@ -235,7 +240,7 @@ class HostCore:
             return first or self._inits.wait_reason(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        reserves = self.reservations.wait_reason(agent)
+        reserves = self.reservations.wait_reason(agent) or self.sequencing.wait_reason(agent)
         return reserves or operator_commands.wait_reason(
             self.coordinators, self.machine, self.team.hosts, agent
         )
@@ -283,12 +288,13 @@ class HostCore:
         if host in self.team.hosts and host != self.name:
             self.membership.ended.add(host)
             self.startup.on_host_exited(host)
+            self.sequencing.on_host_exited(host)
             self._effects.append(WAKE_WAITERS)
 
     def needed_hosts(self) -> set[str]:
         """The hosts to have links with now: neighbours, and hosts that are waited for."""
         waited = self.mobility.needed_hosts() | self.leases.needed_hosts | self.reservations.needed_hosts
-        waited.update(self.startup.needed_hosts, self.call_watch.needed_hosts)
+        waited.update(*(p.needed_hosts for p in (self.startup, self.call_watch, self.sequencing)))
         waited.update(self.membership.overlay_links(self._clock.monotonic()))
         return waited - {self.name}
 

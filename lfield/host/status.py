@@ -99,6 +99,7 @@ def status_of(
         ballot=core.coordinators.ballot,
         observers=links.monitor.observers.by_name(),
         reads=core.machine.operator_input.waiting_agents,
+        startable=core.sequencing.startable_now,
     )
 
 

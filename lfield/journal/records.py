@@ -91,6 +91,18 @@ class ReservationRecord(Struct, frozen=True, array_like=True, forbid_unknown_fie
     generation: Count = 0
 
 
+class SequenceRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="sequence"):
+    """The last start of a startable coordinator by this host, its home, for a `request` of another one.
+
+    `stopping` is the coordinator that has ordered its end, '' for none.
+    """
+
+    agent: str
+    generation: Count = 0
+    request: Count = 0
+    stopping: str = ""
+
+
 class StartCounter(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="starts"):
     """The number of starts on this host: the counter from which generations are derived."""
 
@@ -155,6 +167,7 @@ Record = (
     CoordinatorRecord
     | PendingCallRecord
     | ReservationRecord
+    | SequenceRecord
     | StartCounter
     | RunMarker
     | BundleRecord
@@ -181,6 +194,8 @@ def key_of(record: Record) -> RecordKey:
             return pending_call_key(record.agent, record.generation, record.number)
         case ReservationRecord():
             return RecordKey("reservation", record.resource)
+        case SequenceRecord():
+            return RecordKey("sequence", record.agent)
         case FenceRecord():
             return RecordKey("fence", record.agent)
         case ProgramRecord():

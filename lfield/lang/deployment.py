@@ -1,7 +1,8 @@
 """Deployment files (`mission.dL`): which agent lives on which host, with which arguments (chapter IV).
 
 A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` before the slashes and the slashes themselves
-are optional. `//@host[:port]` is a witness: a host without agents, which only counts when the team decides
+are optional. `startable` before it marks a coordinator that does not start with its host: another coordinator
+starts it. `//@host[:port]` is a witness: a host without agents, which only counts when the team decides
 that a host is lost (appendix I). A `#` at the start of a line or after a space begins a comment.
 """
 
@@ -25,6 +26,9 @@ from lfield.text.input_files import MAX_TEXT, invalid_byte, read_bytes
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 from lfield.text.suggestions import did_you_mean, listed
 
+#: The prefix of the type of a startable coordinator in the rows of a team; no type has a space.
+STARTABLE = "startable "
+
 #: 'unknown' when the deployment was read without its program.
 AgentKind = Literal["resource", "coordinator", "unknown"]
 
@@ -40,6 +44,7 @@ class DeployedAgent:
     port: int | None
     arguments: tuple[str, ...]
     span: Span
+    startable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +82,8 @@ class Deployment:
 
     @property
     def rows(self) -> list[tuple[str, str, str, tuple[str, ...]]]:
-        """Type, id, host and arguments of each agent, which make the team; of a witness only the host."""
-        agents = [(a.type, a.id, a.host, a.arguments) for a in self.agents]
+        """Type (`row_type`), id, host and arguments of each agent; of a witness only the host."""
+        agents = [(row_type(a.type, startable=a.startable), a.id, a.host, a.arguments) for a in self.agents]
         return [*agents, *(("", "", witness.host, ()) for witness in self.witnesses)]
 
     @property
@@ -132,7 +137,14 @@ def parse_deployment(
     kinds = units or {}
     agents = [
         DeployedAgent(
-            e.type.text, e.id.text, _kind(kinds, e.type.text), e.host.text, e.port, e.arguments, e.span
+            e.type.text,
+            e.id.text,
+            _kind(kinds, e.type.text),
+            e.host.text,
+            e.port,
+            e.arguments,
+            e.span,
+            bool(e.startable.text),
         )
         for e in entries
         if not e.is_witness
@@ -160,6 +172,11 @@ def read_with_warnings(
     if deployment is None:
         raise ProgramError(found)
     return deployment, found
+
+
+def row_type(type: str, *, startable: bool) -> str:
+    """The type of an agent in the rows of a team: with a prefix for a startable one."""
+    return f"{STARTABLE}{type}" if startable else type
 
 
 def _kind(units: Mapping[str, UnitKind], name: str) -> AgentKind:
@@ -197,6 +214,12 @@ class _Checks:
         for entry in agents:
             if self.deployable:
                 self.type(entry.type)
+            if (
+                entry.startable.text
+                and self.units is not None
+                and self.units.get(entry.type.text) == "resource"
+            ):
+                self.found.add(messages.DEPLOY_STARTABLE.at(entry.startable, id=entry.id.text))
             self.id(entry.id)
         for entry in entries:
             self.host(entry.host)

@@ -1,4 +1,7 @@
-"""One line of a deployment file: `//Type:id@host[:port][?argument&argument]`, or `//@host[:port]`."""
+"""One line of a deployment file: `//Type:id@host[:port][?argument&argument]`, or `//@host[:port]`.
+
+`startable` and a space before an agent mark a coordinator that the program starts (decision 105).
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ _COMMENT = re.compile(r"(?:^|(?<=\s))#")
 _NAME = re.compile(r"[A-Za-z0-9._-]+", re.ASCII)
 _TYPE = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _ESCAPE = re.compile(r"%(?![0-9a-fA-F]{2}).{0,2}", re.DOTALL)
+_STARTABLE = re.compile(r"startable[ \t]+")
 _LONGEST_HOST = 253
 _HIGHEST_PORT = 65535
 
@@ -23,7 +27,8 @@ _HIGHEST_PORT = 65535
 class DeploymentEntry:
     """The parts of a line with their places; `port_span` is the port, or the host without one.
 
-    The line of a witness, a host without agents, has an empty type and id.
+    The line of a witness, a host without agents, has an empty type and id. `startable` is that word, empty
+    for an agent that starts with its host.
     """
 
     span: Span
@@ -33,6 +38,7 @@ class DeploymentEntry:
     port: int | None
     port_span: Span
     arguments: tuple[str, ...]
+    startable: Span
 
     @property
     def is_witness(self) -> bool:
@@ -93,12 +99,17 @@ class _Reader:
 
     def entry(self, whole: Span) -> DeploymentEntry:
         """The parts of the line."""
+        marked = _STARTABLE.match(whole.text)
+        startable = _part(whole, 0, len("startable") if marked else 0)
+        whole = _part(whole, marked.end() if marked else 0, len(whole.text))
         space = re.search(r"\s", whole.text)
         if space is not None:
             self.report(messages.DEPLOY_SPACE, _part(whole, space.start(), space.end()))
             raise _Malformed
         body = self.strip_scheme(whole)
         if body.text.startswith("@"):
+            if startable.text:
+                self.problem(startable, "a witness has no agents, so it has none that is startable")
             return self.witness(whole, body)
         place, _, _ = body.text.partition("?")
         agent = _part(body, 0, len(place))
@@ -112,7 +123,7 @@ class _Reader:
             self.report(messages.DEPLOY_ID, name, id=name.text)
         host, port_span, port = self.address(address)
         arguments = self.arguments(_part(body, len(place) + 1, len(body.text)))
-        return DeploymentEntry(whole, kind, name, host, port, port_span, arguments)
+        return DeploymentEntry(whole, kind, name, host, port, port_span, arguments, startable)
 
     def witness(self, whole: Span, body: Span) -> DeploymentEntry:
         """The line of a host without agents."""
@@ -121,7 +132,7 @@ class _Reader:
         if mark:
             self.problem(_part(body, len(place), len(body.text)), "arguments are for an agent")
         host, port_span, port = self.address(_part(body, 1, len(place)))
-        return DeploymentEntry(whole, nothing, nothing, host, port, port_span, ())
+        return DeploymentEntry(whole, nothing, nothing, host, port, port_span, (), nothing)
 
     def strip_scheme(self, whole: Span) -> Span:
         """The line behind `pitp://` or `//`."""

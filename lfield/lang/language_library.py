@@ -37,6 +37,9 @@ class LibraryFunction:
     meaning: str = ""
 
 
+#: The operation of functions that are in L (`lfield/lang/standard_library/sequencing.L`).
+SEQUENCED = "sequencing"
+
 FUNCTIONS: tuple[LibraryFunction, ...] = (
     LibraryFunction("write", (INT,), VOID, "write_int", "resource", "writes a number to standard output"),
     LibraryFunction("write", (REAL,), VOID, "write_float", "resource", "writes a number to standard output"),
@@ -70,6 +73,33 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
         "heartbeat_interval",
         "coordinator",
         "seconds without a sign of this coordinator until it is recovered, -1: never; ArithmeticException",
+    ),
+    LibraryFunction(
+        "start",
+        (STRING, REAL),
+        VOID,
+        SEQUENCED,
+        "coordinator",
+        "starts a startable coordinator within this many seconds; ReservedException if it runs",
+    ),
+    LibraryFunction(
+        "stop",
+        (STRING, REAL),
+        VOID,
+        SEQUENCED,
+        "coordinator",
+        "stops a startable coordinator if it runs, and waits for its end",
+    ),
+    LibraryFunction(
+        "awaitEnd",
+        (STRING, REAL),
+        STRING,
+        SEQUENCED,
+        "coordinator",
+        "waits for the end of a startable coordinator: done, stopped, or how it failed",
+    ),
+    LibraryFunction(
+        "running", (STRING, REAL), BOOLEAN, SEQUENCED, "coordinator", "whether a startable coordinator runs"
     ),
     LibraryFunction("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
     LibraryFunction("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),
@@ -117,7 +147,7 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
 )
 
 #: Functions that lfield 0.4 lacks: a method of this name is allowed, and takes precedence in its unit.
-YIELDING = frozenset({"read"})
+YIELDING = frozenset({"read", "start", "stop", "awaitEnd", "running"})
 
 #: Methods of strings: `s.length()`. The receiver is the first argument of the operation.
 STRING_METHODS: tuple[LibraryFunction, ...] = (

@@ -606,6 +606,18 @@ MISSING_ARGUMENT = _message(
     "end its line with ?{given}",
 )
 
+UNKNOWN_STARTABLE = _message(
+    "L717", "the deployment has no coordinator '{id}'", "{function} takes the id of a startable coordinator"
+)
+NOT_STARTABLE = _message(
+    "L718",
+    "'{id}' is not startable",
+    "write startable before its line in the deployment: it then starts only when a coordinator starts it",
+)
+DEPLOY_STARTABLE = _message(
+    "L719", "'{id}' is a resource: resources start with their hosts", "remove startable from this line"
+)
+
 # --- L8xx: together, within and reserve -----------------------------------------------------------------
 
 COORDINATOR_KEYWORD = _message(

@@ -25,7 +25,7 @@ from lfield.mission.bindings import (
     RecoverySettings,
     needed_devices_of,
 )
-from lfield.mission.team import TeamRow
+from lfield.mission.team import STARTABLE, TeamRow
 from lfield.vm.engine_interface import MAX_TIDY_SECONDS, AgentLimits
 from lfield.vm.wasm.engine_selection import CHOICES
 from lfield.wire.fields import MAX_NAME
@@ -52,8 +52,11 @@ def check_rows(rows: Sequence[TeamRow], kinds: Mapping[str, str]) -> None:
     if not all(0 < len(host) <= MAX_NAME for host in alone):
         raise BundleError("a name in the team is too long, or empty")
     for type, id, host, _ in agents:
-        if kinds.get(type) not in ("resource", "coordinator"):
-            raise BundleError(f"agent '{id}' has the type '{type}', which the program does not define")
+        name = type.removeprefix(STARTABLE)
+        if kinds.get(name) not in ("resource", "coordinator"):
+            raise BundleError(f"agent '{id}' has the type '{name}', which the program does not define")
+        if name != type and kinds[name] != "coordinator":
+            raise BundleError(f"agent '{id}' is startable, and no coordinator")
         if not (0 < len(id) <= MAX_NAME and 0 < len(host) <= MAX_NAME):
             raise BundleError("a name in the team is too long, or empty")
 

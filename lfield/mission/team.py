@@ -15,6 +15,8 @@ from lfield.net.transport import DEFAULT_PORT, split_address, split_addresses
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.vm.agent import AgentKind, TeamMember
 
+#: The prefix of the type of a coordinator that the program starts (decision 105), in its row.
+STARTABLE = "startable "
 #: A row of a deployment: type, id, host and arguments of an agent. For a witness, a host without agents, only
 #: the host.
 TeamRow = tuple[str, str, str, tuple[str, ...]]
@@ -91,6 +93,17 @@ class Team:
         return tuple(m for m in self.members if m.kind == "coordinator")
 
     @cached_property
+    def initial_coordinators(self) -> Sequence[TeamMember]:
+        """The coordinators that start with their hosts. A mission lasts until they, and all that were started
+        by others, have ended."""
+        return tuple(m for m in self.coordinators if not m.is_startable)
+
+    @cached_property
+    def startable(self) -> Mapping[str, TeamMember]:
+        """The coordinators that the program starts, by id."""
+        return {m.id: m for m in self.coordinators if m.is_startable}
+
+    @cached_property
     def deployed(self) -> Sequence[DeployedMember]:
         """All agents with the names of their hosts."""
         return tuple(DeployedMember(m.id, m.type, self.hosts[m.host]) for m in self.members)
@@ -98,7 +111,10 @@ class Team:
     @property
     def rows(self) -> list[TeamRow]:
         """The rows of the deployment, in order: agents and witnesses."""
-        agents = [(m.type, m.id, self.hosts[m.host], m.arguments) for m in self.members]
+        agents = [
+            (f"{STARTABLE}{m.type}" if m.is_startable else m.type, m.id, self.hosts[m.host], m.arguments)
+            for m in self.members
+        ]
         homes = {member.host for member in self.members}
         return [*agents, *(("", "", host, ()) for n, host in enumerate(self.hosts) if n not in homes)]
 
@@ -134,11 +150,17 @@ def team_of(rows: Iterable[TeamRow], kinds: Mapping[str, AgentKind], ports: Mapp
     row_list = list(rows)
     numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in row_list))}
     members = tuple(
-        TeamMember(i, id, type, kinds[type], numbers[host], arguments)
-        for i, (type, id, host, arguments) in enumerate(row for row in row_list if row[0])
+        _member(i, kinds, numbers[host], row)
+        for i, (host, row) in enumerate((row[2], row) for row in row_list if row[0])
     )
     addresses = tuple(f"{host}:{ports.get(host, DEFAULT_PORT)}" for host in numbers)
     return Team(members, tuple(numbers), addresses, hashlib.sha256(encode_rows(row_list)).digest())
+
+
+def _member(number: int, kinds: Mapping[str, AgentKind], host: int, row: TeamRow) -> TeamMember:
+    type, id, _, arguments = row
+    name = type.removeprefix(STARTABLE)
+    return TeamMember(number, id, name, kinds[name], host, arguments, is_startable=type != name)
 
 
 def encode_rows(rows: Iterable[TeamRow]) -> bytes:

@@ -214,7 +214,7 @@ class BundleVerifier:
 def homes_of(mission: Mission) -> dict[str, str]:
     """The coordinators of a mission, each with the host on which it starts."""
     team = mission.team
-    return {one.id: team.hosts[one.host] for one in team.coordinators[:MAX_COORDINATORS]}
+    return {one.id: team.hosts[one.host] for one in team.initial_coordinators[:MAX_COORDINATORS]}
 
 
 def vehicles_of(data: bytes, host: str) -> list[str]:

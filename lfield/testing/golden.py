@@ -4,6 +4,7 @@
     throw new NullException("x"); // throws: NullException: x
     // deploy: Server:s1?5&3      (optional; else one agent of each unit, its id the type in lower case)
     // registry: lifting.yaml     (optional; a registry of capabilities, beside the program)
+    // startable: Patrol:patrol   (optional; as deploy, of a coordinator that the program starts)
     // input: yes                 (optional; a line of operator input that is entered at the start)
 
 `expect` lines are compared with everything the agents write and print, in order; `throws` with what
@@ -15,7 +16,7 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lfield.bytecode.program import DeviceCallRecord, Program
@@ -28,6 +29,7 @@ from lfield.errors import DeviceError
 from lfield.host.offer_queries import MatchResults
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
+from lfield.testing.golden_sequencer import GoldenSequencer
 from lfield.testing.still_team import still_answers
 from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent, MachineTeam, TeamMember
@@ -45,6 +47,7 @@ ROUNDS = 500
 _EXPECT = re.compile(r"//\s*expect:\s?(.*?)\s*$", re.MULTILINE)
 _THROWS = re.compile(r"//\s*throws:\s*(.*?)\s*$", re.MULTILINE)
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
+_STARTABLE = re.compile(r"//\s*startable:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
 _INPUT = re.compile(r"//\s*input:\s?(.*?)\s*$", re.MULTILINE)
 _REGISTRY = re.compile(r"//\s*registry:\s*(\S+)\s*$", re.MULTILINE)
 
@@ -66,6 +69,7 @@ class GoldenWorld:
     machine: Machine = field(init=False)
     #: By resource: the number of its last reservation, and the coordinator that holds it, '' for none.
     reserved: dict[str, tuple[int, str]] = field(default_factory=dict)
+    sequencer: GoldenSequencer = field(default_factory=GoldenSequencer)
 
     def write(self, agent: Agent, text: str) -> None:
         """Records written text, line by line."""
@@ -136,6 +140,8 @@ class GoldenWorld:
 
     def abandon_wait(self, agent: Agent) -> bool:
         """A waiting agent is still here; others are not frozen."""
+        if self.sequencer.abandon_wait(agent):
+            return True
         waiting = [pair for pair in self.departures if pair[0] is not agent]
         given_up = len(waiting) < len(self.departures)
         self.departures[:] = waiting
@@ -177,6 +183,7 @@ class GoldenWorld:
     def ended(self, agent: Agent) -> None:
         """Records agents that ended."""
         self.endings.append(agent)
+        self.sequencer.on_ended(agent)
 
 
 def team_for(program: Program, deployed: list[tuple[str, str, str]]) -> list[TeamMember]:
@@ -190,6 +197,12 @@ def team_for(program: Program, deployed: list[tuple[str, str, str]]) -> list[Tea
     ]
 
 
+def startable_in(text: str, program: Program, first: int) -> list[TeamMember]:
+    """The startable coordinators of a golden program; the first has this number."""
+    found = team_for(program, _STARTABLE.findall(text)) if _STARTABLE.search(text) else []
+    return [replace(member, number=first + member.number, is_startable=True) for member in found]
+
+
 def run_text(
     text: str, limits: AgentLimits | None = None, name: str = "golden.L", registry: Registry | None = None
 ) -> tuple[GoldenWorld, Machine]:
@@ -197,9 +210,12 @@ def run_text(
     program = compile_text(text, name, registry)
     desk, clock = GoldenWorld(), ManualClock()
     team = team_for(program, _DEPLOY.findall(text))
+    startable = startable_in(text, program, len(team))
     if registry is not None:
         desk.answers = still_answers(registry, program, team)
-    machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
+    view = MachineTeam([*team, *startable], 0, 1)
+    machine = desk.machine = Machine(program, view, desk, clock, random.Random(1))
+    desk.sequencer.attach(machine)
     for line in _INPUT.findall(text):
         machine.operator_input.enter(line, is_kept=True)
     for member in team:

@@ -135,6 +135,9 @@ CLOCK_AHEAD = _message(
     "the order of its events and those of this host is not certain",
 )
 CLOCK_SET = _message("clock-set", "system clock set: it changed by {seconds:+.0f} s", "warning")
+SEQUENCE_STARTED = _message("sequence-started", "{agent} started by {by} (start {generation})")
+SEQUENCE_STOPPING = _message("sequence-stopping", "{agent} is being stopped by {by}")
+SEQUENCE_REFUSED = _message("sequence-refused", "{function} by {agent} refused: {reason}", "warning")
 INPUT_AWAITED = _message(
     "input-awaited",
     "{agent} waits for a line of input, at most {seconds:g} s: type it where this host runs, or on the page "

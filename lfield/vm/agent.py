@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, overload
+from typing import Final, Literal, overload
 
 from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
@@ -15,6 +15,8 @@ from lfield.vm.memory.block import Block
 #: or it checks its condition.
 WAITS, POLLS, EVALUATES = 1, 2, 3
 
+#: The report of a coordinator that has ended because of a stop.
+STOPPED: Final = "stopped"
 #: 'unknown' where a deployment was read without its program, for queries only.
 AgentKind = Literal["resource", "coordinator", "unknown"]
 
@@ -33,6 +35,8 @@ class TeamMember:
     kind: AgentKind
     host: int
     arguments: tuple[str, ...] = ()
+    #: Whether it, a coordinator, does not start with its host: another coordinator starts it.
+    is_startable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +153,8 @@ class Agent:
     waits_for_any = False
     #: ... and the numbers of those elsewhere that have ended, as their hosts report.
     ended_elsewhere: frozenset[int] = frozenset()
+    #: Why it, a coordinator, is being stopped; '' if it is not.
+    stop_reason = ""
 
     # Written out, with rare fields in the class: an instance is created at every hop.
     def __init__(
@@ -222,9 +228,13 @@ class Agent:
             self.waiting.remove((caller, thread))
         return found
 
-    def end(self, outcome: str) -> None:
+    def end(self, outcome: str, report: str = "") -> None:
         """End it: 'done' or 'dropped'. An agent ends once."""
-        self.ended = self.ended or outcome
+        self.ended, self.report = self.ended or outcome, self.report or report
+
+    def mark_stopping(self, reason: str) -> None:
+        """It is being stopped, for that reason."""
+        self.stop_reason = reason
 
     def die(self, report: str, *, broken: bool) -> None:
         """End it by an exception, with its report; `broken` if a bug of lfield was the cause."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Protocol
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.vm.agent import CANCELLED, Agent
@@ -21,17 +22,23 @@ from lfield.vm.memory.threads import place_of, serving
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.monitor_waits import wake
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.waits.operator_input import OperatorInput
 
 _DEVICE = BY_NAME["device"].code
 #: The other instructions at which a cancellation is thrown.
 _PAUSES = frozenset(BY_NAME[name].code for name in ("yield", "sleep", "read_line", "wait_leave"))
 
 
+class InputReaders(Protocol):
+    """The threads that wait for a line of input: `lfield.vm.waits.operator_input.OperatorInput`."""
+
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """End the wait of a thread; False if it waits for no line."""
+
+
 class Cancellation:
     """The cancelled calls of one host, per serving thread (`Agent.pending_cancels`)."""
 
-    def __init__(self, scheduler: Scheduler, given: OperatorInput) -> None:
+    def __init__(self, scheduler: Scheduler, given: InputReaders) -> None:
         self._scheduler, self._input = scheduler, given
 
     def cancel_call(self, resource: Agent, number: int, reason: str) -> None:

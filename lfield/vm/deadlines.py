@@ -34,6 +34,10 @@ RECHECK_DELAY = 0.05
 HOST_PAUSED = "its host was paused or suspended"
 #: Reason for a late check: the limit expired before the coordinator arrived.
 IN_TRANSIT, HOST_DOWN = "it was in transit between hosts", "its host was down"
+#: Seconds that no mission lasts: the limit around an `init` that may be stopped has no timer.
+_NEVER = 1e8
+#: Seconds from which a limit never expires.
+_ENDLESS = 1e9
 #: Tolerance in ns, since the clocks have different units.
 _CLOCK_TOLERANCE = 1000
 
@@ -82,7 +86,9 @@ class Deadlines:
         now = self._scheduler.clock_of(agent)
         if seconds <= 0:
             agent.mark_overdue()
-        end = min(now + int(max(0.0, min(seconds, 1e9)) * 1e9), COUNT_LIMIT - 1)
+        last = COUNT_LIMIT - 1
+        # Not a sum: after a restart with another clock, the time for which a host was down may be decades.
+        end = last if seconds >= _ENDLESS else min(now + int(max(0.0, seconds) * 1e9), last)
         self._arm(agent, max(1, end))
         return max(1, end)
 
@@ -128,12 +134,27 @@ class Deadlines:
             self._throw(agent, only_thread(agent.block), due, f": {why}" if why else "")
         return bool(due)
 
+    def stop(self, agent: Agent, word: int, reason: str) -> None:
+        """End the limit with that word now, for a reason; without effect on one that has expired."""
+        w = agent.block.w
+        if w[word] <= 0:
+            return
+        w[word] = max(1, min(w[word], self._scheduler.clock_of(agent)))
+        agent.mark_stopping(reason)
+        if due := self._due(agent):
+            self._on_expired(agent, due)
+        else:
+            agent.mark_overdue("a running finally is not interrupted")
+            self.recheck_soon(agent)
+
     # --- alarms ---------------------------------------------------------------------------------------
 
     def _arm(self, agent: Agent, end: int) -> None:
         """Set the timer for this end, unless it is set earlier."""
         scheduler = self._scheduler
         seconds = max(0.0, (end - scheduler.clock_of(agent)) / 1e9)
+        if seconds > _NEVER:
+            return
         at = scheduler.clock.monotonic() + seconds
         if at < agent.alarm:
             agent.set_alarm(at)
@@ -271,7 +292,8 @@ class Deadlines:
         text = f", {late:.1f} s late" if late else ""
         reason = agent.explain_lateness()
         text += f" since {reason}" if late and reason else ""
-        self._scheduler.throw_builtin(agent, thread, TIME_LIMIT, f"the time is over{text}{what}", agent.id)
+        head = agent.stop_reason or "the time is over"
+        self._scheduler.throw_builtin(agent, thread, TIME_LIMIT, f"{head}{text}{what}", agent.id)
 
     def _mark_expired(self, agent: Agent, due: list[int]) -> int:
         """Mark limits as expired: their ends become negative. Returns the last of them, in ns."""

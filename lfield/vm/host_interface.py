@@ -21,8 +21,28 @@ class Pending:
 PENDING: Final = Pending()
 
 
+class Sequencer(Protocol):
+    """The home's side; each returns None for not yet, with the asking coordinator suspended. Raises Trap."""
+
+    def start(self, asking: Agent, member: TeamMember, request: int) -> bool | None:
+        """Start a coordinator of this host; the same `request` only once."""
+
+    def stop(self, asking: Agent, member: TeamMember) -> bool | None:
+        """Order the end of a coordinator of this host."""
+
+    def end_of(self, asking: Agent, member: TeamMember) -> str | None:
+        """How it has ended."""
+
+    def is_running(self, asking: Agent, member: TeamMember) -> bool | None:
+        """Whether it runs."""
+
+
 class HostInterface(Protocol):
     """The host's side. Every method returns at once."""
+
+    @property
+    def sequencer(self) -> Sequencer:
+        """Starts and stops the coordinators of this host that others may start."""
 
     def write(self, agent: Agent, text: str) -> None:
         """Program output: whole lines, or the remainder of one when its thread ends."""

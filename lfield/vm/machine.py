@@ -9,6 +9,7 @@ from __future__ import annotations
 import random
 import traceback as python_traceback
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from lfield.bytecode.program import Program
@@ -37,6 +38,7 @@ from lfield.vm.hooks import VmHooks
 from lfield.vm.host_calls import HostCallDispatcher
 from lfield.vm.host_interface import HostInterface
 from lfield.vm.host_queries.resource_queries import ResourceQueries
+from lfield.vm.host_queries.served_calls import ServedCalls
 from lfield.vm.loops.loop_ticks import LoopTicks
 from lfield.vm.memory import collector, layout
 from lfield.vm.memory.block import Block
@@ -46,8 +48,8 @@ from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.threads import only_thread, place_of
 from lfield.vm.memory.word_codec import encode_device_value
 from lfield.vm.monitor_waits import MonitorWaits, after_turn
-from lfield.vm.pending_call import PendingCall
 from lfield.vm.reference import ReferenceEngine
+from lfield.vm.reference.unwinder import stop_limit
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.reservations.reserve_handlers import ReserveHandlers
 from lfield.vm.scheduler import Scheduler
@@ -56,6 +58,7 @@ from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
 from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
 from lfield.vm.waits.operator_input import OperatorInput
+from lfield.vm.waits.sequencing import SequencingHandlers
 
 #: Instructions of a thread's turn.
 SLICE = 2000
@@ -82,7 +85,7 @@ class Machine:
         hooks: VmHooks | None = None,
     ) -> None:
         self.program, self.team, self.hooks = program, view.members, hooks or VmHooks()
-        self._here, self._fenced, self._host, self._now = view.here, view.fenced, host, clock.monotonic
+        self._here, self._fenced, self._now = view.here, view.fenced, clock.monotonic
         self._limit = self.hooks.run_limit or RunLimit(clock.monotonic)
         incarnation = 1 + view.incarnation % (layout.START_LIMIT - 1)
         self._scheduler = scheduler = Scheduler(
@@ -95,6 +98,8 @@ class Machine:
         cancelling = self._cancellation = Cancellation(scheduler, self.operator_input)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
+        #: The portal calls that are served here.
+        self.served_calls = ServedCalls(scheduler)
         types = MemberTypes(view.members)
         self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
         calls = self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
@@ -102,8 +107,11 @@ class Machine:
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
         limits = self._deadlines = Deadlines(scheduler, cancelling, self.itinerary, calls.stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
-        waits = self.operator_input, MonitorWaits(scheduler), LoopTicks(scheduler, cancelling)
-        parts = self._together, ReserveHandlers(scheduler, held, view.here, limits), *waits
+        parts = (
+            *(self.operator_input, MonitorWaits(scheduler), LoopTicks(scheduler, cancelling)),
+            *(self._together, ReserveHandlers(scheduler, held, view.here, limits)),
+            SequencingHandlers(scheduler, view.members, view.here, limits),
+        )
         heads = {head: handler for part in parts for head, handler in part.handlers().items()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
@@ -132,10 +140,9 @@ class Machine:
         self.agents[member.id] = agent
         if not agent.open:
             self.opening[member.id] = agent
+        create = partial(self._scheduler.create_agent_object, agent, record)
         try:
-            self._scheduler.run_with_collection(
-                agent, lambda: self._scheduler.create_agent_object(agent, record)
-            )
+            self._scheduler.run_with_collection(agent, create)
         except Trap as trap:
             self._scheduler.die(agent, f"LimitException: {trap.message}")
         except Exception as error:
@@ -225,6 +232,11 @@ class Machine:
         agent.end("dropped")
         self._scheduler.release(agent)
 
+    def stop_coordinator(self, agent: Agent, reason: str) -> None:
+        """End a coordinator here as by a limit around its `init`; it may have to be repeated."""
+        if not agent.ended and (word := stop_limit(agent.block, self.program)):
+            self._deadlines.stop(agent, word, reason)
+
     def release(self, agent: Agent) -> None:
         """Remove a coordinator that has left."""
         self._scheduler.release(agent)
@@ -262,36 +274,15 @@ class Machine:
         self.throw_builtin(agent, only_thread(agent.block), kind, message, called[0].id if called else "")
         return True
 
-    # --- callers --------------------------------------------------------------------------------------
-
-    def served_call(self, resource: Agent, thread: int) -> tuple[int, Agent | PendingCall | None]:
-        """The number of the portal call that a thread serves, 0 for none, and the coordinator that called.
-
-        The coordinator is None for a detached call, and for a query of the host itself. For a call of a
-        `together` it is the call's record, with the coordinator's data at its start.
-        """
-        number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
-        found = self._scheduler.calls.get(number)
-        return number, (found if found is None or isinstance(found, PendingCall) else found[0])
-
-    def caller(self, resource: Agent, thread: int) -> Agent | PendingCall | None:
-        """The coordinator of `served_call`."""
-        return self.served_call(resource, thread)[1]
-
-    def has_calls_of_others(self, resource: Agent, agent_id: str) -> bool:
-        """Whether a call of another coordinator, or a detached one, is in progress in a resource here."""
-        return portal_calls.has_calls_of_others(self._scheduler, resource, agent_id)
-
     # --- results of host calls ------------------------------------------------------------------------
 
     def answer(self, agent: Agent, thread: int, value: DeviceValue, kind: int, device: str) -> None:
         """Pass a value (of a type, by index) to a thread that still waits for a device instruction."""
         if agent.ended or not place_of(agent.block, thread):
             return
+        word = partial(encode_device_value, agent.block, self.program, kind, value, device)
         try:
-            self._scheduler.complete(
-                agent, thread, lambda: encode_device_value(agent.block, self.program, kind, value, device)
-            )
+            self._scheduler.complete(agent, thread, word)
         except DeviceError as error:
             self.throw_builtin(agent, thread, error.kind, str(error), error.device)
         except Exception as error:
@@ -392,9 +383,7 @@ class Machine:
         if call := agent.block.w[self._place + THREAD_CALL]:
             portal_calls.finish(scheduler, agent, thread, call, leave.word)
         elif agent.member.kind == "coordinator":
-            agent.end("done")
-            scheduler.release(agent)
-            self._host.ended(agent)
+            scheduler.finish(agent)
         else:
             scheduler.forget(agent, thread)
             scheduler.open(agent)

@@ -24,7 +24,7 @@ from lfield.vm.memory.layout import (
     W_THREADS,
 )
 from lfield.vm.memory.serialised_results import serialise_built, serialise_object, serialise_word
-from lfield.vm.memory.threads import count, only_thread, place_of, threads
+from lfield.vm.memory.threads import count, only_thread, place_of
 from lfield.vm.pending_call import PendingCall
 from lfield.vm.scheduler import Scheduler
 
@@ -356,24 +356,6 @@ def _rethrow(
         scheduler.throw_builtin(caller, waiter, trap.kind, trap.message, resource.id)
     else:
         scheduler.throw(caller, waiter, copied)
-
-
-def has_calls_of_others(scheduler: Scheduler, resource: Agent, agent: str) -> bool:
-    """Whether another caller's portal call is in progress in a resource.
-
-    A call detached from its caller counts as another's. Queries of the host do not count.
-    """
-    if resource.ended:
-        return False
-    for place in threads(resource.block):
-        number = resource.block.w[place + THREAD_CALL]
-        if not number or number in scheduler.resource_queries:
-            continue
-        waits = scheduler.calls.get(number)
-        caller_or_none = waits if waits is None or isinstance(waits, PendingCall) else waits[0]
-        if caller_or_none is None or caller_or_none.id != agent:
-            return True
-    return False
 
 
 def detach_caller(scheduler: Scheduler, caller: Agent) -> bool:

@@ -12,7 +12,7 @@ from typing import Literal, TypeVar
 from lfield.bytecode.program import DEVICE, REFERENCES, MethodRecord, Program
 from lfield.bytecode.side_effects import effectful_methods
 from lfield.clock import Clock
-from lfield.vm.agent import Agent
+from lfield.vm.agent import STOPPED, Agent
 from lfield.vm.engine_interface import Engines, Trap
 from lfield.vm.hooks import VmHooks
 from lfield.vm.host_interface import HostInterface
@@ -34,6 +34,7 @@ from lfield.vm.memory.serialised_results import serialise_built
 from lfield.vm.memory.threads import place_of, thread_template, threads, unlink
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.pending_call import CallKey, PendingCall
+from lfield.vm.reference.unwinder import is_of_stop
 from lfield.vm.turns.run_queue import RunQueue
 
 T = TypeVar("T")
@@ -269,8 +270,17 @@ class Scheduler:
             self.flush(agent, thread)
             self._on_failed(self, agent, thread, call, thrown)
             return
+        if agent.member.kind == "coordinator" and is_of_stop(agent.block, self.program, thrown):
+            self.finish(agent, STOPPED)
+            return
         name, message, trace = traceback.describe(agent.block, self.program, thrown)
         self.die(agent, f"{name}: {message}" if message else name, thread, trace)
+
+    def finish(self, agent: Agent, report: str = "") -> None:
+        """A coordinator has ended normally, or by a stop."""
+        agent.end("done", report)
+        self.release(agent)
+        self.world.ended(agent)
 
     def die(
         self, agent: Agent, reason: str, thread: int = 0, trace: str = "", *, broken: bool = False

@@ -129,6 +129,15 @@ class TerminatedAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     generation: Ordinal
 
 
+class StopCoordinator(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=72):
+    """From the home of a coordinator: end the run that began with start `generation`, for the coordinator
+    `by`; repeated until the home knows the end. Not answered."""
+
+    agent: Name
+    generation: Ordinal
+    by: Name
+
+
 class CheckpointId(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The progress of the newest block of an agent that a host has stored.
 

@@ -19,6 +19,7 @@ from lfield.wire.coordinator_messages import (
     CoordinatorState,
     Locate,
     Located,
+    StopCoordinator,
     Terminated,
     TerminatedAck,
     TransferAccepted,
@@ -269,6 +270,7 @@ Control = (
     | TransferQuery
     | Terminated
     | TerminatedAck
+    | StopCoordinator
     | Locate
     | Located
     | Ping

@@ -195,7 +195,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
     mission like a pause, b"" for none. `starting`: its devices are not open yet, and no resource has started.
     `observers` are the bytes exchanged with observers, by kind of traffic. `reads` are the agents that wait
-    for a line of input, in the order in which they get one.
+    for a line of input, in the order in which they get one. `startable` are the coordinators of this host
+    that others may start, and that do not run.
     """
 
     host: Name
@@ -225,6 +226,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     starting: bool = False
     observers: Annotated[dict[Label, Count], Meta(max_length=16)] = {}
     reads: Annotated[list[Name], Meta(max_length=4096)] = []
+    startable: Annotated[list[Name], Meta(max_length=4096)] = []
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

@@ -4,7 +4,7 @@ import pytest
 
 from lfield.lang.frontend import check_text
 from lfield.lang.language_library import FUNCTIONS
-from lfield.lang.parser import foreign_words
+from lfield.lang.parser.foreign import foreign_words
 from lfield.lang.scanner import KEYWORDS
 
 LIKE_KEYWORDS = [

@@ -6,7 +6,6 @@ A group is checked as a whole, from its first push to its pop; see opcodes.py fo
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import (
@@ -30,25 +29,26 @@ from lfield.bytecode.program import (
     TypeRecord,
 )
 from lfield.bytecode.verifier.operands import MethodView
+from lfield.bytecode.verifier.query_groups import (
+    QUERY_SIGNATURES,
+    GroupSignature,
+    TypeTest,
+    accepts,
+    proxy_of,
+    result_test,
+)
 
 _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 
 #: Features of coordinators alone, by instruction.
-_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
+_OF_COORDINATORS = {
+    **{"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"},
+    **dict.fromkeys(("seq_start", "seq_stop", "seq_end", "seq_alive"), "other coordinators to start"),
+}
 
 #: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
 _NOT_IN_0_3 = frozenset({"exc_others"} | {row.name for row in BY_CODE.values() if 1600 <= row.code < 1850})
-
-#: Whether a type index is valid for an argument or result of a head.
-TypeTest = Callable[[MethodView, int], bool]
-
-
-class GroupSignature(NamedTuple):
-    """The arguments of a head, in the order of the pushes, and its result (None for nothing)."""
-
-    parameters: list[TypeTest]
-    result: TypeTest | None
 
 
 def check_group(view: MethodView, quads: tuple[Quad, ...], start: int) -> int:
@@ -98,7 +98,7 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSigna
         raise view.refused(pc, "only resources write and read")
     if row.name in _OF_COORDINATORS and view.scope != "coordinator":
         raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
-    result = _accepts(_EXACT[row.result_kind]) if row.result_kind else None
+    result = accepts(_EXACT[row.result_kind]) if row.result_kind else None
     return GroupSignature([_kind_test(kind) for kind in row.argument_kinds or ()], result)
 
 
@@ -109,7 +109,7 @@ def _call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     if not view.can_access(view.core.classes[callee.owner]):
         raise view.refused(pc, "the method is out of scope here")
     arguments = callee.slots[: callee.parameters + 1]
-    return GroupSignature([*map(_accepts, arguments)], _result_test(callee.result))
+    return GroupSignature([*map(accepts, arguments)], result_test(callee.result))
 
 
 def _pcall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -119,7 +119,7 @@ def _pcall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     if callee.kind != "portal":
         raise view.refused(pc, "pcall needs a portal")
     arguments = callee.slots[1 : callee.parameters + 1]
-    return GroupSignature([_proxy_of(callee.owner), *map(_accepts, arguments)], _result_test(callee.result))
+    return GroupSignature([proxy_of(callee.owner), *map(accepts, arguments)], result_test(callee.result))
 
 
 def _collect_call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -134,15 +134,15 @@ def _collect_call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
             and view.types.fits(result, view.types.element(index))
         )
 
-    return GroupSignature([_is_ticket, accepts_result, _accepts(INT), proxy, *arguments], None)
+    return GroupSignature([_is_ticket, accepts_result, accepts(INT), proxy, *arguments], None)
 
 
 def _settle(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_coordinator(view, pc)
     if not view.types.is_array(quad.a):
         raise view.refused(pc, "the target of a result is an element of an array")
-    element = _accepts(view.types.element(quad.a))
-    return GroupSignature([_is_ticket, _accepts(quad.a), _accepts(INT), element], None)
+    element = accepts(view.types.element(quad.a))
+    return GroupSignature([_is_ticket, accepts(quad.a), accepts(INT), element], None)
 
 
 def _gather(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -157,7 +157,7 @@ def _waits(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 
 def _leave(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_coordinator(view, pc)
-    return GroupSignature([_is_ticket, _accepts(ANY)], None)
+    return GroupSignature([_is_ticket, accepts(ANY)], None)
 
 
 def _tickets(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -170,7 +170,7 @@ def _tickets(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
         fields = view.types.fields(view.types.element(index))
         return bool(fields) and _is_ticket(view, fields[0].type)
 
-    results = {"next": _accepts(INT), "ended": _accepts(BOOLEAN), "failure": _accepts(ANY)}
+    results = {"next": accepts(INT), "ended": accepts(BOOLEAN), "failure": accepts(ANY)}
     name = BY_CODE[quad.op].name
     single = name in ("launch", "ended")
     return GroupSignature([_is_ticket if single else has_tickets], results.get(name))
@@ -181,8 +181,8 @@ def _waits_in_monitor(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     if view.scope != "resource" or not view.method.synchronized:
         raise view.refused(pc, "only synchronized methods of resources leave the monitor")
     row = BY_CODE[quad.op]
-    parameters = [_accepts(_EXACT[kind]) for kind in row.argument_kinds or ()]
-    return GroupSignature([*parameters], _accepts(INT) if row.result_kind else None)
+    parameters = [accepts(_EXACT[kind]) for kind in row.argument_kinds or ()]
+    return GroupSignature([*parameters], accepts(INT) if row.result_kind else None)
 
 
 def _check_coordinator(view: MethodView, pc: int) -> None:
@@ -225,27 +225,27 @@ def _others(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     def is_array_of_exceptions(view: MethodView, index: int) -> bool:
         return view.core.plain_array(index) == EXCEPTIONS
 
-    return GroupSignature([_accepts(ANY)], is_array_of_exceptions)
+    return GroupSignature([accepts(ANY)], is_array_of_exceptions)
 
 
 def _append(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     element = _growing_element(view, pc, quad)
-    return GroupSignature([_accepts(quad.a), _accepts(element)], None)
+    return GroupSignature([accepts(quad.a), accepts(element)], None)
 
 
 def _insert(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     element = _growing_element(view, pc, quad)
-    return GroupSignature([_accepts(quad.a), _accepts(INT), _accepts(element)], None)
+    return GroupSignature([accepts(quad.a), accepts(INT), accepts(element)], None)
 
 
 def _remove(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     element = _growing_element(view, pc, quad)
-    return GroupSignature([_accepts(quad.a), _accepts(INT)], _result_test(element))
+    return GroupSignature([accepts(quad.a), accepts(INT)], result_test(element))
 
 
 def _remove_last(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     element = _growing_element(view, pc, quad)
-    return GroupSignature([_accepts(quad.a)], _result_test(element))
+    return GroupSignature([accepts(quad.a)], result_test(element))
 
 
 def _growing_element(view: MethodView, pc: int, quad: Quad) -> int:
@@ -257,7 +257,7 @@ def _growing_element(view: MethodView, pc: int, quad: Quad) -> int:
 
 def _tick(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_loop(view, pc)
-    return GroupSignature([_accepts(INT), _accepts(INT)], _accepts(INT))
+    return GroupSignature([accepts(INT), accepts(INT)], accepts(INT))
 
 
 def _suppress(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
@@ -275,7 +275,7 @@ def _control(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
 
 def _tick_failed(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     _check_loop(view, pc)
-    return GroupSignature([_accepts(ANY)], None)
+    return GroupSignature([accepts(ANY)], None)
 
 
 def _check_loop(view: MethodView, pc: int) -> None:
@@ -283,88 +283,18 @@ def _check_loop(view: MethodView, pc: int) -> None:
         raise view.refused(pc, "only loops have ticks")
 
 
-def _find(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    _check_find(view, pc, quad)
-    return GroupSignature([_accepts(STRING)], _proxy_of(quad.a))
-
-
-def _findall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    _check_find(view, pc, quad)
-    proxy = _proxy_of(quad.a)
-
-    def is_array_of_proxies(view: MethodView, index: int) -> bool:
-        return view.types.is_created_array(index) and proxy(view, view.types.element(index))
-
-    return GroupSignature([], is_array_of_proxies)
-
-
-def _check_find(view: MethodView, pc: int, quad: Quad) -> None:
-    if view.scope != "coordinator":
-        raise view.refused(pc, "only coordinators find resources")
-    if view.core.classes[quad.a].kind != "resource":
-        raise view.refused(pc, "only resources are found")
-
-
-def _offers(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    _check_query(view, pc, quad)
-    offer = TypeRecord(OBJECT, quad.a)
-
-    def is_array_of_offers(view: MethodView, index: int) -> bool:
-        types = view.types
-        return types.is_created_array(index) and types.record(types.element(index)) == offer
-
-    return GroupSignature([_accepts(STRING)], is_array_of_offers)
-
-
-def _teams(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    _check_query(view, pc, quad)
-    offer = TypeRecord(OBJECT, quad.a)
-
-    def is_array_of_teams(view: MethodView, index: int) -> bool:
-        types = view.types
-        if not (types.is_created_array(index) and types.is_created_array(team := types.element(index))):
-            return False
-        return types.record(types.element(team)) == offer
-
-    return GroupSignature([_accepts(STRING), _accepts(INT)], is_array_of_teams)
-
-
-def _explain(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    _check_query(view, pc, quad)
-    return GroupSignature([_accepts(STRING)], _accepts(STRING))
-
-
-def _about(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
-    if view.scope != "coordinator":
-        raise view.refused(pc, "only coordinators have proxies")
-    return GroupSignature([lambda view, index: view.types.kind(index) == PROXY], _accepts(STRING))
-
-
-def _check_query(view: MethodView, pc: int, quad: Quad) -> None:
-    if view.scope != "coordinator":
-        raise view.refused(pc, "only coordinators query capabilities")
-    if not view.core.classes[quad.a].capability:
-        raise view.refused(pc, "only capabilities have offers")
-
-
 def _device(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
     call = view.core.device_calls[quad.a]
     if call.owner != view.method.owner:
         raise view.refused(pc, "a device is used by its own resource only")
-    held = [_accepts(DEVICE)] if call.field == HELD_DEVICE else []
-    return GroupSignature([*held, *map(_accepts, call.parameters)], _result_test(call.result))
+    held = [accepts(DEVICE)] if call.field == HELD_DEVICE else []
+    return GroupSignature([*held, *map(accepts, call.parameters)], result_test(call.result))
 
 
 _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
+    **QUERY_SIGNATURES,
     "call": _call,
     "pcall": _pcall,
-    "find": _find,
-    "findall": _findall,
-    "offers": _offers,
-    "explain": _explain,
-    "teams": _teams,
-    "agent": _about,
-    "host": _about,
     "device": _device,
     "exc_others": _others,
     "append": _append,
@@ -395,22 +325,10 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
 }
 
 
-def _accepts(expected: int) -> TypeTest:
-    return lambda view, index: view.types.fits(index, expected)
-
-
-def _result_test(result: int) -> TypeTest | None:
-    return None if result == VOID else lambda view, index: view.types.fits(result, index)
-
-
-def _proxy_of(resource: int) -> TypeTest:
-    return lambda view, index: view.types.record(index) == TypeRecord(PROXY, resource)
-
-
 def _kind_test(kind: str) -> TypeTest:
     """The test for a kind of the table; `ref` is the exception whose details are read."""
     if kind == "array":
         return lambda view, index: view.types.is_array(index)
     if kind == "ref":
         return lambda view, index: view.types.fits(index, ANY)
-    return _accepts(_EXACT[kind])
+    return accepts(_EXACT[kind])

@@ -227,6 +227,9 @@ def _agents(hosts: Mapping[str, HostState]) -> Table:
                 add_row(shown, host, known.agent, "", state, str(known.hops), "", "")
         for waiting in report.start.agents if report.start is not None else ():
             add_row(shown, host, waiting, "", _waiting(report.start), "", "", "")
+        for name in report.startable:
+            if name not in newest:
+                add_row(shown, host, name, "", "startable", "", "", "")
         for call in report.pending_calls:
             state = _PENDING_CALL[call.state].format(f"{call.resource}.{call.portal}")
             add_row(shown, host, call.agent, "", state, "", "", "")
@@ -317,6 +320,8 @@ def _host_data(host: HostState) -> dict[str, Any]:
             for one in status.refused
         ],
         "start": None if status.start is None else asdict(status.start),
+        "startable": status.startable,
+        "reads": status.reads,
         "reserved": [asdict(reserved) for reserved in status.reserved],
         "moving": {device.name: device.motion for device in devices if device.motion},
         "directory": _directory(status.directory),

@@ -94,4 +94,5 @@ def source_lines(source: Source) -> list[Span]:
 
 
 def _content(entry: DeploymentEntry) -> tuple[object, ...]:
-    return entry.type.text, entry.id.text, entry.host.text, entry.port, entry.arguments
+    place = entry.type.text, entry.id.text, entry.host.text, entry.port
+    return *place, entry.arguments, entry.startable.text

@@ -42,8 +42,9 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
     coordinator that has not started yet is waited for until a host that its start needs has certainly ended.
     """
     unmet = max(lost_after, host.options.unreachable_after)
-    homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
+    homes = {member.id: host.team.hosts[member.host] for member in host.team.initial_coordinators}
     judge = OutcomeResolver(homes)
+    started = _StartedByOthers(host, homes)
     membership = host.core.membership
     remembered = _PendingRestarts(host, homes, lost_after, unmet)
     # Announcements during the start of this host count as well.
@@ -67,12 +68,38 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
         found |= {agent: CoordinatorOutcome(agent, "lost", why) for agent, why in unstartable.items()}
         for agent in remembered.pending_agents():
             found.pop(agent, None)
-        if not homes.keys() - found.keys():
+        if not homes.keys() - found.keys() and not await started.find_more():
             await _broadcast_outcomes(host, found.values())
             await _wait_for_finality(host, lost_after)
             return [found[agent] for agent in sorted(homes)]
         await _wait_for_change(host, ASK_EVERY)
         since = host.clock.monotonic() - STATUS_MAX_AGE
+
+
+class _StartedByOthers:
+    """The coordinators that others have started: the mission lasts until they have ended, too.
+
+    `homes` has the home of each coordinator that is waited for; those that run are added to it.
+    """
+
+    def __init__(self, host: Host, homes: dict[str, str]) -> None:
+        self._host, self._homes = host, homes
+
+    async def find_more(self) -> bool:
+        """Query the hosts, when all that are waited for have ended; whether others run.
+
+        A home has made a start before the coordinator that asked for it has ended, so it reports it.
+        """
+        team = self._host.team
+        waiting = team.startable.keys() - self._homes.keys()
+        if not waiting:
+            return False
+        records = await _query_states(self._host)
+        rows = [row for rows in records.values() for row in rows if row.agent in waiting]
+        ended = {(row.agent, row.generation) for row in rows if row.state == "EXITED"}
+        running = {row.agent for row in rows if (row.agent, row.generation) not in ended}
+        self._homes.update({agent: team.homes[agent] for agent in running})
+        return bool(running)
 
 
 class _PendingRestarts:

@@ -234,7 +234,8 @@ class Coordinators(Part):
         own = {member.id for member in self._members.values() if member.host == here}
         going = any(row.agent in own and row.state != "EXITED" for row in known)
         self.write_ahead.add_record(RunMarker(open=going), self._clock.monotonic())
-        if self._mission.release.by and self.recovery.is_mission_over(self._members, known):
+        initial = [member.id for member in self._mission.team.initial_coordinators]
+        if self._mission.release.by and self.recovery.is_mission_over(initial, known):
             self.persist(BundleRecord(b""))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:

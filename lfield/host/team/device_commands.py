@@ -75,7 +75,7 @@ class DeviceCommands(Part):
     def _deadline(self, agent: Agent, thread: int, call: DeviceCallRecord) -> float:
         """The deadline for starting it, for the coordinator that has called the portal. Raises
         DeviceError."""
-        number, caller = self._machine.served_call(agent, thread)
+        number, caller = self._machine.served_calls.of_thread(agent, thread)
         if caller is None and number:
             raise DeviceError(call.field, "the call that would command it was taken from its caller")
         if caller is None:

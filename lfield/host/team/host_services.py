@@ -13,7 +13,7 @@ from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
 from lfield.host.team.leases import TeamLeases
-from lfield.host.team.part_interfaces import CallWatcher
+from lfield.host.team.part_interfaces import CallWatcher, SequencingDecisions
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
@@ -36,6 +36,7 @@ class HostParts(Protocol):
     leases: TeamLeases
     pending_calls: PendingCallStore
     reservations: ReservationService
+    sequencing: SequencingDecisions
     commands: DeviceCommands
     offers: CapabilityQueries
     reachability: Reachability
@@ -95,6 +96,11 @@ class HostServices:
             agent.is_persisted or not acts or self._parts.pending_calls.on_save(agent)
         )
 
+    @property
+    def sequencer(self) -> SequencingDecisions:
+        """Starts and stops the startable coordinators of this host."""
+        return self._parts.sequencing
+
     def acquire_reservation(self, agent: Agent, resource: TeamMember, *, nested: bool) -> int:
         """The number of the reservation of a resource of this host, 0 while the caller has to wait."""
         return self._parts.reservations.acquire(agent, resource, nested=nested)
@@ -122,6 +128,7 @@ class HostServices:
     def abandon_wait(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may continue at once, since its wait was cancelled."""
         waited = self._parts.leases.abandon_wait(agent) or self._parts.reservations.abandon_wait(agent)
+        waited = waited or self._parts.sequencing.abandon_wait(agent)
         return waited or self._parts.coordinators.mobility.cancel_departure(agent.id, agent.generation)
 
     def cancel(self, agent: Agent, thread: int) -> bool:

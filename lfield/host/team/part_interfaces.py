@@ -15,6 +15,7 @@ from lfield.replication.lease.core import Quorum
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Effect
 from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.host_interface import Sequencer
 from lfield.vm.pending_call import PendingCall
 from lfield.wire.coordinator_messages import CoordinatorState, LeaseRecord
 from lfield.wire.messages import RelayedMessage
@@ -112,6 +113,13 @@ class LeaseRules(Protocol):
 
     def on_located(self, host: str, record: LeaseRecord) -> None:
         """Another host has sent a lease record."""
+
+
+class SequencingDecisions(Sequencer, Protocol):
+    """Starts and stops the startable coordinators of a host; implemented by `SequencingService`."""
+
+    def abandon_wait(self, agent: Agent) -> bool:
+        """Ends the wait of a coordinator; returns whether it did wait."""
 
 
 class StateObserver(Protocol):

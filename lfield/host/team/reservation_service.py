@@ -158,7 +158,7 @@ class ReservationService(Part):
 
     def _busy(self, resource: str, agent: str) -> bool:
         found = self._machine.agents.get(resource)
-        return found is not None and self._machine.has_calls_of_others(found, agent)
+        return found is not None and self._machine.served_calls.has_others(found, agent)
 
     # --- events ---------------------------------------------------------------------------------------
 

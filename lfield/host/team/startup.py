@@ -41,7 +41,7 @@ class Startup(Part):
         self._has_journal, self._environment = context.has_journal, context.environment
         self._out, self._log, self._recorder = context.effects.append, context.log, context.recorder
         self.own_agents = [
-            member.id for member in mission.team.members_on(context.here) if member.kind == "coordinator"
+            member.id for member in mission.team.initial_coordinators if member.host == context.here
         ]
         #: A lease that was gained permits a start in the same turn.
         self.is_polled = bool(leases.leased_agents)

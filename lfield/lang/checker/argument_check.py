@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 from lfield.lang import messages, tree
+from lfield.lang.checker.library.sequencing_calls import sequencing_findings
 from lfield.lang.checker.together.block_rules import constant_number
 from lfield.lang.deployment import DeployedAgent, Deployment
 from lfield.lang.language_library import ARRAY_LENGTH, GROWTH
@@ -37,7 +38,7 @@ def argument_findings(units: Sequence[tree.Unit], deployment: Deployment) -> lis
     for agent in deployment.agents:
         ids.setdefault(agent.type, []).append(agent.id)
     found = [finding for agent in deployment.agents for finding in _findings(agent, uses, ids)]
-    return [*found, *_unknown_ids(units, ids)]
+    return [*found, *_unknown_ids(units, ids), *sequencing_findings(units, deployment)]
 
 
 def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:

@@ -17,6 +17,7 @@ from lfield.lang.checker.library.collection_calls import check_library_call
 from lfield.lang.checker.library.enum_members import check_enum_call
 from lfield.lang.checker.library.function_rules import check_limit, output_hint
 from lfield.lang.checker.library.loop_members import check_loop_call
+from lfield.lang.checker.library.sequencing_calls import head_call, sequencing_call
 from lfield.lang.checker.library.unit_methods import function_call
 from lfield.lang.checker.name_resolution import method_names
 from lfield.lang.checker.queries.capability_queries import check_query
@@ -29,12 +30,13 @@ from lfield.lang.language_library import (
     FUNCTIONS,
     GROWTH,
     PROXY_METHODS,
+    SEQUENCED,
     STRING_METHODS,
     TICKET_METHODS,
     LibraryFunction,
     array_methods,
 )
-from lfield.lang.parser import foreign_words
+from lfield.lang.parser.foreign import foreign_words
 from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
     INT,
@@ -97,6 +99,8 @@ def check_member_call(
             methods = [method for method in methods if method.public]
         if methods:
             return _method(body, raw, place, owner, methods, given)
+    if (head := head_call(body, raw, name, owner, given)) is not None:
+        return head
     if name == "hash" and kind == STRING and body.symbols.library.parameters:
         return tree.LibraryCall(raw.span, INT, "str_hash", [owner])
     if kind == TICKET:
@@ -205,6 +209,8 @@ def _operation(
         return unknown(raw.span)
     function, arguments = chosen
     check_limit(body, function.name, arguments)
+    if function.operation == SEQUENCED:
+        return sequencing_call(body, raw, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)

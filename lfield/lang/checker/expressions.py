@@ -15,7 +15,7 @@ from lfield.lang.checker.library.collection_calls import (
 from lfield.lang.checker.library.future_calls import check_async, check_future_method, is_future_method
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.visibility import visible_type
-from lfield.lang.parser.foreign_words import FOREIGN_NAMES
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_NAMES
 from lfield.lang.tree_traversal import left_spine, leftmost_operand
 from lfield.lang.types import (
     BOOLEAN,

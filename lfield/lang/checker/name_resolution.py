@@ -17,7 +17,7 @@ from lfield.lang.language_library import (
     array_methods,
     library_of_array,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_STATEMENTS, variable_hint
 from lfield.lang.types import (
     LIBRARY_CLASSES,
     LOOP,

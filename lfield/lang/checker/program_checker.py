@@ -11,6 +11,7 @@ from lfield.lang.checker.control_flow import check_flow
 from lfield.lang.checker.declaration_pass import DeclaredUnit
 from lfield.lang.checker.expressions import assigned
 from lfield.lang.checker.library.future_calls import check_futures
+from lfield.lang.checker.library.sequencing_calls import make_stoppable
 from lfield.lang.checker.loops.loop_thread import check_loop
 from lfield.lang.checker.scope import BodyContext, Scope
 from lfield.lang.checker.statements import statements
@@ -52,6 +53,7 @@ def check_program(
     for function in declared_program.functions:
         check_function(symbols, function)
     check_library(symbols)
+    make_stoppable([declared.unit for declared in units])
     sources = [*(file.source for file in files), *symbols.library.sources.values()]
     all_units = [*(declared.unit for declared in units), *symbols.library.units]
     return CheckedProgram(all_units, sources, frozenset(symbols.growing), tuple(symbols.enums.values()))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes
 from lfield.lang.language_library import FUNCTIONS
-from lfield.lang.parser.foreign_words import type_hint
+from lfield.lang.parser.foreign.foreign_words import type_hint
 from lfield.lang.standard_library.instances import LibraryUses
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (

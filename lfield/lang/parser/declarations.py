@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression
-from lfield.lang.parser.foreign_syntax import at_walrus, walrus
-from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS, FOREIGN_STATEMENTS, METHOD_ENDS, METHOD_WORDS
+from lfield.lang.parser.foreign.foreign_syntax import at_walrus, walrus
+from lfield.lang.parser.foreign.foreign_words import (
+    FOREIGN_MODIFIERS,
+    FOREIGN_STATEMENTS,
+    METHOD_ENDS,
+    METHOD_WORDS,
+)
+from lfield.lang.parser.foreign.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.local_variables import initial_value
 from lfield.lang.parser.loop_members import at_loop, loop_member
 from lfield.lang.parser.portal_heads import at_misplaced_portal, misplaced_portal, misplaced_result
-from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.statements import block
 from lfield.lang.parser.token_stream import (
     PRIMITIVES,

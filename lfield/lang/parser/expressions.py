@@ -6,7 +6,7 @@ import math
 
 from lfield.lang import messages
 from lfield.lang.parser.concurrency import async_call, at_async
-from lfield.lang.parser.foreign_syntax import (
+from lfield.lang.parser.foreign.foreign_syntax import (
     at_cast,
     at_walrus,
     at_word_operator,
@@ -19,14 +19,14 @@ from lfield.lang.parser.foreign_syntax import (
     word_operator,
     word_prefix,
 )
-from lfield.lang.parser.foreign_words import (
+from lfield.lang.parser.foreign.foreign_words import (
     FOREIGN_NAMES,
     FOREIGN_SYMBOLS,
     JOIN,
     WORD_OPERATORS,
     WORD_PREFIXES,
 )
-from lfield.lang.parser.python_blocks import bare_condition_hint, skip_bare_condition
+from lfield.lang.parser.foreign.python_blocks import bare_condition_hint, skip_bare_condition
 from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
 from lfield.lang.parser.type_names import brackets, element_name
 from lfield.lang.scanner import FOREIGN_OPERATORS, Token, TokenKind

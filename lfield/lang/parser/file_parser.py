@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.lang import messages
 from lfield.lang.parser.declarations import members, unit
-from lfield.lang.parser.foreign_words import FOREIGN_UNITS
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_UNITS
 from lfield.lang.parser.token_stream import UNIT_KEYWORDS, ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.parser.top_level import at_top_level, top_level
 from lfield.lang.scanner import TokenKind, scan

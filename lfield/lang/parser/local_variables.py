@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression
-from lfield.lang.parser.foreign_syntax import each_hint, local_method
+from lfield.lang.parser.foreign.foreign_syntax import each_hint, local_method
 from lfield.lang.parser.token_stream import TokenStream
 from lfield.lang.parser.type_names import at_declaration, misplaced_brackets, type_name
 from lfield.lang.syntax import BAD_TYPE, Bad, Declare, Each, Empty, Evaluate, Expr, For, Stmt, TypeName

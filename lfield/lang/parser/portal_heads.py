@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_words import METHOD_WORDS
+from lfield.lang.parser.foreign.foreign_words import METHOD_WORDS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.parser.type_names import AFTER_TYPE, result_type
 from lfield.lang.scanner import TokenKind

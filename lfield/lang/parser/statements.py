@@ -10,7 +10,7 @@ from collections.abc import Callable
 from lfield.lang import messages
 from lfield.lang.parser.concurrency import at_async, at_wait_until, wait_until
 from lfield.lang.parser.expressions import expression, parenthesised
-from lfield.lang.parser.foreign_syntax import (
+from lfield.lang.parser.foreign.foreign_syntax import (
     at_except,
     at_floor_division,
     at_foreign_each,
@@ -23,7 +23,8 @@ from lfield.lang.parser.foreign_syntax import (
     skip_except,
     walrus,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, FOREIGN_SYMBOLS
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_STATEMENTS, FOREIGN_SYMBOLS
+from lfield.lang.parser.foreign.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.local_variables import (
     counting_for,
     declaration,
@@ -31,7 +32,6 @@ from lfield.lang.parser.local_variables import (
     evaluated,
     for_start,
 )
-from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.token_stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
 from lfield.lang.parser.type_names import at_declaration, parameter_modifier, type_name
 from lfield.lang.scanner import Token, TokenKind

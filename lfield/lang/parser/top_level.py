@@ -8,7 +8,7 @@ from __future__ import annotations
 from lfield.lang import messages
 from lfield.lang.parser.declarations import function
 from lfield.lang.parser.expressions import expression
-from lfield.lang.parser.foreign_words import FOREIGN_UNITS, METHOD_WORDS
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_UNITS, METHOD_WORDS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.parser.type_names import at_generic, type_name
 from lfield.lang.scanner import TokenKind

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_syntax import (
+from lfield.lang.parser.foreign.foreign_syntax import (
     SIZES,
     at_foreign_type,
     pointer,
@@ -11,7 +11,7 @@ from lfield.lang.parser.foreign_syntax import (
     sized_name,
     type_arguments_end,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_MODIFIERS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.syntax import BAD_TYPE, TypeName
 

@@ -12,6 +12,7 @@ coordinators:
   Relay:                           # each coordinator of this type
     others: all                    # everything without another line
     winch: []
+    patrol: [start, stop]          # a startable coordinator, which it may start and stop
   others: all                      # the default: all portals of the own deployment
 ```
 
@@ -37,6 +38,8 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlMapping, YamlNode, YamlScalar, describe, read
 from lfield.vm.agent import TeamMember
 
+#: What a coordinator may do with a startable one.
+SEQUENCING_RIGHTS = ("start", "stop")
 #: The keyword for everything that could be listed.
 ALL = "all"
 #: Rights that a mission can leave to a person. The right to sign missions is in the certificate alone.
@@ -83,6 +86,10 @@ class _Reader:
         self._coordinators = {m.id: m.type for m in team if m.kind == "coordinator"}
         self._resources = {m.id: m.type for m in team if m.kind == "resource"}
         self._portals: dict[str, list[str]] = {type: [] for type in self._resources.values()}
+        # What may be done with a coordinator is as a portal of it.
+        startable = {m.id: m.type for m in team if m.is_startable}
+        self._resources |= startable
+        self._portals |= {type: list(SEQUENCING_RIGHTS) for type in startable.values()}
         for method in program.core.methods:
             owner = program.core.classes[method.owner].name
             if method.kind == "portal" and owner in self._portals:

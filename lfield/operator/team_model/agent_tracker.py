@@ -230,6 +230,15 @@ class AgentTracker:
             if agent.host == host and agent.entry.agent not in here and not (agent.to or agent.finished):
                 agent.set_position("not reported" if agent.when is not None else "")
 
+    def on_startable(self, host: str, names: Iterable[str], now: float) -> None:
+        """Coordinators of a host that others may start, and that do not run; after its status."""
+        for name in names:
+            self._is_of(name, "coordinator")
+            agent = self._agent(name, host)
+            if not agent.finished:
+                agent.host, agent.when = host, now
+                agent.set_position("startable")
+
     def on_linked(self, host: str) -> None:
         """A host is followed again: it reports everything again."""
         for agent in self._known.values():

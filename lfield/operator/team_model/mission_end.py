@@ -187,8 +187,18 @@ class MissionEnd:
         """Decide; called a few times a second."""
         ends = [self._end_of(agent) for agent in sorted(self._agents())]
         found = [end for end in ends if end is not None]
-        if len(found) == len(ends) and self._has_contact:
+        if len(found) == len(ends) and self._has_contact and not self._has_others:
             self.outcomes = found
+
+    @property
+    def _has_others(self) -> bool:
+        """Whether a coordinator is alive that another one has started: the mission lasts until it ends."""
+        agents = self._agents()
+        return any(
+            row.agent not in agents and self._end_of(row.agent) is None
+            for known in self._hosts.values()
+            for row in known.starts.values()
+        )
 
     def _agents(self) -> set[str]:
         return self._coordinators if self._homes is None else set(self._homes)

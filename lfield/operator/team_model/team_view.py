@@ -133,6 +133,7 @@ class TeamView:
     def _on_snapshot(self, name: str, host: HostModel, report: Status, latest: int, now: float) -> None:
         host.on_snapshot(report, latest, now)
         self._agents.on_status(name, report.agents, report.coordinators, now)
+        self._agents.on_startable(name, report.startable, now)
 
     def _on_event(self, name: str, host: HostModel, event: Event, now: float) -> None:
         when, what = host.when(event.up, now), event.what

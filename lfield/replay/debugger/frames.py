@@ -57,7 +57,7 @@ def display_key(moment: Moment, key: ThreadKey) -> ThreadKey:
     agent = moment.agents.get(key.agent)
     if agent is None or agent.member.kind == "coordinator":
         return key
-    caller = moment.core.machine.caller(agent, key.thread)
+    caller = moment.core.machine.served_calls.caller(agent, key.thread)
     if isinstance(caller, Agent) and caller.block.w[0]:
         return ThreadKey(caller.id, caller.id, only_thread(caller.block))
     return key
@@ -80,7 +80,11 @@ def stack_of(moment: Moment, key: ThreadKey) -> list[StackFrame]:
     served = next(_served(moment, agent), None) if agent.member.kind == "coordinator" else None
     above = list(_frames(moment, served)) if served is not None else []
     frames = [*above, *_frames(moment, key)]
-    caller = None if agent.member.kind == "coordinator" else moment.core.machine.caller(agent, key.thread)
+    caller = (
+        None
+        if agent.member.kind == "coordinator"
+        else moment.core.machine.served_calls.caller(agent, key.thread)
+    )
     if isinstance(caller, Agent):
         frames += _frames(moment, ThreadKey(caller.id, caller.id, only_thread(caller.block)))
     return frames
@@ -97,7 +101,7 @@ def frame_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
         found = [] if served is None else _places(moment, served.agent, served.thread)
         return [*found, *_places(moment, key.agent, key.thread)]
     found = _places(moment, key.agent, key.thread)
-    caller = moment.core.machine.caller(agent, key.thread)
+    caller = moment.core.machine.served_calls.caller(agent, key.thread)
     return [*found, *_places(moment, caller.id, only_thread(caller.block))] if _is_here(caller) else found
 
 
@@ -144,7 +148,7 @@ def _served(moment: Moment, coordinator: Agent) -> Iterator[ThreadKey]:
             continue
         for place in threads(agent.block):
             thread = agent.block.w[place + THREAD_ID]
-            if moment.core.machine.caller(agent, thread) is coordinator:
+            if moment.core.machine.served_calls.caller(agent, thread) is coordinator:
                 yield ThreadKey(coordinator.id, name, thread)
 
 

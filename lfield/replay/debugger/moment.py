@@ -116,7 +116,7 @@ def thread_key(core: HostCore, agent: str, thread: int) -> ThreadKey:
     found = core.machine.agents.get(agent)
     if found is None or found.member.kind == "coordinator":
         return ThreadKey(agent, agent, thread)
-    caller = core.machine.caller(found, thread)
+    caller = core.machine.served_calls.caller(found, thread)
     return ThreadKey(f"{agent}#{thread}" if caller is None else caller.id, agent, thread)
 
 

@@ -18,6 +18,7 @@ from lfield.replication.transfer.termination import Termination
 from lfield.replication.transfer.transfer_receiver import TransferReceiver
 from lfield.replication.transfer.transfer_sender import TransferSender
 from lfield.wire.coordinator_messages import (
+    TERMINATED,
     CoordinatorState,
     Terminated,
     TerminatedAck,
@@ -391,6 +392,9 @@ class Mobility:
             return []
         effects = self._sender.on_state(host, state_id, known)
         effects += self._termination.fence(known.agent, known.generation, host)
-        if known.state in LIVE_STATES:
+        here = self._copies.find(known.agent, known.generation)
+        # A host that was down when this start ended still has its copy; its home may have made another start.
+        is_outdated = here is not None and here.outcome in TERMINATED
+        if known.state in LIVE_STATES and not is_outdated:
             effects += self._termination.compare_starts(host, known)
         return effects

@@ -104,9 +104,14 @@ class StartGate:
         return sorted(self._unanswered & self._excluded) if self._record is None else []
 
     @property
+    def newest(self) -> int:
+        """The highest generation that this host has recorded or another host knows."""
+        return max(self._record or 0, self._newest)
+
+    @property
     def next_generation(self) -> int:
         """The generation of a start made now; no other host knows an equal or higher one."""
-        return next_start(max(self._record or 0, self._newest))
+        return next_start(self.newest)
 
     def wait_line(self) -> LogLine | None:
         """The log line with the reason for waiting; None when it has not changed."""

@@ -267,9 +267,10 @@ class MissionTeam:
 
     @property
     def _have_ended(self) -> bool:
-        """Whether all coordinators have ended."""
-        members = self.mission.team.members
-        return set(self.ended) >= {member.id for member in members if member.kind == "coordinator"}
+        """Whether all coordinators have ended, but for startable ones that were not started."""
+        ended, team = self.ended, self.mission.team
+        started = {agent for agent in team.startable if agent in self._outcomes}
+        return set(ended) >= {*started, *(member.id for member in team.initial_coordinators)}
 
     # --- interventions --------------------------------------------------------------------------------
 

@@ -42,7 +42,7 @@ def stuck_report(fleet: Fleet, ended: Mapping[str, str], hops: Sequence[Hop]) ->
             if not _has_left(fleet, agent):
                 lines += _agent(fleet, life, agent)
     present = {id for life in fleet.lives.values() for id in life.core.machine.agents}
-    missing = (member for member in fleet.mission.team.coordinators if member.id not in present)
+    missing = (member for member in fleet.mission.team.initial_coordinators if member.id not in present)
     return lines + [_missing(fleet, member, ended.get(member.id, ""), hops) for member in missing]
 
 
@@ -141,7 +141,7 @@ def _holder(life: HostLife, agent: Agent) -> str:
     place = place_of(agent.block, thread)
     if not place:
         return "that is free"
-    caller = life.core.machine.caller(agent, thread)
+    caller = life.core.machine.served_calls.caller(agent, thread)
     return f"that {caller.id if caller else agent.id} holds {_position(life, agent, place)}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 
-from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.opcodes import BY_NAME, SEQUENCING
 from lfield.bytecode.program import ANY, ARRAYS, PROXY, REFERENCES, RESERVED, STRING, TICKET, Program
 from lfield.bytecode.program import GROWABLE as GROWABLE_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
@@ -37,7 +37,7 @@ _PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
 #: Opcodes at which coordinators migrate, and at which they are stored.
 _MIGRATING = frozenset(
     BY_NAME[name].code
-    for name in ("pcall", "start", "fetch", "leave", "take", "launch", "next", "ended", "cancel")
+    for name in ("pcall", "start", "fetch", "leave", "take", "launch", "next", "ended", "cancel", *SEQUENCING)
 )
 #: Offsets of references in words, each with its target type.
 Expected = tuple[tuple[int, int], ...]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME, SEQUENCING, Opcode
 from lfield.bytecode.program import (
     GROWABLE,
     HELD_DEVICE,
@@ -258,6 +258,8 @@ class _Preparer:
                 return {0: "'together'"}
             case "launch" | "next" | "ended" | "cancel" | "failure":
                 return {0: "the futures"}
+            case "seq_start" | "seq_stop" | "seq_end" | "seq_alive":
+                return {0: f"'{SEQUENCING[row.name]}'"}
             case "write_str" | "print_str" | "find" | "agent" | "host":
                 return {0: f"'{row.name.partition('_')[0]}'"}
             case "device" if self.core.device_calls[operand].field == HELD_DEVICE:

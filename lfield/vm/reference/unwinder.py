@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lfield.bytecode.program import (
+    BUILTIN_CLASSES,
     CATCH,
     FINALLY,
     LANDING,
@@ -30,9 +31,11 @@ from lfield.vm.memory.layout import (
     THREAD_FRAME,
     THREAD_PC,
     THREAD_STATE,
+    W_THREADS,
 )
 from lfield.vm.reference.call_steps import release
 
+_TIME_LIMIT = BUILTIN_CLASSES.index("TimeLimitException")
 #: A frame and one of its method's rows.
 Row = tuple[int, Handler]
 
@@ -82,6 +85,27 @@ def find_handler(block: Block, program: Program, frame: int, pc: int, thrown: in
                 return last
             catch = None
     return catch
+
+
+def stop_limit(block: Block, program: Program) -> int:
+    """The word with the end of the limit around the `init` of a coordinator that may be stopped; 0 for none.
+
+    The compiler puts it there if the program stops any coordinator, so it is the outermost limit. A stop sets
+    its end to the present time: from then on it is as any limit that has expired.
+    """
+    if not program.has_stops:
+        return 0
+    found = 0
+    for frame, row in rows_of(block, program, block.w[W_THREADS]):
+        if row.kind == LIMIT:
+            found = frame + FRAME_SLOTS + row.slot
+    return found
+
+
+def is_of_stop(block: Block, program: Program, thrown: int) -> bool:
+    """Whether an exception that a coordinator does not catch is that of a stop."""
+    word, w = stop_limit(block, program), block.w
+    return bool(word) and w[word] < NO_LIMIT and w[thrown] & 0xFFFFFFFF == OBJECT | _TIME_LIMIT << 8
 
 
 def unwind(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lfield.bytecode.opcodes import BY_CODE, BY_NAME
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME, SEQUENCING
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory import layout
 from lfield.vm.memory.call_tickets import tickets_of
@@ -227,6 +227,9 @@ class Itinerary:
         if self._current_head(agent) == "take":
             entry = self._held_reservations.next_ungranted(agent)
             return (entry.resource, "") if entry is not None else None
+        if (function := SEQUENCING.get(self._current_head(agent))) is not None:
+            named = self._named_startable(agent)
+            return (named, function) if named is not None else None
         if self.head(agent):
             awaited = self.awaited_tickets(agent)
             return (self.resource(awaited[0]), self.portal(awaited[0])) if awaited else None
@@ -237,6 +240,12 @@ class Itinerary:
             return None
         portal = self._scheduler.engine.groups[w[thread + THREAD_PC]].head.a
         return self._team[w[words[0] + PROXY_MEMBER]], self._program.core.methods[portal].name
+
+    def _named_startable(self, agent: Agent) -> TeamMember | None:
+        """The coordinator that an instruction of the sequencing names."""
+        words = self.call_arguments(agent, only_thread(agent.block))
+        name = agent.block.string(words[0]) if words and words[0] else ""
+        return next((member for member in self._team if member.id == name), None)
 
     def current_call(self, agent: Agent) -> str:
         """The same as `resource.portal()`; '' for none."""
@@ -251,6 +260,8 @@ class Itinerary:
         called = self.current_call(agent)
         if not called:
             return ""
+        if self._current_head(agent) == "seq_end" and (named := self._named_startable(agent)) is not None:
+            return f"; {named.id} has not ended"
         is_started = self.is_fetching(agent)
         return (
             f"; {called} has begun, and its outcome is unknown"
@@ -280,5 +291,5 @@ class Itinerary:
         """Whether all effects of a restored coordinator's instruction are known."""
         head = self._current_head(agent)
         if head not in VISITED_STATES or head in CANCELLING_HEADS:
-            return head == "take" or head in CANCELLING_HEADS
+            return head == "take" or head in CANCELLING_HEADS or head in SEQUENCING
         return not any(t.state == TICKET_COLLECTED and self.is_here(t) for t in self.own_tickets(agent))

@@ -59,6 +59,8 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
     machine = desk.machine = Machine(
         program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=twin
     )
+    for line in ("7", "", "caf\u00e9 \N{ROBOT FACE}" * 40):
+        machine.operator_input.enter(line, is_kept=True)
     for member in members:
         machine.start(member, limits, generation=1)
     for _ in range(ROUNDS):

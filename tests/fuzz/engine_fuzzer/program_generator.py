@@ -97,7 +97,10 @@ _OF_WALKERS = (
     # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
     'st = findStore("" + #);|string',
 )
-_OF_STORES = ("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean")
+_OF_STORES = (
+    *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
+    *("write(read(0.25));|", "s0 = read(#);|real"),
+)
 #: What a synchronized method of a resource does besides.
 _IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")
 #: What coordinators ask, by how many portals there are.

@@ -188,10 +188,10 @@ def test_a_call_under_way_is_taken_and_its_portal_goes_on_alone() -> None:
     host.until(8.0)
     assert host.calls == 1
     (thread,) = (t.id for t in view(host.store.block, host.machine.program).threads)
-    assert host.machine.caller(host.store, thread) is host.clerk
+    assert host.machine.served_calls.caller(host.store, thread) is host.clerk
     assert host.machine.detach_caller(host.clerk, *TAKEN)
     assert host.calls == 0
-    assert host.machine.caller(host.store, thread) is None
+    assert host.machine.served_calls.caller(host.store, thread) is None
     assert not host.machine.detach_caller(host.clerk, *TAKEN)
     # The portal goes on, and what it gives is dropped.
     assert host.run() == ["the mission is paused store", "0", "1", "0"]

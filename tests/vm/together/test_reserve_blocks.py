@@ -161,24 +161,24 @@ def test_calls_of_others_are_those_that_are_not_of_the_coordinator() -> None:
     joined = ReservingHosts(program("together { r[0].work(5.0); r[1].work(5.0); } r[1].work(5.0);"))
     joined.still()
     machine, resource = joined.machines[1], joined.machines[1].agents["r1"]
-    assert not machine.has_calls_of_others(resource, "pilot")
+    assert not machine.served_calls.has_others(resource, "pilot")
     joined.run(until=1.0)
-    assert machine.has_calls_of_others(resource, "pilot")
-    assert not machine.has_calls_of_others(resource, "boss")
+    assert machine.served_calls.has_others(resource, "pilot")
+    assert not machine.served_calls.has_others(resource, "boss")
     joined.run(until=6.0)
     boss = machine.agents["boss"]
     assert (
-        machine.has_calls_of_others(resource, "pilot"),
-        machine.has_calls_of_others(resource, "boss"),
+        machine.served_calls.has_others(resource, "pilot"),
+        machine.served_calls.has_others(resource, "boss"),
     ) == (
         True,
         False,
     )
     # Nobody knows any more whose it is.
     assert machine.detach_caller(boss, "RestartException", "it was fenced")
-    assert machine.has_calls_of_others(resource, "boss")
+    assert machine.served_calls.has_others(resource, "boss")
     joined.run()
-    assert not machine.has_calls_of_others(resource, "pilot")
+    assert not machine.served_calls.has_others(resource, "pilot")
 
 
 def test_a_resource_that_has_died_has_no_calls() -> None:
@@ -186,7 +186,7 @@ def test_a_resource_that_has_died_has_no_calls() -> None:
     joined.run(until=1.0)
     resource = joined.machines[1].agents["r1"]
     resource.ended = "died"
-    assert not joined.machines[1].has_calls_of_others(resource, "pilot")
+    assert not joined.machines[1].served_calls.has_others(resource, "pilot")
 
 
 @pytest.mark.parametrize(

@@ -242,10 +242,10 @@ def test_who_calls_is_known_though_it_has_moved_on() -> None:
     caller = joined.machines[0].caller(resource, thread)
     assert caller is not None
     assert (caller.id, caller.generation, caller.ended, caller.fenced) == ("boss", 1, "", False)
-    number, _ = joined.machines[0].served_call(resource, thread)
+    number, _ = joined.machines[0].served_calls.of_thread(resource, thread)
     assert number
     joined.machines[0].pending_calls.fail_running("boss", "RestartException", "paused")
-    assert joined.machines[0].served_call(resource, thread) == (number, None)
+    assert joined.machines[0].served_calls.of_thread(resource, thread) == (number, None)
 
 
 LIMIT = "catch (TimeLimitException e) { print(e.message()); }"

@@ -16,7 +16,7 @@ _LEAVES = """
     tick suppress control tick_failed
     launch next ended cancel failure wait_limit wait_leave wait_enter
     s2f f2s f2s_digits exc_message exc_type exc_source exc_others noreturn
-    read_line tick suppress control tick_failed
+    read_line seq_start seq_stop seq_end seq_alive
 """
 
 

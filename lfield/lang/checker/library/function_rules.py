@@ -15,7 +15,13 @@ from lfield.lang.tree import Expr, Literal_, Negate, ToReal
 from lfield.lang.types import BOOLEAN, INT, REAL, STRING, Type
 
 #: The functions that wait at most for a time, their last argument, each with an example.
-_WAITING = {"read": "read(30.0)"}
+_WAITING = {
+    "read": "read(30.0)",
+    "start": 'start("patrol", 10.0)',
+    "stop": 'stop("patrol", 10.0)',
+    "awaitEnd": 'awaitEnd("patrol", 60.0)',
+    "running": 'running("patrol", 5.0)',
+}
 #: The functions that convert to text.
 _TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""}
 

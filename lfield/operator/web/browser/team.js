@@ -80,7 +80,7 @@ export default {
           <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
           <program v-if="programs[c.agent] && !c.finished" :program="programs[c.agent]"/>
           <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
-          <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
+          <p v-if="c.finished && c.detail" :class="{bad: c.finished !== 'done'}">{{ c.detail }}</p>
           <p class="hops"><span v-if="c.hops !== null" class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
         </article>
         <p v-if="!look.coordinators.length" class="none">No coordinator known yet.</p>

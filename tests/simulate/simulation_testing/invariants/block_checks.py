@@ -230,5 +230,5 @@ class BlockChecks:
 def _callers(life: HostLife, resource: Agent, name: str) -> set[int]:
     """The starts of an agent that a resource works for now."""
     block, machine = resource.block, life.core.machine
-    callers = (machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
+    callers = (machine.served_calls.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
     return {caller.generation for caller in callers if caller and caller.id == name}

@@ -158,5 +158,6 @@ class CallChecks:
 def _caller(life: HostLife, resource: Agent, name: str) -> int:
     """The start of this agent whose call a resource serves: the latest that has come to it."""
     block = resource.block
-    callers = (life.core.machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
+    calls = life.core.machine.served_calls
+    callers = (calls.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
     return next((caller.generation for caller in callers if caller and caller.id == name), 0)

@@ -221,6 +221,6 @@ def _callers(life: HostLife, resource: Agent) -> dict[str, set[int]]:
     block, machine = resource.block, life.core.machine
     found: dict[str, set[int]] = {}
     for place in threads(block):
-        if caller := machine.caller(resource, block.w[place + THREAD_ID]):
+        if caller := machine.served_calls.caller(resource, block.w[place + THREAD_ID]):
             found.setdefault(caller.id, set()).add(caller.generation)
     return found

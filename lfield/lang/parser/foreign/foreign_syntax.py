@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_words import (
+from lfield.lang.parser.foreign.foreign_words import (
     CONTAINERS,
     FOREIGN_STATEMENTS,
     FOREIGN_SYMBOLS,
@@ -20,7 +20,7 @@ from lfield.lang.parser.foreign_words import (
     WORD_PREFIXES,
     qualified_hint,
 )
-from lfield.lang.parser.python_blocks import skip_python_block
+from lfield.lang.parser.foreign.python_blocks import skip_python_block
 from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import Token, TokenKind
 from lfield.lang.syntax import BAD_TYPE, BadStmt, Stmt, TypeName

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_words import FOREIGN_SYMBOLS, FOREIGN_VALUES
+from lfield.lang.parser.foreign.foreign_words import FOREIGN_SYMBOLS, FOREIGN_VALUES
 from lfield.lang.parser.token_stream import TokenStream
 from lfield.lang.scanner import TokenKind
 from lfield.text.source_text import Span

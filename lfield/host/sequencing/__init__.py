@@ -1,0 +1,1 @@
+"""Coordinators that others start and stop: the decisions of their home."""

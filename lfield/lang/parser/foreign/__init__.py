@@ -1,0 +1,1 @@
+"""Constructs of other languages, for the hints of the parser."""
