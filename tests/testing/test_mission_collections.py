@@ -1,4 +1,4 @@
-"""Arrays that grow and maps between L and the doubles of a test: lists and dicts."""
+"""Arrays that grow, maps and enums between L and the doubles of a test: lists, dicts and names."""
 
 from __future__ import annotations
 
@@ -79,3 +79,65 @@ def test_a_dict_of_other_types_is_refused(tmp_path: Path, returned: object, prob
     with pytest.raises(DoubleError) as caught:
         team.until("no such line")
     assert problem in str(caught.value)
+
+
+# --- enums ----------------------------------------------------------------------------------------------
+
+ENUM_PROGRAM = """
+enum Phase { SEARCH, LIFT, HOME }
+const Phase GOAL = Phase.HOME;
+Phase later(Phase a, Phase b) { if (a > b) return a; return b; }
+class Step {
+    public Phase phase;
+    public map<Phase, int> tries = new map<Phase, int>();
+}
+resource Arm {
+    init(string[] arg) { while (true) yield(); }
+    portal go(Phase to, Phase[] others) emit Phase { return to; }
+    portal step(Step step) emit Step { return step; }
+    portal wrong() emit Phase { return GOAL; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Arm arm = findArm("arm");
+        Phase[] others = {Phase.SEARCH, GOAL};
+        Phase got = arm.go(Phase.LIFT, others);
+        print("got " + later(got, Phase.LIFT).name());
+        Step step = new Step();
+        step.tries[Phase.LIFT] = 2;
+        step = arm.step(step);
+        print("step " + step.phase.name() + " " + i2s(step.tries[Phase.HOME]));
+        print("the end");
+        arm.wrong();
+    }
+}
+"""
+ENUM_DEPLOYMENT = "//Arm:arm@bravo //Boss:boss@alpha"
+
+
+def test_members_are_names(tmp_path: Path) -> None:
+    observed: list[object] = []
+
+    def go(to: str, others: list[str]) -> str:
+        observed.extend([to, others])
+        return "HOME"
+
+    def step(given: SimpleNamespace) -> object:
+        observed.extend([given.phase, given.tries])
+        given.fields.update(phase="LIFT", tries={"HOME": 7})
+        return given
+
+    double = SimpleNamespace(go=go, step=step, wrong=lambda: "Home")
+    team = SmallTeam(tmp_path, ENUM_PROGRAM, ENUM_DEPLOYMENT, {"arm": double})
+    with pytest.raises(DoubleError, match=r"returns Phase, but its double has returned str 'Home'"):
+        team.until("no such line")
+    assert observed == ["LIFT", ["SEARCH", "HOME"], "SEARCH", {"LIFT": 2}]
+    assert team.said("got HOME")
+    assert team.said("step LIFT 7")
+
+
+def test_a_call_of_a_test_has_names(tmp_path: Path) -> None:
+    team = SmallTeam(tmp_path, ENUM_PROGRAM, ENUM_DEPLOYMENT)
+    team.until("got LIFT")
+    assert team.call("go").arguments == ("LIFT", ["SEARCH", "HOME"])
+    assert team.call_results("go") == ["LIFT"]
