@@ -25,6 +25,7 @@ from lfield.wire.codec import (
 )
 from lfield.wire.coordinator_messages import (
     CallsEnded,
+    CancelCalls,
     CheckpointId,
     CoordinatorState,
     LeaseRecord,
@@ -139,6 +140,7 @@ MESSAGES = [
     ReleaseReservation("arm", 7),
     WatchCalls("Tour:one", 2**62, [1, 2**63 - 1]),
     CallsEnded("Tour:one", 3, [7]),
+    CancelCalls("Tour:one", 3, [7]),
 ]
 
 
