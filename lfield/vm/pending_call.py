@@ -71,6 +71,12 @@ class PendingCall:
         return self.agent
 
     @property
+    def cancel_reason(self) -> str:
+        """What its portal is told when its coordinator cancels it."""
+        what = "has cancelled" if self.is_future else "has left the together that called"
+        return f"{self.agent} {what} {self.portal}()"
+
+    @property
     def ended(self) -> str:
         """Why it must not be served any more; '' while it runs (`Agent.ended`)."""
         return "dropped" if self.dropped else ""

@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 
 from lfield.wire.coordinator_messages import (
     CallsEnded,
+    CancelCalls,
     CoordinatorState,
     Locate,
     Located,
@@ -302,6 +303,7 @@ Control = (
     | ReservationMessage
     | WatchCalls
     | CallsEnded
+    | CancelCalls
     | SubscriptionMessage
     | ServiceMessage
 )

@@ -125,6 +125,10 @@ class HostServices:
         """Report the first of these calls on other hosts that ends."""
         self._parts.call_watch.watch(agent, calls)
 
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """Ask other hosts to cancel these calls."""
+        self._parts.call_watch.request_cancels(agent, calls)
+
     def abandon_wait(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may continue at once, since its wait was cancelled."""
         waited = self._parts.leases.abandon_wait(agent) or self._parts.reservations.abandon_wait(agent)

@@ -50,6 +50,9 @@ class CallWatcher(Protocol):
     def watch(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator here waits for the first of these calls."""
 
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator here cancels these calls."""
+
 
 class CoordinatorOperations(Protocol):
     """The coordinators of a host; implemented by `Coordinators`."""
