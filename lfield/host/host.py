@@ -127,7 +127,7 @@ class Host:
         recording.set_seed(seed)
         return HostContext(
             self.mission, self.name, options.rng.getrandbits(62) + 1, self._turns,
-            recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
+            recording.environment(HostEnvironment(self.peers, self.guards), self._turns), Random(seed),
             options.unreachable_after, overlay, self.recorder,
             writer.journal_id, writer.records, writer.times,
             select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),

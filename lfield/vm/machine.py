@@ -317,7 +317,8 @@ class Machine:
                 break
             agent, thread = ready.popleft()
             # Where no other thread can become ready, a long turn delays none.
-            is_alone = not (ready or agent.has_waiting_threads or self.hooks.meter)
+            others = ready or agent.pollers or agent.blocked or agent.monitor_waits
+            is_alone = not (others or self.hooks.meter)
             try:
                 remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:

@@ -27,7 +27,10 @@ from lfield.wire import codec
 from lfield.wire.events import KINDS, Event
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import EventBatch
+from lfield_mavlink.files.parameter_facts import own_values
+from lfield_mavlink.files.parameter_file import read_parameters
 from lfield_mavlink.files.plan_report import read_plan
+from lfield_mavlink.modes import PX4
 
 #: What a terminal would obey.
 _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
@@ -167,6 +170,24 @@ def decode_plan(data: bytes) -> None:
         draw_plan(report, "f.plan")
 
 
+PARAMETERS = b"""# Stack: PX4 Pro
+# Vehicle: Quadrotor
+1\t1\tMPC_XY_VEL_MAX\t12.5\t9
+RTL_ALT,1500 # a reason
+STAT_BOOTCNT 3 @READONLY
+"""
+
+
+def decode_parameters(data: bytes) -> None:
+    """A parameter file."""
+    try:
+        content = read_parameters("f.param", data)
+    except MissionFileError as error:
+        str(error)
+        return
+    own_values(PX4, content.values)
+
+
 def decode_area(data: bytes) -> None:
     """A map file, and the check of each of its shapes."""
     is_area_file("f.geojson", data)
@@ -219,6 +240,7 @@ TARGETS = (
     Target(
         "plan", lambda: [(FILES / "north-field.plan").read_bytes()], decode_plan, tokens=_OF_PLANS, share=2
     ),
+    Target("parameters", lambda: [PARAMETERS], decode_parameters, tokens=_OF_ROWS),
     Target("waypoints", lambda: [WAYPOINTS], decode_plan, tokens=_OF_ROWS),
     Target("kml", lambda: [(FILES / "north.kml").read_bytes()], decode_area, tokens=_OF_MAPS),
     Target("geojson", lambda: [GEOJSON], decode_area, tokens=_OF_MAPS),

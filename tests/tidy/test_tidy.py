@@ -51,7 +51,6 @@ SMALL = {
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/jitter_measurement.py": "what is done for lateness to decide",
     "lfield/operator/web/page.py": "the one page, of the one component",
-    "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
     "lfield/host/process/shutdown_signals.py": "what ends a host",
     "lfield/host/failures/agent_dump.py": "where the block of a dead agent goes",

@@ -76,6 +76,8 @@ def encode_effects(effects: Sequence[host_effects.Effect]) -> bytes:
     """The summary of the effects of a turn; b"" for none."""
     if not effects:
         return b""
+    if len(effects) == 1 and type(effect := effects[0]) is SendTransfer:
+        return _encode([_transfer(effect)])
     return _encode([_transfer(each) if type(each) is SendTransfer else _other(each) for each in effects])
 
 
