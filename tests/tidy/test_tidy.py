@@ -34,6 +34,7 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/mission/checks/recovery_findings.py": "what two files say of recovery together",
     "lfield/host/events/path_rate.py": "a measurement of its own, without I/O",
     "lfield/net/coding/link_compression.py": "two streams of zlib",
     "lfield/inventory/location.py": "which inventory counts, without YAML",
