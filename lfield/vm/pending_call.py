@@ -39,6 +39,8 @@ class PendingCall:
     `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: that
     limit cancelled it.
 
+    A call of a person has the name of the caller as `agent`, and `is_of_person`.
+
     `call` is the number of the portal call and `method` the portal's index, 0 if not running in this
     incarnation; `waiter` is the coordinator and thread that wait here for it.
     """
@@ -59,6 +61,7 @@ class PendingCall:
     failure: str = ""
     call: int = 0
     method: int = 0
+    is_of_person: bool = False
     waiter: tuple[Agent, int] | None = field(default=None, repr=False)
 
     @property

@@ -125,6 +125,26 @@ class SequencingDecisions(Sequencer, Protocol):
         """Ends the wait of a coordinator; returns whether it did wait."""
 
 
+class ReservationRules(Protocol):
+    """What reservations allow to persons; implemented by `ReservationService`."""
+
+    def may_serve_person(self, start: tuple[str, int], resource: str) -> bool:
+        """Whether a portal call of a person may start now; otherwise it waits. Raises Trap if it may not."""
+
+    def drain_retried_persons(self) -> list[tuple[str, int]]:
+        """The calls that waited and may try again; each is returned once."""
+
+    def abandon_person(self, start: tuple[str, int]) -> None:
+        """A call that waits does not start."""
+
+
+class CallEnds(Protocol):
+    """Uses the ends of portal calls of persons; implemented by `PersonCalls`."""
+
+    def on_completed(self, pending: PendingCall) -> None:
+        """A portal call of a person has ended."""
+
+
 class StateObserver(Protocol):
     """Uses the coordinator states of other hosts; implemented by `DeviceCommands`."""
 
