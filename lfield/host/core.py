@@ -70,9 +70,8 @@ class HostCore:
     """One host of a mission, without I/O."""
 
     def __init__(self, context: HostContext) -> None:
-        self.context, self.mission, self.team, self.name = (
-            context, context.mission, context.team, context.name,
-        )  # fmt: skip
+        self.context, self.mission, self.team = context, context.mission, context.team
+        self.name = context.name
         self.here, self.incarnation, self.recorder = context.here, context.incarnation, context.recorder
         self._clock, self._effects, self._log = context.clock, context.effects, context.log
         mission, records = context.mission, context.records
