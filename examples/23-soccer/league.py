@@ -16,7 +16,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 #: The two programs, and their matches.
-PROGRAMS, MATCHES, SECONDS = ("red", "blue"), 5, 60.0
+PROGRAMS, MATCHES, SECONDS = ("red", "blue"), 3, 60.0
 #: Seconds for both missions to start and end.
 PATIENCE = 120.0
 
