@@ -111,7 +111,7 @@ class MonitorWaits:
 
     def _set_alarms(self, agent: Agent, thread: int, end: int) -> None:
         if agent.monitor_waits[thread] == POLLS:
-            self._queue.set_alarm(agent, POLL_INTERVAL, partial(wake, self._queue, agent, thread))
+            self._queue.set_alarm(agent, POLL_INTERVAL, partial(self._wake, agent, thread))
         key = agent.id, thread, end
         if end and key not in self._alarms:
             self._alarms.add(key)
@@ -121,4 +121,7 @@ class MonitorWaits:
 
     def _on_end(self, agent: Agent, key: tuple[str, int, int]) -> None:
         self._alarms.discard(key)
-        wake(self._queue, agent, key[1])
+        self._wake(agent, key[1])
+
+    def _wake(self, agent: Agent, thread: int) -> None:
+        wake(self._queue, agent, thread)

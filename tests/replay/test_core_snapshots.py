@@ -53,6 +53,29 @@ coordinator Walker {
     }
 }
 """
+#: Futures that are raced, and threads that wait in monitors, for a time, without limit, and for a clock.
+WAITING_PROGRAM = """
+resource Post {
+    int seen;
+    init(string[] arg) { seen = 0; }
+    portal synchronized next(int after) emit int { wait until (seen > after) within (0.7); return seen; }
+    portal synchronized later(real at) emit int { wait until (now() >= at); return seen; }
+    portal synchronized put() { seen = seen + 1; }
+    portal synchronized ever() emit int { wait until (seen < 0); return seen; }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] all = findPost();
+        future<int> kept = async all[0].ever();
+        while (!kept.done()) {
+            future<int>[] calls = {async all[0].next(1000000), async all[1].later(now() + 0.3)};
+            calls.append(async all[1].next(0));
+            try { print(calls.race()); } catch (Exception e) { print(e.message()); }
+            all[0].put();
+        }
+    }
+}
+"""
 DEPLOYMENT = "//Post:north@north\n//Post:south@south\n//Walker:one@north\n//Walker:two@south\n"
 
 
@@ -150,8 +173,9 @@ def classes_in(core: object, known: dict[int, Any]) -> Counter[type]:
     return Counter(type(each) for each in found)
 
 
-def test_every_object_of_a_busy_core_is_restored_with_its_class(tmp_path, monkeypatch) -> None:
-    (tmp_path / "mission.L").write_text(BUSY_PROGRAM)
+@pytest.mark.parametrize("program", [BUSY_PROGRAM, WAITING_PROGRAM], ids=["busy", "waiting"])
+def test_every_object_of_a_core_is_restored_with_its_class(program: str, tmp_path, monkeypatch) -> None:
+    (tmp_path / "mission.L").write_text(program)
     (tmp_path / "mission.dL").write_text(DEPLOYMENT)
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.25)
     written: dict[bytes, Counter[type]] = {}

@@ -256,6 +256,8 @@ class _Preparer:
                 return {0: "'reserve'"}
             case "start" | "fetch" | "leave" | "settle":
                 return {0: "'together'"}
+            case "tick_failed":
+                return {0: "the end of a tick"}
             case "launch" | "next" | "ended" | "cancel" | "failure":
                 return {0: "the futures"}
             case "seq_start" | "seq_stop" | "seq_end" | "seq_alive":

@@ -91,7 +91,7 @@ class CallProgress:
     def are_all_cancelled(self, agent: Agent, thread: int) -> bool:
         """Cancel all started calls, host by host, then wait for them; whether all of them have ended.
 
-        Several other hosts get a message first, so that the calls end while the coordinator is on its way.
+        Several other hosts get a message, so that the calls end while the coordinator is on its way.
         When a time limit around the block has expired, unreachable hosts are not awaited: they know the
         limit, and end the calls themselves.
         """
@@ -135,7 +135,13 @@ class CallProgress:
         return False
 
     def _request_cancels(self, agent: Agent, thread: int) -> None:
-        """Ask the other hosts to cancel, if there are several: the coordinator goes to one host at a time."""
+        """Ask the other hosts to cancel, if there are several: the coordinator goes to one host at a time.
+
+        Only once its block at this instruction is on disk, which it is after a hop: a coordinator that is
+        restored from an earlier one has not cancelled anything.
+        """
+        if not agent.is_persisted:
+            return
         found = self._itinerary.tickets(agent, thread)
         elsewhere = [t for t in found if t.state == TICKET_STARTED and not self._itinerary.is_here(t)]
         calls = [(self._itinerary.resource(ticket), ticket.number) for ticket in elsewhere]

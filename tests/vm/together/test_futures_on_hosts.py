@@ -73,6 +73,23 @@ def test_the_first_of_several_hosts_costs_one_hop_and_the_cancel_two_for_each_ot
     assert starts + to_winner < len(joined.images) <= starts + to_winner + 2 * (hosts - 1)
 
 
+def test_calls_that_end_at_once_when_they_are_cancelled_cost_one_visit_to_each_host() -> None:
+    body = (
+        "future<Card>[] all = {async r[0].fail(9.0), async r[1].work(1.0, mine), async r[2].fail(9.0)};"
+        "all.append(async r[3].fail(9.0)); print(all.race());"
+    )
+    joined = run(body, 4)
+    # Out to start, to the winner, and to each of the others, which are asked to cancel from the first one on.
+    assert joined.route == [0, 1, 2, 3, 1, 0, 2, 3, 0]
+    assert joined.printed == ["1"]
+    joined = JoinedHosts(program(body), 4)
+    joined.run(until=0.5)
+    joined.cut.add(2)
+    joined.run()
+    assert joined.printed == ["1"]
+    assert [call.resource for call in joined.machines[2].pending_calls.calls()] == ["r2"]
+
+
 def test_while_it_waits_for_several_hosts_it_stays_and_each_end_is_one_hop() -> None:
     body = (
         "future<Card>[] all = {async r[0].work(3.0, mine), async r[1].work(1.0, mine)};"
