@@ -35,7 +35,7 @@ def row(text):
 
 
 def shown(svg):
-    """Start and end of each line of a picture, to 20 pixels."""
+    """Start and end of each line of a drawing, to 20 pixels."""
     lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', svg)]
     return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
@@ -58,8 +58,8 @@ def test_each_person_gets_one_kit_by_one_coordinator(lfield_mission):
     assert len(searches) == 6
     assert row("portal calls")[1] == len(team.calls)
     assert row("hops")[1] == len(team.hops)
-    picture = (FOLDER / "tracks.svg").read_text(encoding="utf-8")
-    assert shown(draw(team.tracks, "search and rescue", team.marks)) == shown(picture), "draw it again"
+    drawing = (FOLDER / "tracks.svg").read_text(encoding="utf-8")
+    assert shown(draw(team.tracks, "search and rescue", team.marks)) == shown(drawing), "draw it again"
 
 
 @pytest.mark.few(0)

@@ -25,13 +25,13 @@ from lfield.errors import (
     ProgramFileError,
     ReportableFinding,
 )
-from lfield.lang.deployment import Deployment, read_deployment, read_with_warnings
+from lfield.lang.deployment import read_deployment, read_with_warnings
 from lfield.mission import bundle
 from lfield.mission.access.access_file import read_access
 from lfield.mission.access.access_rules import NO_RULES, Access
 from lfield.mission.bindings import Bindings, chosen_fakes, without_doubles
 from lfield.mission.bindings_file import read_bindings, unstated_options
-from lfield.mission.checks.quorum_findings import first_fenced, quorum_warnings
+from lfield.mission.checks.recovery_findings import check_recovery, quorum_warnings
 from lfield.mission.mission import Mission, drivers_for, duplicate_statements, needed_devices
 from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.input_files import error_reason, read_head, require_file
@@ -110,7 +110,7 @@ def load_mission(
     mission = Mission(
         printable_argument(deploy.stem), loaded, team, bindings, drivers, registry, access=access
     )
-    mission = _check_recovery(mission, deployment)
+    mission = check_recovery(mission, deployment)
     chosen += duplicate_statements(mission)
     warnings += quorum_warnings(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
@@ -153,23 +153,7 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
         attributes=(lambda: known.attributes) if (known := mission.registry) is not None else None,
         homes=mission.team.homes,
     )
-    return _check_recovery(mission.with_bindings(bindings))
-
-
-def _check_recovery(mission: Mission, deployment: Deployment | None = None) -> Mission:
-    """The mission, after a check of its recovery members and that silence is within the lease.
-
-    Raises BindingError, rendered at the first fenced coordinator where the deployment is available.
-    """
-    try:
-        if mission.recovery.members:
-            mission.bindings.check_lease_bounds()
-    except BindingError as error:
-        if deployment is None:
-            raise
-        drawn = Diagnostic("Y115", str(error), first_fenced(deployment, mission).span)
-        raise BindingError([drawn.render()], [drawn]) from None
-    return mission
+    return check_recovery(mission.with_bindings(bindings))
 
 
 def sibling_file(path: Path, suffix: str) -> Path | None:
@@ -332,7 +316,7 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
         _access(deploy, team, loaded, _registry_types(sibling_file(deploy, CAPABILITIES), deploy, plugins))
-        mission = _check_recovery(
+        mission = check_recovery(
             Mission(printable_argument(deploy.stem), loaded, team, bound, DriverIndex({})), deployment
         )
     except ProgramError as error:

@@ -69,6 +69,7 @@ _FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {
     host_effects.PersistRecords: lambda each: [each.number, crc32(_encode([each.records, each.keys]))],
     host_effects.OpenLink: lambda each: [each.host],
     host_effects.WakeWaiters: lambda each: [],
+    host_effects.AnswerPersonCall: lambda each: [each.result],
 }
 
 

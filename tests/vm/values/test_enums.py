@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
+from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
 from msgspec.structs import replace
 
 from lfield.bytecode.disassembler import disassemble
@@ -17,7 +18,6 @@ from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression, Wa
 from lfield.replay.debugger.moment import Moment
 from lfield.replay.debugger.value_tree import ValueReader
 from lfield.testing.golden import compile_text, run_text
-from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
 from lfield.vm.inspection.block_view import view
 from lfield.vm.inspection.traceback import stack
 from lfield.vm.machine import Machine

@@ -1,11 +1,28 @@
-"""Findings about the quorum of a mission: members that the deployment and the devices file name together."""
+"""Findings about the recovery of a mission: quorum and lease, by its deployment and devices file together."""
 
 from __future__ import annotations
 
+from lfield.errors import BindingError
 from lfield.lang.deployment import DeployedAgent, Deployment
 from lfield.mission.mission import Mission
 from lfield.text.source_text import Diagnostic
 from lfield.text.suggestions import listed
+
+
+def check_recovery(mission: Mission, deployment: Deployment | None = None) -> Mission:
+    """The mission, after a check of its recovery members and that silence is within the lease.
+
+    Raises BindingError, rendered at the first fenced coordinator where the deployment is available.
+    """
+    try:
+        if mission.recovery.members:
+            mission.bindings.check_lease_bounds()
+    except BindingError as error:
+        if deployment is None:
+            raise
+        drawn = Diagnostic("Y115", str(error), _first_fenced(deployment, mission).span)
+        raise BindingError([drawn.render()], [drawn]) from None
+    return mission
 
 
 def quorum_warnings(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
@@ -19,7 +36,7 @@ def quorum_warnings(deployment: Deployment, mission: Mission) -> list[Diagnostic
         failed, why = f"one of {listed(members)}", "the other one is not a majority"
     else:
         return []
-    first = first_fenced(deployment, mission)
+    first = _first_fenced(deployment, mission)
     message = f"{first.id} cannot be recovered when {failed} is lost: {why}"
     return [Diagnostic("Y114", message, first.span, _more_members(mission), "warning")]
 
@@ -33,6 +50,5 @@ def _more_members(mission: Mission) -> str:
     return named if len(mission.team.hosts) > 2 else f"{witness}; and {named}"
 
 
-def first_fenced(deployment: Deployment, mission: Mission) -> DeployedAgent:
-    """The first agent of a deployment that can be recovered."""
+def _first_fenced(deployment: Deployment, mission: Mission) -> DeployedAgent:
     return next(agent for agent in deployment.agents if agent.id in mission.fenced)
