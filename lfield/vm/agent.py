@@ -210,6 +210,10 @@ class Agent:
         self.loops = ResourceLoops(threads)
         self.waiting += [(self, thread) for thread in threads.values()]
 
+    def is_own_loop(self, caller: Agent, thread: int) -> bool:
+        """Whether a thread that waits is one of its loops, and no call."""
+        return caller is self and self.loops is not None and self.loops.has(thread)
+
     def finish_init(self, now: int) -> list[tuple[Agent, int]]:
         """Open it: its init has reached its first pause, at a time in ns. Returns the threads that waited."""
         self.open = True

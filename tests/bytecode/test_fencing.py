@@ -50,7 +50,8 @@ def test_a_coordinator_that_may_call_it_is_fenced() -> None:
 EXAMPLES = [
     path
     for path in sorted(Path(__file__).parents[2].glob("examples/*/*.L"))
-    if not ("<arena/" in path.read_text() or list(path.parent.rglob("pyproject.toml")))
+    if "<arena/" not in "".join(other.read_text() for other in path.parent.glob("*.L"))
+    and not list(path.parent.rglob("pyproject.toml"))
 ]
 
 

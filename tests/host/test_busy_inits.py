@@ -21,6 +21,7 @@ PROGRAM = """
 resource Axis {
     Motor motor;
     init(string[] arg) { motor.home(); while (true) yield(); }
+    loop count at 1.0 { }    // it waits too, and is no caller
     portal move() emit int { return 1; }
 }
 resource Ready { init(string[] arg) { while (true) yield(); } portal move() emit int { return 2; } }

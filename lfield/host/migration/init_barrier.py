@@ -56,6 +56,6 @@ class InitBarrier(Part):
         return [
             (caller.id, resource.id)
             for resource in self._agents.values()
-            for caller, _ in resource.waiting
-            if not caller.ended
+            for caller, thread in resource.waiting
+            if not (caller.ended or resource.is_own_loop(caller, thread))
         ]
