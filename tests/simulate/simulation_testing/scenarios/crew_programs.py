@@ -103,8 +103,8 @@ def story_program(block: str, how: str, first: str = "", methods: str = "") -> s
 
 
 PROGRAM = story_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
-#: Racers begin calls of several resources and fetch them later, or the first result. They say what a crew says,
-#: and `won` with the number of the piece where the first result counted.
+#: Racers begin calls of several resources and fetch them later, or the first result. They say what a crew
+#: says, and `won` with the number of the piece where the first result counted.
 _RUN = """
     private string run(Post[] posts, string life, int number, int[] got, real most) {
         future<int>[] pieces = {};
