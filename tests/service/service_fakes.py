@@ -11,6 +11,7 @@ from lfield.errors import AddressError, BundleError, OutputFileError
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import RunRecord, ServiceRecord
 from lfield.service.mission_runner import HostEnd, HostProcess, MissionRunner, ProcessId
+from lfield.service.restart_policy import RESTART_DELAY
 from lfield.service.service import Service
 from lfield.simulate.jumping_loop import LoopClock
 from lfield.text.log_messages import LogLine
@@ -25,6 +26,7 @@ from lfield.wire.service_messages import (
     ServiceQuery,
     ServiceStatus,
     UnfinishedCoordinator,
+    Vote,
     VoteQuery,
 )
 
@@ -32,6 +34,8 @@ HOSTS = ["alpha", "bravo"]
 #: The coordinators of the mission, and where they start.
 HOMES = {"walker": "alpha", "pilot": "bravo"}
 OLD, NEW = (sha256(name).digest() for name in (b"old", b"new"))
+SOON = RESTART_DELAY + 1.0
+YES: dict[str, Vote] = dict.fromkeys(HOSTS, "yes")
 WALKER = UnfinishedCoordinator("walker", "parked", "bravo", "patrol")
 
 
@@ -267,3 +271,10 @@ async def unreachable(host: str, query: VoteQuery | ServiceQuery) -> BallotState
 
 def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
     return RunRecord(bundle, boot, pid, 7 * pid, open_run=bundle)
+
+
+async def running(robot: Robot) -> None:
+    """Start the service of a robot and its mission."""
+    robot.boot_service()
+    await robot.start()
+    assert robot.runner.is_running

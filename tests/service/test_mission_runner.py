@@ -13,7 +13,7 @@ from lfield.errors import OutputFileError
 from lfield.service.bundle_store import RunRecord
 from lfield.service.mission_runner import REBOOTED, MissionRunner
 from lfield.service.restart_policy import MAX_RESTARTS, PERIOD, RESTART_DELAY, judge
-from lfield.simulate.jumping_loop import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock
 
 #: Longer than the delay of a restart.
 SOON = RESTART_DELAY + 1.0
@@ -38,11 +38,6 @@ class Computer:
         if self.is_full:
             raise OutputFileError("state.json", "No space left on device")
         self.disk = self.runner.record
-
-
-@pytest.fixture(scope="session")
-def runner():
-    return lambda test: run_jumping(test())
 
 
 @pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])

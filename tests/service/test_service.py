@@ -7,13 +7,15 @@ from hashlib import sha256
 
 import pytest
 from service_fakes import (
-    HOSTS,
     NEW,
     OLD,
+    SOON,
     WALKER,
+    YES,
     Robot,
     ballot,
     run_of,
+    running,
     unreachable,
 )
 
@@ -22,7 +24,6 @@ from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.restart_policy import RESTART_DELAY
 from lfield.service.service import RESOLVE_EVERY
-from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.service_messages import (
     Ballot,
     MissionCommand,
@@ -30,26 +31,10 @@ from lfield.wire.service_messages import (
     ServiceStatus,
     StageRequest,
     StageResult,
-    Vote,
     VoteReport,
 )
 
-SOON = RESTART_DELAY + 1.0
-YES: dict[str, Vote] = dict.fromkeys(HOSTS, "yes")
-
-
-async def running(robot: Robot) -> None:
-    robot.boot_service()
-    await robot.start()
-    assert robot.runner.is_running
-
-
 # --- votes ---------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="session")
-def runner():
-    return lambda test: run_jumping(test())
 
 
 async def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:

@@ -6,13 +6,15 @@ import asyncio
 
 import pytest
 from service_fakes import (
-    HOSTS,
     NEW,
     OLD,
+    SOON,
+    YES,
     Robot,
     ServiceKilled,
     ballot,
     run_of,
+    running,
     unreachable,
 )
 
@@ -20,7 +22,6 @@ from lfield.errors import OutputFileError
 from lfield.service.ballots import ActivationState, propose
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import ProcessId
-from lfield.service.restart_policy import RESTART_DELAY
 from lfield.service.service import CLOSE_AFTER, REPORT_EVERY, RESOLVE_EVERY
 from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.service_messages import (
@@ -30,16 +31,6 @@ from lfield.wire.service_messages import (
     VoteQuery,
     VoteReport,
 )
-
-SOON = RESTART_DELAY + 1.0
-YES: dict[str, Vote] = dict.fromkeys(HOSTS, "yes")
-
-
-async def running(robot: Robot) -> None:
-    robot.boot_service()
-    await robot.start()
-    assert robot.runner.is_running
-
 
 # --- ballots without a decision ------------------------------------------------------------------------
 
@@ -56,11 +47,6 @@ class Bravo:
         assert host == "bravo"
         vote: dict[str, Vote] = {"bravo": "no" if query.closes else "yes"}
         return BallotState(query.id, None, vote if query.closes or self.state.ballot else {}, {}, "open")
-
-
-@pytest.fixture(scope="session")
-def runner():
-    return lambda test: run_jumping(test())
 
 
 async def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from damaged_blocks import damaged_images
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joined_hosts import CollectingHosts
@@ -276,19 +277,12 @@ def images() -> tuple[tuple[int, bytes], ...]:
 @given(st.data())
 def test_hostile_reservations_are_refused_or_harmless(data: st.DataObject) -> None:
     """Whatever a peer changes in a block that carries reservations: BlockError, or a run like any other."""
-    target, sound = data.draw(st.sampled_from(images()))
-    image = bytearray(sound)
-    for _ in range(data.draw(st.integers(1, 3))):
-        word = data.draw(st.integers(0, len(image) // 8 - 1))
-        old = int.from_bytes(image[8 * word : 8 * word + 8], "little", signed=True)
-        near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
-        new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
-        image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
+    target, image = data.draw(damaged_images(images()))
     joined = ReservingHosts(program(LONG))
     joined.machines[0].agents.pop("boss").ended = "dropped"
     machine = joined.machines[target]
     try:
-        agent = machine.inject(joined.team[3], bytes(image), AgentLimits())
+        agent = machine.inject(joined.team[3], image, AgentLimits())
     except BlockError:
         return
     machine.itinerary.current_target(agent)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from damaged_blocks import damaged_images
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joined_hosts import CollectingHosts, JoinedHosts
@@ -159,18 +160,11 @@ def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
 @given(st.data())
 def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
     """Whatever a peer changes in a block that carries tickets: BlockError, or a run like any other."""
-    target, sound = data.draw(st.sampled_from(images()))
-    image = bytearray(sound)
-    for _ in range(data.draw(st.integers(1, 3))):
-        word = data.draw(st.integers(0, len(image) // 8 - 1))
-        old = int.from_bytes(image[8 * word : 8 * word + 8], "little", signed=True)
-        near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
-        new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
-        image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
+    target, image = data.draw(damaged_images(images()))
     joined = JoinedHosts(program(), 3)
     joined.machines[0].agents.pop("boss").ended = "dropped"
     try:
-        agent = joined.machines[target].inject(joined.team[3], bytes(image), AgentLimits())
+        agent = joined.machines[target].inject(joined.team[3], image, AgentLimits())
     except BlockError:
         return
     joined.machines[target].itinerary.current_target(agent)

@@ -13,7 +13,7 @@ PIECES = 3
 #: most others.
 LONG, UNLIMITED, SHORT = 25.0, 8.0, 0.6
 
-PROGRAM = """
+_STORY = """
 resource Post {
     init(string[] arg) { }
     portal work(string life, int number, int piece, real seconds) emit int {
@@ -34,7 +34,7 @@ resource Post {
     portal look() emit int { return 1; }
 }
 coordinator Walker {
-    init(string[] arg) {
+METHODS    init(string[] arg) {
         int drawn = random(1000000000);
         string life = arg[0] + "." + i2s(drawn);
         //recovered
@@ -44,24 +44,15 @@ coordinator Walker {
         int number = 0;
         while (number != s2i(arg[1])) {
             number = number + 1;
-            int first = random(posts.length());
-            real limit = 1.0 + 3.0 * random();
+FIRST            real limit = 1.0 + 3.0 * random();
             real most = LONG;
             if (random(4) == 0) { limit = 1000.0; most = UNLIMITED; }
             for (int n = 0; n < got.length(); n = n + 1) got[n] = -1;
             print("opens " + life + " " + i2s(number) + " " + f2s(limit, 3));
-            string how = "came-back";
+            string how = "HOW";
             try {
                 within (limit) {
-                    together {
-                        for (int piece = 0; piece < PIECES; piece = piece + 1) {
-                            real seconds = SHORT;
-                            if (random(4) == 0) seconds = most;
-                            int at = first + piece;
-                            while (at >= posts.length()) at = at - posts.length();
-                            got[piece] = posts[at].work(life, number, piece, seconds);
-                        }
-                    }
+                    BLOCK
                 }
             } catch (UnreachableResourceException gone) {
                 how = "failed";
@@ -86,5 +77,61 @@ coordinator Walker {
     }
 }
 """
-for _name, _value in (("PIECES", PIECES), ("UNLIMITED", UNLIMITED), ("LONG", LONG), ("SHORT", SHORT)):
-    PROGRAM = PROGRAM.replace(_name, str(_value))
+_TOGETHER = """together {
+                        for (int piece = 0; piece < PIECES; piece = piece + 1) {
+                            real seconds = SHORT;
+                            if (random(4) == 0) seconds = most;
+                            int at = first + piece;
+                            while (at >= posts.length()) at = at - posts.length();
+                            got[piece] = posts[at].work(life, number, piece, seconds);
+                        }
+                    }"""
+
+
+def story_program(block: str, how: str, first: str = "", methods: str = "") -> str:
+    """The program of a story.
+
+    `block` is what a coordinator does in a block, after `first`, and `how` its outcome unless that says
+    another one. `methods` are others of the coordinator.
+    """
+    parts = {"BLOCK": block, "HOW": how, "FIRST": first, "METHODS": methods}
+    numbers = {"PIECES": PIECES, "UNLIMITED": UNLIMITED, "LONG": LONG, "SHORT": SHORT}
+    program = _STORY
+    for name, value in (parts | numbers).items():
+        program = program.replace(name, str(value))
+    return program
+
+
+PROGRAM = story_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
+#: Racers begin calls of several resources and fetch them later, or the first result. They say what a crew
+#: says, and `won` with the number of the piece where the first result counted.
+_RUN = """
+    private string run(Post[] posts, string life, int number, int[] got, real most) {
+        future<int>[] pieces = {};
+        int first = random(posts.length());
+        for (int piece = 0; piece < PIECES; piece += 1) {
+            real seconds = SHORT;
+            if (random(4) == 0) seconds = most;
+            int at = (first + piece) % posts.length();
+            pieces.append(async posts[at].work(life, number, piece, seconds));
+        }
+        int way = random(3);
+        if (way == 0) {
+            int winner = pieces.race();
+            got[winner] = pieces[winner].await();
+            return "won";
+        }
+        if (way == 1) {
+            for (int i = pieces.next(); i >= 0; i = pieces.next()) {
+                got[i] = pieces[i].await();
+                pieces[i] = null;
+            }
+        } else {
+            for (int i = 0; i < PIECES; i += 1) got[i] = pieces[i].await();
+        }
+        return "came-back";
+    }
+"""
+RACER_PROGRAM = story_program(
+    "how = run(posts, life, number, got, most);", "", methods=_RUN.removeprefix("\n")
+)

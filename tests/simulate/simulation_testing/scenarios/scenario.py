@@ -18,7 +18,7 @@ from lfield.mission.bindings import DEFAULT_LEASE, DEFAULT_RESERVATION, MAX_MEMB
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from simulation_testing.fault_injection import ORDERS, Fault, FaultRates
-from simulation_testing.scenarios import crew_programs, flown_programs, keeper_programs, racer_programs
+from simulation_testing.scenarios import crew_programs, flown_programs, keeper_programs
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
 PROGRAM = """
@@ -354,7 +354,7 @@ def keeper(seed: int) -> Scenario:
 #: What is flown where it is not the usual program.
 PROGRAMS = {
     "crew": crew_programs.PROGRAM,
-    "racer": racer_programs.PROGRAM,
+    "racer": crew_programs.RACER_PROGRAM,
     "keeper": keeper_programs.PROGRAM,
     "flown": flown_programs.PROGRAM,
 }
