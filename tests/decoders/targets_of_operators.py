@@ -13,6 +13,8 @@ from rich.console import Console
 from targets_of_links import TOKENS, example, pack, sealed, unpack
 
 from lfield.cli.views import event_view, team_state_view, team_status_view
+from lfield.client.event_json import event_json
+from lfield.client.status_json import status_json
 from lfield.driver import MissionFileError, PlanRequest
 from lfield.errors import LfieldError, WireError
 from lfield.geodata.area_file import check_shape, is_area_file, read_area_file
@@ -60,7 +62,7 @@ def _shown(hosts: Mapping[str, HostState]) -> None:
         team_status_view.team_tables(hosts)
     )
     _require_plain(text.getvalue())
-    assert team_status_view.as_json(hosts)
+    assert status_json(hosts)
 
 
 def _statuses() -> Sequence[bytes]:
@@ -112,7 +114,7 @@ class _Watching:
             _require_plain(text.getvalue())
         assert self._picture.curves(110.0) is not None
         for told in self._timeline.drain_events():
-            lines = [event_view.event_line(told), event_view.event_json(told), *self._table.rows(told)]
+            lines = [event_view.event_line(told), event_json(told), *self._table.rows(told)]
             for line in self._log.lines(told):
                 lines += [event_view.log_text(told, line), event_view.log_json(told, line)]
             for line in lines:

@@ -42,15 +42,16 @@ def grammar(path: Path) -> str:
 
 def test_every_keyword_is_in_the_grammar() -> None:
     text = grammar(FOLDER / "syntaxes/l.tmLanguage.json")
-    soft = {"together", "within", "reserve", "finally", "specific"}
+    soft = {"together", "within", "reserve", "finally", "specific", "loop", "every", "priority", "when"}
     assert {name for name in KEYWORDS | soft if not re.search(rf"\b{name}\b", text)} == set()
 
 
 @pytest.mark.parametrize(
     ("line", "groups"),
     [
-        ("//Copter:lead@alpha:8181?x&y", ("//", "Copter", ":", "lead", "@", "alpha", ":8181", "?x&y")),
-        ("Copter:lead@[::1]", (None, "Copter", ":", "lead", "@", "[::1]", None, None)),
+        ("//Copter:lead@alpha:8181?x&y", (None, "//", "Copter", ":", "lead", "@", "alpha", ":8181", "?x&y")),
+        ("Copter:lead@[::1]", (None, None, "Copter", ":", "lead", "@", "[::1]", None, None)),
+        ("startable Copter:a@b?x", ("startable", None, "Copter", ":", "a", "@", "b", None, "?x")),
     ],
 )
 def test_a_line_of_a_deployment_is_divided(line: str, groups: tuple[str | None, ...]) -> None:

@@ -34,6 +34,9 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/client/event_json.py": "events as JSON, for commands and clients",
+    "lfield/host/person_calls/call_limits.py": "limits on the calls of persons, without I/O",
+    "lfield/testing/mission/double_answers.py": "special results of doubles",
     "lfield/mission/checks/recovery_findings.py": "what two files say of recovery together",
     "lfield/host/events/path_rate.py": "a measurement of its own, without I/O",
     "lfield/net/coding/link_compression.py": "two streams of zlib",

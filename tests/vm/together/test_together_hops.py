@@ -239,7 +239,7 @@ def test_who_calls_is_known_though_it_has_moved_on() -> None:
     joined.run(until=1.0)
     resource = joined.machines[0].agents["r0"]
     thread = resource.block.w[resource.block.w[layout.W_THREADS] + layout.THREAD_ID]
-    caller = joined.machines[0].caller(resource, thread)
+    caller = joined.machines[0].served_calls.caller(resource, thread)
     assert caller is not None
     assert (caller.id, caller.generation, caller.ended, caller.fenced) == ("boss", 1, "", False)
     number, _ = joined.machines[0].served_calls.of_thread(resource, thread)

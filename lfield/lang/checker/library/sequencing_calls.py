@@ -96,8 +96,9 @@ def make_stoppable(units: Sequence[tree.Unit]) -> None:
 def sequencing_findings(units: Sequence[tree.Unit], deployment: Deployment) -> Iterator[Diagnostic]:
     """An error for each constant id that is not that of a startable coordinator."""
     startable = [agent.id for agent in deployment.agents if agent.startable]
-    coordinators = [agent.id for agent in deployment.agents if agent.kind == "coordinator"]
-    for name, span, id in _constant_ids(units):
+    types = {unit.name for unit in units if unit.kind == "coordinator"}
+    coordinators = [agent.id for agent in deployment.agents if agent.type in types]
+    for name, span, id in sorted(_constant_ids(units), key=lambda found: found[1].start):
         if id in startable:
             continue
         if id in coordinators:
