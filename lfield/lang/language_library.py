@@ -39,6 +39,8 @@ class LibraryFunction:
 
 #: The operation of functions that are in L (`lfield/lang/standard_library/sequencing.L`).
 SEQUENCED = "sequencing"
+#: The operation of a call that the compiler replaces by the corners in a map file.
+AREA = "map_area"
 
 FUNCTIONS: tuple[LibraryFunction, ...] = (
     LibraryFunction("write", (INT,), VOID, "write_int", "resource", "writes a number to standard output"),
@@ -100,6 +102,17 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
     ),
     LibraryFunction(
         "running", (STRING, REAL), BOOLEAN, SEQUENCED, "coordinator", "whether a startable coordinator runs"
+    ),
+    LibraryFunction(
+        "mapArea",
+        (STRING,),
+        array_of(REAL),
+        AREA,
+        "any",
+        "the only polygon of a KML or GeoJSON file: {latitude, longitude} in degrees of each corner; M302",
+    ),
+    LibraryFunction(
+        "mapArea", (STRING, STRING), array_of(REAL), AREA, "any", "the polygon with this name; M302"
     ),
     LibraryFunction("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
     LibraryFunction("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),

@@ -25,6 +25,7 @@ from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.language_library import (
+    AREA,
     ARRAY_LIBRARY,
     EXCEPTION_METHODS,
     FUNCTIONS,
@@ -41,6 +42,7 @@ from lfield.lang.standard_library.instances import MAP_CONSTRUCTOR
 from lfield.lang.types import (
     INT,
     LIBRARY_CLASSES,
+    REAL,
     STRING,
     TICKET,
     UNKNOWN,
@@ -212,6 +214,9 @@ def _operation(
     if function.operation == SEQUENCED:
         return sequencing_call(body, raw, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
+    if function.operation == AREA:
+        # The compiler replaces it by the values in the file.
+        return tree.Elements(raw.span, function.result, [tree.LibraryCall(raw.span, REAL, AREA, arguments)])
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)

@@ -4,19 +4,25 @@ A parameter of an instruction that is marked `file: plan` in its manifest takes 
 relative to the file of the call. The driver makes a compact text of it, which replaces the name in the
 program: so it is bundled, signed, recorded and replayed as every other constant. Once the bindings are known,
 the driver checks the plan against the limits and options of each device that may fly it.
+
+`mapArea("north.kml")` becomes an array of the corners in a map file in the same way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import MissionFileError, PluginError, ProgramError
+from lfield.geodata.area_file import read_area_file
 from lfield.geodata.mission_files import PlanRequest
+from lfield.geodata.shapes import chosen_shape, shape_findings
 from lfield.lang import tree
+from lfield.lang.language_library import AREA
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.text.input_files import MAX_TEXT, error_reason, read_within
 from lfield.text.source_text import Diagnostic, Span
@@ -35,55 +41,102 @@ class FileLiteral:
 
 
 def embed_files(program: tree.CheckedProgram, plugins: Plugins) -> list[FileLiteral]:
-    """Replaces the names of files by their texts. Raises ProgramError with all mistakes."""
-    found: list[FileLiteral] = []
-    mistakes: list[Diagnostic] = []
-    for unit, call, number in _file_arguments(program):
-        argument = call.arguments[number]
-        if not isinstance(argument, tree.Literal_) or not isinstance(argument.value, str):
-            what = f"{call.instruction.name} needs the name of a file as a literal or constant"
-            hint = "the file becomes part of the program when it is compiled"
-            mistakes.append(Diagnostic("M301", what, argument.span, hint))
-            continue
+    """Replaces the names of files by their contents; the plans among them. Raises ProgramError."""
+    embedding = _Embedding(plugins)
+    waiting = [method for unit in program.units for method in unit.methods]
+    done = set(map(id, waiting))
+    while waiting:
+        method = waiting.pop(0)
+        for node in _expressions(method):
+            embedding.embed(method.unit, node)
+            # Functions of the top level are in no unit of the program.
+            if isinstance(node, tree.Call) and id(node.method) not in done:
+                done.add(id(node.method))
+                waiting.append(node.method)
+    if embedding.mistakes:
+        raise ProgramError(embedding.mistakes)
+    return embedding.plans
+
+
+def _expressions(method: tree.Method) -> Iterator[tree.Expr]:
+    """All expressions of a method."""
+    for statement in all_statements(method.body):
+        for expression in statement_expressions(statement):
+            yield from list(descendants(expression))
+
+
+class _Embedding:
+    """Reads the files of one program."""
+
+    def __init__(self, plugins: Plugins) -> None:
+        self.plans: list[FileLiteral] = []
+        self.mistakes: list[Diagnostic] = []
+        self._plugins = plugins
+
+    def embed(self, unit: tree.Unit, node: tree.Expr) -> None:
+        """Replaces the files of a call, if it names some."""
+        match node:
+            case tree.DeviceCall():
+                for index, parameter in enumerate(node.instruction.parameters):
+                    if parameter.file:
+                        self._embed_plan(unit, node, index)
+            case tree.Elements(elements=[tree.LibraryCall(operation=operation) as call]) if operation == AREA:
+                self._embed_area(node, call)
+
+    def _embed_plan(self, unit: tree.Unit, call: tree.DeviceCall, index: int) -> None:
+        argument = call.arguments[index]
+        if (name := self._known(argument, call.instruction.name)) is None:
+            return
+        kind = call.manifest.type
+        field = call.device.name if isinstance(call.device, tree.Field) else ""
+        with self._reported(name, argument.span):
+            data = _read(argument.span, name)
+            installed = self._plugins.for_type(kind)
+            if installed is None:
+                raise PluginError(f"the driver of {kind} is not installed")
+            text = installed.plugin.plan_text(name, data)
+            self.plans.append(FileLiteral(unit.name, field, kind, name, data, argument.span))
+            call.arguments[index] = tree.Literal_(argument.span, argument.type, text)
+
+    def _embed_area(self, array: tree.Elements, call: tree.LibraryCall) -> None:
+        names = [self._known(argument, "mapArea") for argument in call.arguments]
+        file, span = names[0], call.arguments[0].span
+        if file is None or None in names:
+            return
+        with self._reported(file, span):
+            shapes = read_area_file(file, _read(span, file))
+            shape = chosen_shape(file, shapes, (names[1] or "") if len(names) > 1 else "")
+            if shape.kind != "polygon":
+                raise MissionFileError(file, f"{shape.label} is no area")
+            errors = [finding for finding in shape_findings(shape) if finding.is_error]
+            self.mistakes += [Diagnostic(each.code, f"{file}: {each.text}", span) for each in errors]
+            values = (value for corner in shape.corners for value in corner)
+            array.elements[:] = [tree.Literal_(array.span, call.type, value) for value in values]
+
+    def _known(self, argument: tree.Expr, what: str) -> str | None:
+        """The text of an argument; None (reported) if the compiler does not know it."""
+        if isinstance(argument, tree.Literal_) and isinstance(argument.value, str):
+            return argument.value
+        message = f"{what} needs the name of a file as a literal or constant"
+        hint = "the file becomes part of the program when it is compiled"
+        self.mistakes.append(Diagnostic("M301", message, argument.span, hint))
+        return None
+
+    @contextmanager
+    def _reported(self, name: str, span: Span) -> Iterator[None]:
+        """Reports why a file cannot be read."""
         try:
-            literal, text = _read(unit, call, argument.value, argument.span, plugins)
+            yield
         except (OSError, ValueError) as error:
-            reason = f"cannot read '{argument.value[:200]}': {error_reason(error)}"
-            mistakes.append(Diagnostic("M302", reason, argument.span))
+            reason = f"cannot read '{name[:200]}': {error_reason(error)}"
+            self.mistakes.append(Diagnostic("M302", reason, span))
         except (MissionFileError, PluginError) as error:
-            mistakes.append(Diagnostic("M302", str(error), argument.span))
-        else:
-            found.append(literal)
-            call.arguments[number] = tree.Literal_(argument.span, argument.type, text)
-    if mistakes:
-        raise ProgramError(mistakes)
-    return found
+            self.mistakes.append(Diagnostic("M302", str(error), span))
 
 
-def _file_arguments(program: tree.CheckedProgram) -> Iterator[tuple[tree.Unit, tree.DeviceCall, int]]:
-    """The arguments for parameters that are files."""
-    for unit in program.units:
-        for method in unit.methods:
-            for statement in all_statements(method.body):
-                for expression in statement_expressions(statement):
-                    for node in descendants(expression):
-                        if isinstance(node, tree.DeviceCall):
-                            parameters = enumerate(node.instruction.parameters)
-                            yield from ((unit, node, index) for index, each in parameters if each.file)
-
-
-def _read(
-    unit: tree.Unit, call: tree.DeviceCall, name: str, span: Span, plugins: Plugins
-) -> tuple[FileLiteral, str]:
-    """Raises OSError, ValueError, MissionFileError, PluginError."""
-    data = read_within(Path(span.source.name).parent / name, MAX_TEXT)
-    kind = call.manifest.type
-    installed = plugins.for_type(kind)
-    if installed is None:
-        raise PluginError(f"the driver of {kind} is not installed")
-    text = installed.plugin.plan_text(name, data)
-    field = call.device.name if isinstance(call.device, tree.Field) else ""
-    return FileLiteral(unit.name, field, kind, name, data, span), text
+def _read(span: Span, name: str) -> bytes:
+    """A file relative to the file of a call. Raises OSError, ValueError."""
+    return read_within(Path(span.source.name).parent / name, MAX_TEXT)
 
 
 def check_files(

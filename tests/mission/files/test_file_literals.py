@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -108,3 +109,85 @@ def test_it_is_flown_in_virtual_time(mission, lfield_mission, autopilot):
     assert max(point.north for point in track) == pytest.approx(80.0, abs=3.0)
     assert max(point.up for point in track) >= 19.0
     assert track[-1].up < 0.1
+
+
+# -- areas -----------------------------------------------------------------------------------------------
+
+AREA = """const string MAP = "north.kml";
+coordinator Boss {{
+    init(string[] arg) {{
+        real[] field = mapArea({arguments});
+        real sum = 0.0;
+        for (int i = 0; i < field.length(); i = i + 1) sum = sum + field[i];
+        print(i2s(field.length()) + " " + f2s(sum, 3));
+    }}
+}}
+"""
+MAP = PLAN.with_name("north.kml")
+BOW = "<coordinates>8,47 8.1,47.1 8.1,47 8,47.1 8,47</coordinates>"
+LINE = f"<kml><Placemark><LineString>{BOW}</LineString></Placemark></kml>"
+EMPTY = "<Placemark><Polygon/></Placemark>"
+
+
+def area(folder, arguments, kml=None):
+    (folder / "north.kml").write_text(kml or MAP.read_text())
+    (folder / "mission.L").write_text(AREA.format(arguments=arguments))
+    (folder / "mission.dL").write_text("//Boss:one@alpha\n")
+    return folder / "mission.dL"
+
+
+@pytest.mark.parametrize("arguments", ["MAP", '"north.kml"', 'MAP, "north field"', 'MAP, "1"'])
+def test_an_area_is_an_array(tmp_path, lfield_mission, arguments):
+    team = lfield_mission(area(tmp_path, arguments))
+    team.run(until_done=True)
+    total = 2 * (47.3978766 + 47.3985055 + 8.5451295 + 8.5460585)
+    assert team.said(f"8 {total:.3f}") == 1
+
+
+def test_areas_in_functions_fields_and_classes(tmp_path, lfield_mission):
+    deployment = area(tmp_path, "MAP")
+    deployment.with_suffix(".L").write_text("""
+const string MAP = "north.kml";
+real[] whole() { return mapArea(MAP); }
+class Box {
+    private real[] inner;
+    public Box() { inner = mapArea(MAP); }
+    public int count() { return inner.length(); }
+}
+coordinator Boss {
+    real[] own = mapArea(MAP);
+    init(string[] arg) {
+        Box box = new Box();
+        print(whole().length() + own.length() + box.count());
+    }
+}
+""")
+    team = lfield_mission(deployment)
+    team.run(until_done=True)
+    assert team.said("24") == 1
+
+
+def test_a_large_area(tmp_path):
+    turns = [math.tau * n / 1000 for n in range(1000)]
+    ring = " ".join(f"{8 + 0.01 * math.cos(a):.7f},{47 + 0.01 * math.sin(a):.7f}" for a in turns)
+    start, end = MAP.read_text().split("<coordinates>")
+    kml = f"{start}<coordinates>{ring}<{end.partition('<')[2]}"
+    core = load_mission(area(tmp_path, "MAP", kml)).program.core
+    assert len([each for each in core.constants if isinstance(each, float)]) > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kml", "code"),
+    [
+        ("arg[0]", None, "M301"),
+        ("MAP, arg[0]", None, "M301"),
+        ('"south.kml"', None, "M302"),
+        ('MAP, "south field"', None, "M302"),
+        ("MAP", "<kml>", "M302"),
+        ("MAP", LINE, "M302"),
+        ("MAP", MAP.read_text().replace("</Document>", f"{EMPTY}</Document>"), "M302"),
+        ("MAP", LINE.replace("LineString", "LinearRing"), "M202"),
+    ],
+)
+def test_areas_that_are_refused(tmp_path, arguments, kml, code):
+    assert [each for each, _ in refused(area(tmp_path, arguments, kml))] == [code]
