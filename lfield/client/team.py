@@ -28,7 +28,6 @@ from lfield.mission.mission import Mission
 from lfield.operator.client import (
     FULL_SNAPSHOT,
     PATIENT_SNAPSHOT,
-    SNAPSHOT,
     ask_all,
     emergency_stop,
     observer_transport,
@@ -48,10 +47,12 @@ from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
 from lfield.wire.observer_messages import EmergencyStopResult
-from lfield.wire.subscription_messages import MAX_RATE, EventBatch
+from lfield.wire.subscription_messages import MAX_RATE, EventBatch, Subscribe
 
 #: The default time limit of a portal call, in seconds.
 CALL_TIMEOUT = 60.0
+#: The state of each host, to find agents: asked again when a link ends, for example among many clients.
+RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
 #: Seconds without contact after which `events(until_done=True)` does not wait for a host.
 LOST_AFTER = 15.0
 #: Seconds for cancellations that are under way when a team is closed.
@@ -101,7 +102,7 @@ class ConnectedTeam:
                 task.cancel()
 
     async def _snapshots(
-        self, request: Request[EventBatch] = SNAPSHOT
+        self, request: Request[EventBatch] = RETRIED_SNAPSHOT
     ) -> Mapping[str, EventBatch | LfieldError]:
         return await ask_all(self._transport, dict(self._locate.addresses), request, self._crl)
 
