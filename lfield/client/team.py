@@ -51,6 +51,8 @@ from lfield.wire.subscription_messages import MAX_RATE, EventBatch, Subscribe
 
 #: The default time limit of a portal call, in seconds.
 CALL_TIMEOUT = 60.0
+#: Seconds for a connection: hosts accept many clients one after the other.
+CONNECT_TIMEOUT = 8.0
 #: The state of each host, to find agents: asked again when a link ends, for example among many clients.
 RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
 #: Seconds without contact after which `events(until_done=True)` does not wait for a host.
@@ -69,7 +71,8 @@ class ConnectedTeam:
         keys = own_keys(target.addresses.values(), selection.keys)
         self._sender = order_sender(keys, KnownHosts.read(keys.authority)) if keys is not None else None
         known = self._sender.known if self._sender is not None else None
-        self._transport, self._crl = observer_transport(keys, known), presented_crl(keys)
+        self._transport = observer_transport(keys, known, CONNECT_TIMEOUT)
+        self._crl = presented_crl(keys)
         self._tasks: set[asyncio.Task[None]] = set()
         #: The event streams that a loop may have left before their end.
         self._streams: WeakSet[AsyncGenerator[dict[str, object], None]] = WeakSet()
