@@ -28,7 +28,6 @@ from lfield.mission.mission import Mission
 from lfield.operator.client import (
     FULL_SNAPSHOT,
     PATIENT_SNAPSHOT,
-    SNAPSHOT,
     ask_all,
     emergency_stop,
     observer_transport,
@@ -48,10 +47,14 @@ from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
 from lfield.wire.observer_messages import EmergencyStopResult
-from lfield.wire.subscription_messages import MAX_RATE, EventBatch
+from lfield.wire.subscription_messages import MAX_RATE, EventBatch, Subscribe
 
 #: The default time limit of a portal call, in seconds.
 CALL_TIMEOUT = 60.0
+#: Seconds for a connection: hosts accept many clients one after the other.
+CONNECT_TIMEOUT = 8.0
+#: The state of each host, to find agents: asked again when a link ends, for example among many clients.
+RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
 #: Seconds without contact after which `events(until_done=True)` does not wait for a host.
 LOST_AFTER = 15.0
 #: Seconds for cancellations that are under way when a team is closed.
@@ -68,7 +71,8 @@ class ConnectedTeam:
         keys = own_keys(target.addresses.values(), selection.keys)
         self._sender = order_sender(keys, KnownHosts.read(keys.authority)) if keys is not None else None
         known = self._sender.known if self._sender is not None else None
-        self._transport, self._crl = observer_transport(keys, known), presented_crl(keys)
+        self._transport = observer_transport(keys, known, CONNECT_TIMEOUT)
+        self._crl = presented_crl(keys)
         self._tasks: set[asyncio.Task[None]] = set()
         #: The event streams that a loop may have left before their end.
         self._streams: WeakSet[AsyncGenerator[dict[str, object], None]] = WeakSet()
@@ -101,7 +105,7 @@ class ConnectedTeam:
                 task.cancel()
 
     async def _snapshots(
-        self, request: Request[EventBatch] = SNAPSHOT
+        self, request: Request[EventBatch] = RETRIED_SNAPSHOT
     ) -> Mapping[str, EventBatch | LfieldError]:
         return await ask_all(self._transport, dict(self._locate.addresses), request, self._crl)
 

@@ -102,10 +102,9 @@ class HostCore:
         )
         self.leases = TeamLeases(context, self.coordinators, machine, fences)
         self.pending_calls = PendingCallStore(context, self.coordinators, self.leases, machine)
-        self.reservations = ReservationService(
-            context, self.coordinators, self.leases, machine, membership.is_linked
-        )
-        self.person_calls = PersonCalls(context, self.coordinators, self.leases, self.reservations, machine)
+        links = membership.is_linked
+        self.reservations = ReservationService(context, coordinators, self.leases, machine, links)
+        self.person_calls = PersonCalls(context, coordinators, self.leases, self.reservations, machine)
         self.directory = TeamDirectory(context, machine, self.reservations.holder_of, membership)
         self.offers = CapabilityQueries(self.directory, mission)
         self._inits = InitBarrier(machine.opening, context.log)

@@ -46,6 +46,7 @@ from lfield.wire.observer_messages import (
     RecoverRequest,
     StartRequest,
 )
+from lfield.wire.person_calls.portal_call_messages import PortalCallRequest
 from lfield.wire.quorum_messages import Propose
 from lfield.wire.reservation_messages import RenewReservation
 from lfield.wire.subscription_messages import Subscribe
@@ -75,6 +76,7 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "recover": RecoverRequest("tom", 1, 2, 3),
     "start": StartRequest(["bravo"]),
     "type": InputLine("yes"),
+    "call": PortalCallRequest(ID, 1, "echo", "say", b"\x90", 1.0),
 }
 #: What the mission says of persons.
 RULES = Access("mission.access.yaml", (PersonRule("maria", (Right.OBSERVE,), 2), PersonRule("nina", (), 3)))

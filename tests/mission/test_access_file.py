@@ -137,6 +137,36 @@ def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
     )
 
 
+CALLS = """\
+calls:
+  anna: {Arm: [home], arm2: all, Lift: [lift]}
+  bob: all
+  others: {}
+assistants: [anna]
+"""
+
+
+def test_calls_of_persons_are_read_as_those_of_coordinators(tmp_path: Path) -> None:
+    assert loaded(tmp_path, CALLS).access == Access(
+        "mission.access.yaml",
+        calls=(
+            CallerRule(
+                "person",
+                "anna",
+                2,
+                (
+                    PortalRule("type", "Arm", 2, ("home",)),
+                    PortalRule("agent", "arm2", 2),
+                    PortalRule("capability", "Lift", 2, (), {"Winch": ("up",)}),
+                ),
+            ),
+            CallerRule("person", "bob", 3),
+            CallerRule("others", "others", 4, ()),
+        ),
+        assistants=("anna",),
+    )
+
+
 def test_without_a_file_and_with_an_empty_one_nothing_is_ruled(tmp_path: Path) -> None:
     empty = loaded(tmp_path, "# nothing yet\n")
     assert (empty.access, empty.calls) == (Access("mission.access.yaml"), None)
@@ -214,6 +244,11 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
         ),
         ("coordinators: {boss: {Arm: [[]]}}", "[]", "a portal is a name, not a list", ""),
         ("coordinators: {boss: {Arm: [], Arm: []}}", "Arm", "the key 'Arm' occurs twice", ""),
+        ("calls: {anna: {Arm: [hom]}}", "hom", "Arm has no portal 'hom'", "did you mean 'home'?"),
+        ("calls: {anna: [home]}", "[home]", "with their portals, not a list", "{Arm: [home]}"),
+        ('calls: {"*": all}', '"*"', "'*' is not a name", "write others"),
+        ("calls: [anna]", "[anna]", "'calls' must be a mapping, not a list", ""),
+        ("assistants: anna", "anna", "'assistants' must be", ""),
         ("coordinators: {boss: &a {}}", "&a", "anchors and aliases are not allowed", ""),
     ],
 )

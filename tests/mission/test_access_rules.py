@@ -190,3 +190,38 @@ def test_people_are_persons_only() -> None:
     for who in (Identity("local", "bob", ALL_RIGHTS), Identity("host", "bob", ALL_RIGHTS), ANONYMOUS):
         assert PEOPLE.restrict(who) is who
     assert NO_RULES.restrict(person(ALL_RIGHTS)).may == ALL_RIGHTS
+
+
+# --- calls of persons -------------------------------------------------------------------------------------
+
+
+def test_portals_are_closed_to_persons_without_a_line() -> None:
+    assert NO_RULES.person_refusal("anna", ARM, "home") != ""
+    assert access(CallerRule("others", "others", 2)).person_refusal("anna", ARM, "home") != ""
+
+
+def test_the_line_of_a_person_counts_before_others() -> None:
+    lines = (PortalRule("type", "Arm", 3, ("home",)), PortalRule("agent", "arm2", 4, ()))
+    rules = Access(FILE, (), (), (CallerRule("person", "anna", 2, lines), CallerRule("others", "others", 5)))
+    assert rules.person_refusal("anna", ARM, "home") == ""
+    assert rules.person_refusal("anna", ARM, "grab") == (
+        "anna may not call arm1.grab(): m.access.yaml:3 allows home() of arm1 only"
+    )
+    assert rules.person_refusal("anna", ARM2, "home").endswith("m.access.yaml:4 allows no portal of arm2")
+    assert rules.person_refusal("anna", WINCH, "up").endswith(
+        "m.access.yaml:2 lists what anna may call, without this portal"
+    )
+    for other in ("bob", ""):
+        assert rules.person_refusal(other, ARM, "grab") == ""
+    # A coordinator has no use of such a line.
+    assert rules.refusal(SimpleNamespace(id="anna", type="Boss"), ARM, "grab") == ""
+    assert decode_access(encode_access(rules)) == rules
+
+
+@pytest.mark.parametrize(
+    ("listed", "person", "may"),
+    [((), "anna", False), (("anna",), "anna", True), (("anna",), "bob", False), (("anna",), "", False),
+     (("others",), "bob", True), (("others",), "", True)],
+)  # fmt: skip
+def test_assistants_act_for_listed_persons_only(listed, person, may) -> None:
+    assert (Access(FILE, assistants=listed).assistant_refusal(person) == "") is may

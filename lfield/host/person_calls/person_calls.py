@@ -333,7 +333,9 @@ class PersonCalls(Part):
         while self._drops and self._drops[0][0] <= now:
             _, id = heapq.heappop(self._drops)
             call = self._calls.pop(id)
-            self._id_counts -= Counter([call.caller.label])
+            self._id_counts[call.caller.label] -= 1
+            if not self._id_counts[call.caller.label]:
+                del self._id_counts[call.caller.label]
             if call in self._results:
                 self._results.remove(call)
                 self._drop_result(call)
