@@ -381,6 +381,43 @@ class NoMissionRunning(LfieldError):
     code, remedy = "no-mission-running", "start it with `lfield up`, or name the mission or the run"
 
 
+class PortalCallError(LfieldError):
+    """A portal call of a person has not returned: `portal` is AGENT.PORTAL, `reason` why.
+
+    `kind` is the exception of L that it has thrown, or the code of the reason.
+    """
+
+    exit_status = exit_status.FAILED
+    code, remedy = "portal-call", "see the message"
+
+    def __init__(self, portal: str, kind: str, reason: str) -> None:
+        self.portal, self.kind, self.reason = portal, kind, reason
+        super().__init__(f"{portal}(): {kind}: {reason}" if kind else f"{portal}(): {reason}")
+
+    def as_data(self) -> dict[str, object]:
+        """The error as JSON data."""
+        return {**super().as_data(), "portal": self.portal, "kind": self.kind}
+
+
+class PortalCallRefused(PortalCallError):
+    """The host has refused a portal call: it has not started."""
+
+    code, remedy = "portal-call-refused", "open the portal in the access file, or call later"
+
+
+class PortalFailed(PortalCallError):
+    """A portal has thrown an exception, or its call was cancelled or has reached its time limit."""
+
+    code, remedy = "portal-failed", "see the message; `lfield logs` has the lines of the resource"
+
+
+class CallOutcomeUnknown(PortalCallError):
+    """It is not known whether a portal was executed: its host has restarted, or cannot be reached."""
+
+    exit_status = exit_status.UNKNOWN_OUTCOME
+    code, remedy = "portal-call-unknown", "check the state of the resource before calling again"
+
+
 class CoordinatorAlive(LfieldError):
     """The coordinator is alive, or may be, and the command needs it to be gone."""
 

@@ -22,6 +22,9 @@ NEVER, LEAVE = "never", "leave"
 #: What of the team's frame a parameter or a quantity is about (`lfield.driver.frame` says how each is meant).
 FRAME_KINDS = ("place", "direction", "heading")
 
+#: What a file is that a parameter names; the compiler reads it.
+FILE_KINDS = ("plan",)
+
 #: L types that may cross between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
@@ -44,7 +47,8 @@ class Observation(Struct, frozen=True, array_like=True):
 class Parameter:
     """One parameter of an instruction. `type` is an L type name, `unit` an SI unit or ''.
 
-    `frame` is a kind of FRAME_KINDS for what is about the team's frame, '' for all else.
+    `frame` is a kind of FRAME_KINDS for what is about the team's frame, '' for all else. `file` is a kind of
+    FILE_KINDS for the name of a file that the compiler reads, '' for all else.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Parameter:
     unit: str = ""
     meaning: str = ""
     frame: str = ""
+    file: str = ""
 
 
 @dataclass(frozen=True, slots=True)

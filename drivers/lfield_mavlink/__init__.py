@@ -17,4 +17,5 @@ PLUGIN = Plugin(
     endpoint="lfield_mavlink.link.links:parse_endpoint",
     conflicts="lfield_mavlink.station_ids:station_conflicts",
     plans="lfield_mavlink.files.plan_report:read_plan",
+    plan_texts="lfield_mavlink.files.plan_text:embedded_plan",
 )

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lfield.driver import Clock, DeviceBinding, DeviceError, Frame, Manifest, Reports, Setting
+from lfield.driver import (
+    Clock,
+    DeviceBinding,
+    DeviceError,
+    Frame,
+    Manifest,
+    Reports,
+    Setting,
+    SettingsComparison,
+)
 from lfield_mavlink import log_messages
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.exchange import is_for_us
@@ -32,10 +41,12 @@ from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.parts.standstill import StandstillCheck
 from lfield_mavlink.parts.storage import Files, Settings
+from lfield_mavlink.plan_flight import PlanFlight
 from lfield_mavlink.services.autopilot_version import AutopilotVersion
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_transfer import PlanTransfer
+from lfield_mavlink.setting_store import SettingStore
 from lfield_mavlink.vehicle_facts import VehicleFacts
 from lfield_mavlink.watchdog import Watchdog
 
@@ -83,6 +94,7 @@ class MavlinkVehicle(Contact):
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
         self.motion = Motion(self, self.parameters, links.others)
         self.watchdog = Watchdog(self, self.parameters)
+        self._store = SettingStore(self, self.parameters, self.watchdog)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
         returns = Returns(self, limits, self.parameters, self.plans)
@@ -92,12 +104,14 @@ class MavlinkVehicle(Contact):
         self._nature = VehicleFacts(self, self.parameters, self.motion.fence, binding)
         self._guidance = Guidance(self, self.motion, limits)
         self._missions = Missions(self, self.motion, limits, self.plans, returns)
+        fences = Fences(self, self.plans, self.parameters)
         self.parts = (
             self._flight,
             readiness,
             self._guidance,
             self._missions,
-            Fences(self, self.plans, self.parameters),
+            fences,
+            PlanFlight(self, self.motion, self._missions, fences, self.plans),
             Rally(self, self.plans),
             Payload(self),
             Maintenance(self, self._renew),
@@ -288,6 +302,14 @@ class MavlinkVehicle(Contact):
 
     async def _write_setting(self, name: str, value: float) -> None:
         await self.parameters.write(name, value)
+
+    async def stored_settings(self, names: Iterable[str]) -> Mapping[str, float]:
+        """See `StoredSettings`."""
+        return await self._store.values(names)
+
+    async def compare_settings(self, file: str, data: bytes) -> SettingsComparison:
+        """See `StoredSettings`."""
+        return await self._store.compare(file, data)
 
     def _in_use(self) -> str:
         return "its motors are on" if self.state.armed else ""

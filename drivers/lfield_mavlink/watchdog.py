@@ -22,6 +22,7 @@ import asyncio
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 from lfield.driver import DeviceBinding, Setting
@@ -214,6 +215,10 @@ class Watchdog:
         self._vehicle.publish(gcsFailsafe=all(setting.is_right for setting in settings))
         return settings
 
+    async def settings_with(self, values: Values) -> list[Setting]:
+        """The same as if these values, by name, were stored. Raises DeviceError."""
+        return (await self._compare(2.0 * self._vehicle.binding.ttl, values))[0]
+
     def protects(self, name: str) -> bool:
         """Whether a parameter is one of them, so that no program may change it."""
         return any(name in need.names for need in self._needs())
@@ -222,7 +227,9 @@ class Watchdog:
         profile, binding = self._vehicle.profile, self._vehicle.binding
         return (need for need in NEEDS[profile.autopilot, profile.kind] if need.suits(binding))
 
-    async def _compare(self, longest: float) -> tuple[list[Setting], float]:
+    async def _compare(
+        self, longest: float, values: Values = MappingProxyType({})
+    ) -> tuple[list[Setting], float]:
         needs = list(self._needs())
         # A missing one is detected by a time-out: request all at once.
         parameters = await asyncio.gather(*map(self._read, needs))
@@ -231,6 +238,7 @@ class Watchdog:
             left = longest - clocks.get(need.clock, 0.0)
             required = need.otherwise
             if present is not None:
+                present = values.get(name, present)
                 required = need.required_value(name, present, self._vehicle.binding, left)
                 settings.append(Setting(name, present, required, need.why))
             if need.clock:

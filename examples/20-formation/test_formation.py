@@ -6,6 +6,7 @@ import math
 from itertools import combinations, permutations
 
 import pytest
+import terrain_marches
 
 COPTERS, ROVERS = ("ada", "bob", "cat"), ("dan", "eve")
 HOSTS = dict(zip((*COPTERS, *ROVERS), ("alpha", "bravo", "carol", "delta", "echo"), strict=True))
@@ -202,3 +203,12 @@ def test_one_seed_is_one_march(lfield_mission):
     first, again = (marched(lfield_mission, seed=1) for _ in range(2))
     assert first.tracks == again.tracks
     assert first.log == again.log
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("ground", [terrain_marches.mud, terrain_marches.hill, terrain_marches.valley])
+def test_they_march_over_terrain(ground):
+    """Mud slows rovers and wind moves copters: the step takes longer, and the formation holds."""
+    found = terrain_marches.march(ground)
+    assert found.arrived == 5
+    assert found.spread < 2.5 * SPACING

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+import terrain_pushes
 
 #: Goal of the box, and tolerances: metres and radians.
 GOAL, NEAR, STRAIGHT = (3.0, 1.0, 0.5), 0.05, 0.05
@@ -91,3 +92,20 @@ def test_things_that_are_no_devices_keep_the_order_of_their_fake(lfield_mission)
         "box, left end",
         "box, right end",
     ]
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    ("world", "away", "turned"), [("slope=0.03", 0.1, 0.3), ("mud=2", 0.05, 0.05), ("slope=-0.06", 0.1, 0.4)]
+)
+def test_a_box_is_pushed_over_terrain(world, away, turned):
+    """On a slope the box points uphill, since robots that push hold no force across."""
+    end = terrain_pushes.push(world)
+    assert end.away < away
+    assert end.turned < turned
+    assert end.steps < 30
+
+
+@pytest.mark.few(0)
+def test_too_heavy_mud_stops_three_rovers():
+    assert terrain_pushes.push("mud=3").away > 1.0

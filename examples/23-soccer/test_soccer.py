@@ -6,6 +6,7 @@ import math
 import re
 from itertools import pairwise
 
+import league
 import pytest
 
 #: Metres: goal lines, side walls and posts from the middle; radii of the ball and of a robot.
@@ -111,3 +112,21 @@ def test_the_ball_leaves_between_the_posts_and_no_robot_leaves(lfield_mission):
     robots = [point for name, points in team.tracks.items() if name != "ball" for point in points]
     assert max(abs(point.north) for point in robots) < LINE - ROBOT + 0.01
     assert max(abs(point.east) for point in robots) < SIDE - ROBOT + 0.01
+
+
+@pytest.mark.few(0)
+@pytest.mark.process
+def test_two_programs_meet_at_the_referee():
+    """Two missions as processes, in real time: they start together, and the referee gives both its score."""
+    red, blue = league.match(8.0)
+    assert (red.north, red.south) == (blue.north, blue.south)
+    assert min(red.hops, blue.hops) > 8
+
+
+def test_without_the_other_team_no_match_begins(lfield_mission):
+    team = lfield_mission("red.dL")
+    team.run(30.0)
+    assert team.said("kick-off") == 0
+    assert max(way(team, who, 0.0, 30.0) for who in ("ann", "bob", "cid")) < 0.01
+    team.run(until_done=True)
+    assert team.said("there is no other team") == 1

@@ -18,6 +18,7 @@ from lfield.wire.observer_messages import (
     RecoverRequest,
     StartRequest,
 )
+from lfield.wire.person_calls.portal_call_messages import PortalCallCancel, PortalCallRequest
 from lfield.wire.service_messages import (
     BundleOffer,
     BundlePiece,
@@ -54,6 +55,9 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     StartRequest: (Right.OPERATE, None),
     # Programs act on it.
     InputLine: (Right.OPERATE, None),
+    # The access file of the mission decides which portals.
+    PortalCallRequest: (Right.OPERATE, None),
+    PortalCallCancel: (Right.OPERATE, None),
     ServiceQuery: (Right.OBSERVE, None),
     BundleOffer: (Right.COMMAND, None),
     BundlePiece: (Right.COMMAND, None),

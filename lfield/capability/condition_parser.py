@@ -99,12 +99,15 @@ def _parse(
         pass
     except _ConditionError as error:
         mistakes.append(error.mistake)
-    mistakes = [_mistake(diagnostic) for diagnostic in found.in_order()[:1]] or mistakes
+    mistakes = [_mistake(diagnostic, parameters) for diagnostic in found.in_order()[:1]] or mistakes
     return (None if mistakes else result), mistakes
 
 
-def _mistake(found: Diagnostic) -> Mistake:
-    return Mistake(found.span.start, found.span.end, found.message, _HINTS.get(found.code, found.hint))
+def _mistake(found: Diagnostic, parameters: bool) -> Mistake:
+    hint = _HINTS.get(found.code, found.hint)
+    if parameters and found.span.text.startswith("$"):
+        hint = "a parameter is $ and the name of a variable, as in payload >= $kg"
+    return Mistake(found.span.start, found.span.end, found.message, hint)
 
 
 # --- what surrounds the expressions ---------------------------------------------------------------------

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 MAX_FOREIGN_HOSTS = 32
 #: Seconds after which an unreachable host is not waited for, as by `lfield up --until-done`.
 LOST_AFTER = 15.0
-#: Seconds between two checks whether the mission has ended.
-CHECK_INTERVAL = 0.1
 
 Lines = Callable[["DatedEvent | FeedNotice"], Iterable[str]]
 
@@ -173,7 +171,7 @@ class _Session:
         from lfield.operator.dashboard.event_stream.background_task import background_tasks
 
         work = [self._recording.flush_regularly()] if self._recording is not None else []
-        work += [_watch_end(feed, end)] if end is not None else []
+        work += [feed.follow_end(end)] if end is not None else []
         async with background_tasks(*work):
             yield
 
@@ -209,15 +207,6 @@ def _homes(mission: Mission | None) -> dict[str, str] | None:
         return None
     homes = mission.team.homes
     return {member.id: homes[member.id] for member in mission.team.initial_coordinators}
-
-
-async def _watch_end(feed: EventFeed, end: MissionEnd) -> None:
-    """Query the hosts whenever that is due, until the mission has ended."""
-    while not end.is_over():
-        if end.is_query_due:
-            end.on_answers(await feed.snapshots())
-        end.check()
-        await asyncio.sleep(CHECK_INTERVAL)
 
 
 def _end_status(ends: Collection[CoordinatorEnd], unreached: Collection[str], hosts: int) -> int:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.errors import NoMissionRunning, UsageError
+from lfield.client.team_selection import TeamSelection
 from lfield.text.suggestions import listed
 
 if TYPE_CHECKING:
@@ -85,12 +83,9 @@ def add_inventory(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def inventory_addresses(args: argparse.Namespace) -> Mapping[str, str]:
-    """The addresses of the hosts of the inventory, by name. Raises ProgramError, InputFileError."""
-    from lfield.inventory.location import find_inventory
-
-    inventory = find_inventory(args.inventory, os.environ)
-    return {} if inventory is None else {name: host.address for name, host in inventory.hosts.items()}
+def team_selection(args: argparse.Namespace) -> TeamSelection:
+    """The team that the arguments of `add_running_mission` name."""
+    return TeamSelection(named_mission(args), args.run, args.map, args.inventory, args.keys)
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
@@ -132,61 +127,13 @@ def named_mission(args: argparse.Namespace) -> Path | None:
 
 
 def selected_runs(args: argparse.Namespace) -> list[Run]:
-    """The runs that this user may see, or the named one. Raises UsageError, NoMissionRunning."""
-    from lfield.operator.runs import no_runs_hint, runs_here
-    from lfield.operator.targets import select_runs
-
-    runs = select_runs(runs_here(), args.run)
-    if named_mission(args) is not None:
-        return runs
-    if args.map:
-        raise UsageError("--map is for the hosts of a mission: name the mission too")
-    if not runs and not inventory_addresses(args):
-        raise NoMissionRunning(f"no mission is running on this computer: {no_runs_hint()}")
-    return runs
+    """See `TeamSelection.runs`."""
+    return team_selection(args).runs()
 
 
 def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam]:
-    """The hosts of the named mission, or of all these runs. Raises UsageError.
-
-    Without a run of this user, and with --inventory, the hosts of the inventory.
-    """
-    parties = _selected_teams(args, runs)
-    _configure_zenoh(args, parties)
-    return parties
-
-
-def _configure_zenoh(args: argparse.Namespace, parties: Sequence[TargetTeam]) -> None:
-    """Use the routers of --inventory for addresses in a fabric, else those of the run, else the default
-    inventory's: the addresses may be those of a run."""
-    from lfield.net.transport import has_zenoh
-    from lfield.net.zenoh.config import NETWORK
-
-    addresses = [address for party in parties for address in party.addresses.values()]
-    if NETWORK.config is not None or not any(map(has_zenoh, addresses)):
-        return
-    known = [run.manifest.zenoh for party in parties for run in party.runs if not run.user]
-    config = next((each for each in known if each is not None), None)
-    if config is None or args.inventory is not None:
-        inventory_addresses(args)
-    else:
-        NETWORK.configure(config)
-
-
-def _selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam]:
-    from lfield.operator.targets import TargetTeam, open_team, targets_of_runs, targets_of_team
-
-    path = named_mission(args)
-    if path is None:
-        parties = targets_of_runs(runs)
-        if not args.run and (args.inventory or all(run.user for run in runs)):
-            addresses = inventory_addresses(args)
-            parties = [TargetTeam((), addresses), *parties] if addresses else parties
-        return parties
-    team = open_team(path)
-    if args.run and runs[0].manifest.deployment != team.deployment.hex():
-        raise UsageError(f"{runs[0].id} is not a run of {path}")
-    return targets_of_team(team, runs, args.map, lambda: inventory_addresses(args))
+    """See `TeamSelection.teams`."""
+    return team_selection(args).teams(runs)
 
 
 def selected_team(args: argparse.Namespace) -> TargetTeam:
@@ -194,11 +141,7 @@ def selected_team(args: argparse.Namespace) -> TargetTeam:
 
     Raises UsageError, NoMissionRunning.
     """
-    from lfield.operator.targets import single_target
-
-    parties = selected_teams(args, selected_runs(args))
-    party = single_target(parties)
-    foreign = [other.id for other in parties if other.user and other is not party]
+    party, foreign = team_selection(args).single()
     if foreign:
         print(
             f"lfield: runs of other users are not included; select one with --run: {listed(foreign)}",

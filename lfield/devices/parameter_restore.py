@@ -6,7 +6,7 @@ with another unique identifier. A setting that has been changed since is left al
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lfield.devices.device_setup import FoundDevice, Report
@@ -36,12 +36,18 @@ class RestorePlan:
         return [heading, *(f"    {line}" for line in (*lines, *self.problems))]
 
 
-def plan_restore(entry: BackupEntry, found: FoundDevice) -> RestorePlan:
-    """Compares the device at the endpoint of an entry with that entry. Writes nothing."""
+def plan_restore(
+    entry: BackupEntry, found: FoundDevice, present: Mapping[str, float] | None = None
+) -> RestorePlan:
+    """Compares the device at the endpoint of an entry with that entry. Writes nothing.
+
+    `present` are the values of its settings, by default those that its binding needs.
+    """
     if entry.serial and found.serial != entry.serial:
         there = f"{found.name}: {found.label} is now at {entry.binding.endpoint}, not {entry.label}"
         return RestorePlan(entry, found, [], [f"{there}: nothing is written"])
-    present = {setting.name: setting.present for setting in found.settings}
+    if present is None:
+        present = {setting.name: setting.present for setting in found.settings}
     writes, problems = list[ParameterChange](), list[str]()
     for change in entry.changes:
         value = present.get(change.name)

@@ -12,7 +12,7 @@ from lfield.driver.device import Device, Driver
 from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
 from lfield.driver.recording import WireLog
-from lfield.driver.settings import Setting
+from lfield.driver.settings import Setting, SettingChange, SettingsComparison, is_same_value
 from lfield.errors import DeviceError, MissionFileError
 from lfield.geodata.findings import FileFinding
 from lfield.geodata.mission_files import PlanPoint, PlanReport, PlanRequest, PlanZone, utf8_bytes
@@ -54,6 +54,8 @@ __all__ = [
     "Pose",
     "Reports",
     "Setting",
+    "SettingChange",
+    "SettingsComparison",
     "Source",
     "Span",
     "Vector",
@@ -62,6 +64,7 @@ __all__ = [
     "crossing_edges",
     "distance_to_way",
     "is_inside",
+    "is_same_value",
     "read_within",
     "utf8_bytes",
 ]

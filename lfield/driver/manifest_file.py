@@ -50,6 +50,7 @@ from lfield.driver.contract import STANDARD_INSTRUCTIONS, WATCHDOG, Limit, Manif
 from lfield.errors import PluginError
 from lfield.manifest import (
     DEVICE_VALUE_TYPES,
+    FILE_KINDS,
     FRAME_KINDS,
     LEAVE,
     NEVER,
@@ -280,7 +281,8 @@ def _instruction(name: str, fields: YamlFields) -> Instruction:
 
 def _parameter(name: str, fields: YamlFields) -> Parameter:
     kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
-    parameter = Parameter(name, kind, _unit(fields), fields.text("meaning"), _frame(fields, kind))
+    file = fields.text("file", choices=("", *FILE_KINDS)) if kind == "string" else ""
+    parameter = Parameter(name, kind, _unit(fields), fields.text("meaning"), _frame(fields, kind), file)
     fields.report_unread()
     return parameter
 

@@ -36,12 +36,13 @@ class Plugin:
     `extra` is the extra of lfield that installs the vendor modules in `requires`, '' for a third-party
     driver.
 
-    Four optional functions run when missions are built and open nothing ('' for none). `endpoint` parses the
+    Five optional functions run when missions are built and open nothing ('' for none). `endpoint` parses the
     text of an endpoint and raises DeviceError for an invalid one. `conflicts` takes all bindings of the
     driver in a mission and returns those that exclude others, each with a sentence. `files` takes the name of
     an option of type `path` and the file and returns the mistakes in the file, each with its position; it
     raises DeviceError for a file that cannot be read. `plans` takes the name and the bytes of a mission file
     and a PlanRequest and returns a PlanReport; it raises MissionFileError for a file that is not readable.
+    `plan_texts` takes the name and the bytes and returns the text that replaces the name in a program.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Plugin:
     conflicts: str = ""
     files: str = ""
     plans: str = ""
+    plan_texts: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -189,16 +191,24 @@ class Plugin:
 
         Raises MissionFileError, PluginError without such a function or without its vendor modules.
         """
-        if not self.plans:
+        report: PlanReport = self._read_file(self.plans, name, data, request)
+        return report
+
+    def plan_text(self, name: str, data: bytes) -> str:
+        """The text of a mission file for a program. Raises MissionFileError, PluginError."""
+        text: str = self._read_file(self.plan_texts, name, data)
+        return text
+
+    def _read_file(self, path: str, name: str, *arguments: object) -> Any:
+        if not path:
             raise PluginError(f"driver '{self.name}' reads no mission files")
-        read = self._load(self.plans)
+        read = self._load(path)
         try:
-            report: PlanReport = read(name, data, request)
+            return read(name, *arguments)
         except MissionFileError:
             raise
         except Exception as error:  # third-party code, as below
             raise PluginError(f"driver '{self.name}' cannot read {name}: {error}") from error
-        return report
 
     def _load(self, path: str) -> Any:
         missing = [vendor for vendor in self.requires if not _importable(vendor)]

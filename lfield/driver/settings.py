@@ -6,7 +6,9 @@ A mission never writes them. `lfield setup` writes them after confirmation and b
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import msgspec
 
@@ -39,3 +41,39 @@ def is_same_value(one: float, other: float) -> bool:
 def mismatched(settings: Sequence[Setting]) -> list[Setting]:
     """The settings that have a wrong value."""
     return [setting for setting in settings if not setting.is_right]
+
+
+@dataclass(frozen=True, slots=True)
+class SettingChange:
+    """One stored setting with its present value, and another `value` for it."""
+
+    name: str
+    present: float
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsComparison:
+    """A file with settings compared with a device.
+
+    `changes` are in the order of the file. `unknown` are names that the device does not have, `kept` names
+    that the device sets itself; neither is written. `refusals` are sentences: why the file must not be
+    written. `restart` are the names of changes that take effect after a restart, as far as known.
+    """
+
+    changes: Sequence[SettingChange] = ()
+    unknown: Sequence[str] = ()
+    kept: Sequence[str] = ()
+    refusals: Sequence[str] = ()
+    restart: Sequence[str] = ()
+
+
+@runtime_checkable
+class StoredSettings(Protocol):
+    """A device with stored settings that files of other programs contain (optional, beside `Device`)."""
+
+    async def stored_settings(self, names: Iterable[str]) -> Mapping[str, float]:
+        """The present values; unknown names are left out. Raises DeviceError."""
+
+    async def compare_settings(self, file: str, data: bytes) -> SettingsComparison:
+        """The differences of a file. Raises MissionFileError if it is not readable, DeviceError."""

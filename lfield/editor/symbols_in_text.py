@@ -194,8 +194,14 @@ class TextSymbols:
         unit = self.unit(cursor)
         if cursor.text(1) == "(" and cursor.text(-1) != "new":
             return self._called(cursor, unit)
-        variable = self.variable(cursor, name) if cursor.text(-1) != "new" else None
-        return variable or self.top_level.named(name) or self.type_named(name)
+        if cursor.text(-1) != "new":
+            variable = self.variable(cursor, name)
+            if variable is not None:
+                return variable
+            loop = unit.loop(name) if unit is not None else None
+            if loop is not None:
+                return self.of_method(loop.body)
+        return self.top_level.named(name) or self.type_named(name)
 
     def variable(self, cursor: Cursor, name: str) -> TextSymbol | None:
         """The local, field or constant of a name at a cursor."""

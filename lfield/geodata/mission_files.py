@@ -24,13 +24,15 @@ class PlanRequest:
 
     `kind` is the kind of vehicle and `firmware` the autopilot's software, '' for any. `limits` are those of a
     binding: `altitude` and `radius` in metres, `speed` in m/s. `home` is latitude, longitude and metres above
-    mean sea level, instead of the home that the file plans.
+    mean sea level, instead of the home that the file plans. `options` are those of a binding, from which the
+    driver takes kind and firmware if they are ''.
     """
 
     kind: str = ""
     firmware: str = ""
     limits: Mapping[str, float] = field(default_factory=dict)
     home: tuple[float, float, float] | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

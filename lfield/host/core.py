@@ -31,6 +31,7 @@ from lfield.host.migration.delayed_acks import DelayedAcks
 from lfield.host.migration.init_barrier import InitBarrier
 from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.host.person_calls.person_calls import PersonCalls
 from lfield.host.sequencing.sequencing_service import SequencingService
 from lfield.host.team import operator_commands
 from lfield.host.team.coordinators import Coordinators
@@ -69,9 +70,8 @@ class HostCore:
     """One host of a mission, without I/O."""
 
     def __init__(self, context: HostContext) -> None:
-        self.context, self.mission, self.team, self.name = (
-            context, context.mission, context.team, context.name,
-        )  # fmt: skip
+        self.context, self.mission, self.team = context, context.mission, context.team
+        self.name = context.name
         self.here, self.incarnation, self.recorder = context.here, context.incarnation, context.recorder
         self._clock, self._effects, self._log = context.clock, context.effects, context.log
         mission, records = context.mission, context.records
@@ -105,6 +105,7 @@ class HostCore:
         self.reservations = ReservationService(
             context, self.coordinators, self.leases, machine, membership.is_linked
         )
+        self.person_calls = PersonCalls(context, self.coordinators, self.leases, self.reservations, machine)
         self.directory = TeamDirectory(context, machine, self.reservations.holder_of, membership)
         self.offers = CapabilityQueries(self.directory, mission)
         self._inits = InitBarrier(machine.opening, context.log)
@@ -118,8 +119,8 @@ class HostCore:
         #: In the order in which they receive events and are polled.
         self._parts: list[Part | QueryRelay[Effect]] = [
             acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
-            self.commands, self.pending_calls, self.reservations, self.locator, self.call_watch,
-            self.sequencing,
+            self.commands, self.pending_calls, self.reservations, self.person_calls, self.locator,
+            self.call_watch, self.sequencing,
         ]  # fmt: skip
         self._handlers = {kind: handler for part in self._parts for kind, handler in part.handles.items()}
         self._observers: dict[type[HostEvent], list[EventHandler]] = {
@@ -225,6 +226,7 @@ class HostCore:
     def stop_agents(self) -> None:
         """The host stops: no agent runs or is admitted any more. Transfers, events and status continue."""
         self.coordinators.suspend_all()
+        self.person_calls.abandon_waiting("its host is stopping")
         self.startup.on_halted()
 
     @property
@@ -272,6 +274,8 @@ class HostCore:
 
     def _on_pause_changed(self) -> None:
         self.reservations.postpone()
+        if self.coordinators.paused:
+            self.person_calls.abandon_waiting("the mission was paused")
         self._send_backpressure()
         self.startup.check()
 

@@ -21,6 +21,7 @@ from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import Pending
+from lfield.wire.person_calls.portal_call_messages import PortalCallResult
 
 
 class Environment(DeviceReadings, LinkContacts, Protocol):
@@ -135,6 +136,12 @@ class WakeWaiters(Struct, frozen=True):
     """The records of coordinators have changed: wake all tasks that wait for an outcome."""
 
 
+class AnswerPersonCall(Struct, frozen=True):
+    """Send the result of a portal call to the links of the person that wait for it."""
+
+    result: PortalCallResult
+
+
 Effect = (
     Send
     | SendTransfer
@@ -148,6 +155,7 @@ Effect = (
     | PersistRecords
     | OpenLink
     | WakeWaiters
+    | AnswerPersonCall
 )
 
 WAKE_WAITERS = WakeWaiters()

@@ -22,6 +22,7 @@ from lfield.host import inputs
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.effects import (
+    AnswerPersonCall,
     CallDevice,
     CancelCall,
     DumpAgent,
@@ -37,7 +38,7 @@ from lfield.host.engine_provider import select_engine
 from lfield.host.environment import HostEnvironment, HostOptions
 from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.failures.agent_dump import write_agent_dump
-from lfield.host.failures.host_failures import HostFailures, scarce_resource
+from lfield.host.failures.host_failures import HostFailures
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
@@ -127,7 +128,7 @@ class Host:
         recording.set_seed(seed)
         return HostContext(
             self.mission, self.name, options.rng.getrandbits(62) + 1, self._turns,
-            recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
+            recording.environment(HostEnvironment(self.peers, self.guards), self._turns), Random(seed),
             options.unreachable_after, overlay, self.recorder,
             writer.journal_id, writer.records, writer.times,
             select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),
@@ -284,11 +285,7 @@ class Host:
 
     def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: for exceptions in tasks or callbacks outside the core."""
-        if reason := scarce_resource(context):
-            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=reason))
-            return
-        error = context.get("exception")
-        self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
+        self._failures.on_unhandled(context, self.peers.log_once)
 
     def _execute(self, effect: Effect) -> None:
         match effect:
@@ -311,6 +308,8 @@ class Host:
             case MakeDeviceSafe():
                 self.recorder.on_orphaned_devices(effect.reason, effect.users)
                 self.guards.make_safe(effect.device, effect.reason, effect.state)
+            case AnswerPersonCall():
+                self._observers.on_call_result(effect.result)
             case OpenLink():
                 self.peers.require_link(effect.host)
             case DumpAgent():

@@ -9,11 +9,13 @@ from msgspec import Struct
 
 from lfield.errors import DeviceError
 from lfield.host.core import HostCore
+from lfield.host.person_calls.person_calls import PersonCaller
 from lfield.manifest import DeviceValue
 from lfield.replication.locate.outcomes import CoordinatorOutcome, UnavailableHosts
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import RecoverRequest, RecoverResponse, StartResponse
+from lfield.wire.person_calls.portal_call_messages import PortalCallRequest
 
 
 class HostInput(Struct, frozen=True, array_like=True):
@@ -291,6 +293,28 @@ class LineEntered(HostInput, frozen=True, tag=28):
         return core.on_line_entered(self.text, is_kept=self.is_kept)
 
 
+class PersonCalled(HostInput, frozen=True, tag=29):
+    """A person calls a portal (`PersonCalls.call`); `name` is '' for a user of this computer."""
+
+    order: PortalCallRequest
+    name: str
+    label: str
+
+    def enter(self, core: HostCore) -> None:
+        core.person_calls.call(self.order, PersonCaller(self.name, self.label))
+
+
+class PersonCallCancelled(HostInput, frozen=True, tag=30):
+    """A person cancels the call of that id (`PersonCalls.cancel`)."""
+
+    id: bytes
+    name: str
+    label: str
+
+    def enter(self, core: HostCore) -> None:
+        core.person_calls.cancel(self.id, PersonCaller(self.name, self.label))
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -320,4 +344,6 @@ RecordedInput = (
     | BallotHeld
     | RunEnds
     | LineEntered
+    | PersonCalled
+    | PersonCallCancelled
 )

@@ -7,17 +7,27 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import cast
 
+from lfield.authority.identity import Identity
 from lfield.devices.device_guards import DeviceGuards
 from lfield.errors import AddressError
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
-from lfield.host.inputs import ForgetOrdered, HostInput, LineEntered, RecoveryOrdered, StartOrdered
+from lfield.host.inputs import (
+    ForgetOrdered,
+    HostInput,
+    LineEntered,
+    PersonCallCancelled,
+    PersonCalled,
+    RecoveryOrdered,
+    StartOrdered,
+)
 from lfield.host.stop_orders.order_executor import Dispatch, OrderExecutor
 from lfield.host.subscriptions.subscription_server import SubscriptionServer
 from lfield.net.link_manager import LinkManager
 from lfield.net.transport import Link
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
+from lfield.wire.fields import MAX_NAME, truncate
 from lfield.wire.messages import Control
 from lfield.wire.observer_messages import (
     BallotHold,
@@ -33,12 +43,19 @@ from lfield.wire.observer_messages import (
     StartResponse,
     Status,
 )
+from lfield.wire.person_calls.portal_call_messages import (
+    PortalCallCancel,
+    PortalCallRequest,
+    PortalCallResult,
+)
 from lfield.wire.subscription_messages import EventAck, Subscribe
 
 #: Seconds for which the answer to a start request waits for the reports of other hosts' vehicles.
 START_TIMEOUT = 3.0
 #: Seconds between two snapshots for observers that ask for one: requests in between share the next one.
 SNAPSHOT_INTERVAL = 0.05
+#: The most links to which the result of one portal call is sent, and the most calls with such links.
+MAX_ANSWERS, MAX_WAITING = 4, 1024
 #: An observer that asked within so many seconds may be monitoring devices, and gets one more answer in time.
 OBSERVED_WITHIN, LINGER = 3.0, 1.5
 
@@ -70,6 +87,8 @@ class ObserverSessions:
         #: The links that wait for a snapshot, with the whole directory or not; when the last one was sent.
         self._waiting: dict[Link, bool] = {}
         self._last_sent = -SNAPSHOT_INTERVAL
+        #: The links that wait for the results of portal calls, by the id of the call.
+        self._callers: dict[bytes, list[Link]] = {}
 
     def on_message(self, message: Control, link: Link) -> None:
         """A request of an observer. Messages between hosts are not answered."""
@@ -96,6 +115,10 @@ class ObserverSessions:
                 self._dispatch(entry, lambda found: self._answer(link, InputResult(cast(str, found))))
             case StartRequest():
                 spawn(self._start_coordinators(message, link))
+            case PortalCallRequest():
+                self._call_portal(message, link)
+            case PortalCallCancel():
+                self._cancel_call(message, link)
 
     def _send_snapshot(self, link: Link, *, directory: bool) -> None:
         """Send a snapshot, at most one per interval, so that requests cannot keep a host busy."""
@@ -122,6 +145,33 @@ class ObserverSessions:
         """After an emergency stop, keep answering observers so that they see its outcome."""
         if self._core.coordinators.stopped and self._clock.monotonic() - self._last_request < OBSERVED_WITHIN:
             await asyncio.sleep(LINGER)
+
+    def _call_portal(self, message: PortalCallRequest, link: Link) -> None:
+        """Start a portal call; the answer comes by `on_call_result`, perhaps at once."""
+        self._await_result(message.id, link)
+        self._dispatch(PersonCalled(message, *_caller(link.who, is_assistant=message.is_assistant)), None)
+
+    def _cancel_call(self, message: PortalCallCancel, link: Link) -> None:
+        """Cancel a call of this person, or of an assistant of this person."""
+        self._await_result(message.id, link)
+        for is_assistant in (False, True):
+            who = _caller(link.who, is_assistant=is_assistant)
+            self._dispatch(PersonCallCancelled(message.id, *who), None)
+
+    def _await_result(self, id: bytes, link: Link) -> None:
+        waiting = self._callers.setdefault(id, [])
+        if link not in waiting:
+            waiting.append(link)
+            # A client that repeats its call over new links has no use for answers over old ones.
+            del waiting[:-MAX_ANSWERS]
+            # Of links that are never answered, such as one that cancels the call of another.
+            if len(self._callers) > MAX_WAITING:
+                del self._callers[next(iter(self._callers))]
+
+    def on_call_result(self, result: PortalCallResult) -> None:
+        """A portal call has ended, or was refused."""
+        for link in self._callers.pop(result.id, ()):
+            self._answer(link, result)
 
     async def _start_coordinators(self, message: StartRequest, link: Link) -> None:
         """Start the waiting coordinators; answer when they have started, or with what they still wait for."""
@@ -152,6 +202,15 @@ class ObserverSessions:
         # The observer may have closed its link, or be out of radio range.
         with suppress(AddressError):
             link.send(message)
+
+
+def _caller(who: Identity, *, is_assistant: bool = False) -> tuple[str, str]:
+    """The name of a person, '' for a user of this computer; and the caller as events and log lines show
+    it."""
+    name = who.name if who.kind == "person" else ""
+    shown = f"person {who.name}" if who.kind == "person" else f"user {who.name}"
+    label = f"assistant of {shown}" if is_assistant else shown
+    return name, truncate(label, MAX_NAME)
 
 
 def _forget_response(found: object) -> Control:

@@ -25,22 +25,23 @@ from lfield.errors import (
     ProgramFileError,
     ReportableFinding,
 )
-from lfield.lang.deployment import DeployedAgent, Deployment, read_deployment, read_with_warnings
+from lfield.lang.deployment import read_deployment, read_with_warnings
 from lfield.mission import bundle
 from lfield.mission.access.access_file import read_access
 from lfield.mission.access.access_rules import NO_RULES, Access
 from lfield.mission.bindings import Bindings, chosen_fakes, without_doubles
 from lfield.mission.bindings_file import read_bindings, unstated_options
+from lfield.mission.checks.recovery_findings import check_recovery, quorum_warnings
 from lfield.mission.mission import Mission, drivers_for, duplicate_statements, needed_devices
 from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.input_files import error_reason, read_head, require_file
 from lfield.text.source_text import Diagnostic, PlainFinding
-from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import printable_argument
 from lfield.vm.offer_objects import ways
 
 if TYPE_CHECKING:
     from lfield.lang.frontend import CheckResult
+    from lfield.mission.checks.file_literals import FileLiteral
 
 #: Suffixes of the files of a mission, in the folder of its deployment.
 DEVICES, CAPABILITIES, ACCESS = ".devices.yaml", ".capabilities.yaml", ".access.yaml"
@@ -82,7 +83,8 @@ def load_mission(
     plugins = discover()
     types = _registry_types(capabilities or sibling_file(deploy, CAPABILITIES), deploy, plugins)
     hollow = _fully_doubled(deploy, doubled)
-    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types, hollow)
+    literals: list[FileLiteral] = []
+    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types, hollow, literals)
     deployment = read_deployment(deploy, loaded.units)
     team = team_of(deployment.rows, deployment.kinds, deployment.ports)
     needed = needed_devices(loaded, team)
@@ -97,6 +99,10 @@ def load_mission(
         homes=team.homes,
         doubled=doubled,
     )
+    if literals:
+        from lfield.mission.checks.file_literals import check_files
+
+        warnings += check_files(literals, bindings.all, team.types, plugins)
     drivers = drivers_for(plugins, {device.type for device in bindings.all})
     registry = restrict_to_program(types.registry, loaded, plugins, hollow) if ways(loaded) else None
     chosen = chosen_fakes(bindings, without_doubles(needed, doubled), plugins, team.types) if simulate else []
@@ -104,9 +110,9 @@ def load_mission(
     mission = Mission(
         printable_argument(deploy.stem), loaded, team, bindings, drivers, registry, access=access
     )
-    mission = _check_recovery(mission, deployment)
+    mission = check_recovery(mission, deployment)
     chosen += duplicate_statements(mission)
-    warnings += _quorum_warnings(deployment, mission)
+    warnings += quorum_warnings(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
 
@@ -115,31 +121,6 @@ def _access(deploy: Path, team: Team, program: Program, types: RegistryTypes) ->
     """The access rules of a deployment, from its folder."""
     path = sibling_file(deploy, ACCESS)
     return NO_RULES if path is None else read_access(path, team.members, program, lambda: types.registry)
-
-
-def _quorum_warnings(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
-    """Warnings for quorums of one or two members, which cannot lose any: the majority of two is two."""
-    members, team = mission.recovery.members, mission.team
-    if len(members) == 1 and any(
-        team.members_on(n) for n, host in enumerate(team.hosts) if host not in members
-    ):
-        failed, why = members[0], "no other host can decide"
-    elif len(members) == 2:
-        failed, why = f"one of {listed(members)}", "the other one is not a majority"
-    else:
-        return []
-    first = _first_fenced(deployment, mission)
-    message = f"{first.id} cannot be recovered when {failed} is lost: {why}"
-    return [Diagnostic("Y114", message, first.span, _more_members(mission), "warning")]
-
-
-def _more_members(mission: Mission) -> str:
-    """How to add enough members to tolerate the loss of one."""
-    witness = "add a witness, a host without agents: //@name"
-    if not mission.bindings.recovery.members:
-        return witness
-    named = "name at least three hosts in 'recovery: {members: [...]}' of the devices file"
-    return named if len(mission.team.hosts) > 2 else f"{witness}; and {named}"
 
 
 def _check_deployment(path: Path) -> None:
@@ -172,27 +153,7 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
         attributes=(lambda: known.attributes) if (known := mission.registry) is not None else None,
         homes=mission.team.homes,
     )
-    return _check_recovery(mission.with_bindings(bindings))
-
-
-def _check_recovery(mission: Mission, deployment: Deployment | None = None) -> Mission:
-    """The mission, after a check of its recovery members and that silence is within the lease.
-
-    Raises BindingError, rendered at the first fenced coordinator where the deployment is available.
-    """
-    try:
-        if mission.recovery.members:
-            mission.bindings.check_lease_bounds()
-    except BindingError as error:
-        if deployment is None:
-            raise
-        drawn = Diagnostic("Y115", str(error), _first_fenced(deployment, mission).span)
-        raise BindingError([drawn.render()], [drawn]) from None
-    return mission
-
-
-def _first_fenced(deployment: Deployment, mission: Mission) -> DeployedAgent:
-    return next(agent for agent in deployment.agents if agent.id in mission.fenced)
+    return check_recovery(mission.with_bindings(bindings))
 
 
 def sibling_file(path: Path, suffix: str) -> Path | None:
@@ -246,10 +207,12 @@ def agents_of(deploy: Path) -> list[str] | None:
 
 
 def _program(
-    path: Path, plugins: Plugins, types: RegistryTypes, doubled: Collection[str]
+    path: Path, plugins: Plugins, types: RegistryTypes, doubled: Collection[str], literals: list[FileLiteral]
 ) -> tuple[Program, list[Diagnostic]]:
+    """The program, its warnings, and in `literals` the files that it names."""
     if path.suffix == ".L":
-        return compile_file(path, plugins, types, doubled)
+        checked, capabilities = check_program_file(path, plugins, types, doubled)
+        return _compiled(checked, capabilities, plugins, doubled, literals), checked.diagnostics
     program = _read_program(path)
     if mistakes := _registry_misfits(types, program, plugins, doubled):
         raise ProgramError(mistakes)
@@ -314,13 +277,21 @@ def compile_file(
 
 
 def _compiled(
-    checked: CheckResult, capabilities: RegistryTypes, known: Plugins, doubled: Collection[str] = ()
+    checked: CheckResult,
+    capabilities: RegistryTypes,
+    known: Plugins,
+    doubled: Collection[str] = (),
+    literals: list[FileLiteral] | None = None,
 ) -> Program:
     """The program of a checked syntax tree. Raises ProgramError with its errors."""
     from lfield.compiler.program_builder import compile_program
+    from lfield.mission.checks.file_literals import embed_files
 
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
+    embedded = embed_files(checked.program, known)
+    if literals is not None:
+        literals += embedded
     program = compile_program(checked.program)
     if mistakes := _registry_misfits(capabilities, program, known, doubled):
         raise ProgramError([*checked.diagnostics, *mistakes])
@@ -345,7 +316,7 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
         _access(deploy, team, loaded, _registry_types(sibling_file(deploy, CAPABILITIES), deploy, plugins))
-        mission = _check_recovery(
+        mission = check_recovery(
             Mission(printable_argument(deploy.stem), loaded, team, bound, DriverIndex({})), deployment
         )
     except ProgramError as error:
@@ -355,7 +326,7 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
             *error.findings,
             *(PlainFinding(problem) for problem in error.problems[len(error.findings) :]),
         ]
-    return [*found, *_quorum_warnings(deployment, mission)]
+    return [*found, *quorum_warnings(deployment, mission)]
 
 
 def _without_fakes(mission: Mission, devices: Path) -> Sequence[ReportableFinding]:

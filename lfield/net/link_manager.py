@@ -38,7 +38,7 @@ from lfield.net.transport import Link, Listener, Transport
 from lfield.text import log_messages
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, RevocationUpdate
+from lfield.wire.messages import QUESTION, TOO_MANY_OBSERVERS, Control, Hello, Ping, Pong, RevocationUpdate
 
 #: Seconds for which a link is kept after a single need, and an unneeded link remains open.
 IDLE_TIMEOUT = 10.0
@@ -337,7 +337,7 @@ class LinkManager:
         session.link.count_in(self.monitor.observers)
         pushed = self._observers.admit(session, str(session.link.who))
         if pushed is not None:
-            pushed.reject(f"over {MAX_OBSERVERS} observers are linked to this host")
+            pushed.reject(f"over {MAX_OBSERVERS} {TOO_MANY_OBSERVERS}")
 
     def _on_linked(self, session: Session, hello: Hello) -> None:
         self.monitor.on_linked(hello.host, session.link)

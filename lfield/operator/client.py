@@ -35,6 +35,7 @@ from lfield.wire.observer_messages import (
     Status,
 )
 from lfield.wire.order_messages import ID_SIZE
+from lfield.wire.person_calls.portal_call_messages import PortalCallResult
 from lfield.wire.subscription_messages import EventBatch, Subscribe
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from lfield.operator.orders.order_sender import OrderSender
 
 _Response = ForgetResponse | RecoverResponse | StartResponse | InputResult
-T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response)
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response | PortalCallResult)
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 

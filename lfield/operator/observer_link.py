@@ -23,6 +23,7 @@ from lfield.wire.observer_messages import (
     with_epoch,
 )
 from lfield.wire.order_messages import HOLDS, UNKNOWN_EPOCH, Epochs
+from lfield.wire.person_calls.portal_call_messages import PortalCallResult
 from lfield.wire.subscription_messages import EventBatch
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from lfield.wire.coordinator_messages import Transfer
 
 _Response = ForgetResponse | RecoverResponse | StartResponse | InputResult
-T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response)
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | _Response | PortalCallResult)
 
 #: Seconds between two attempts.
 RETRY_DELAY = 0.1

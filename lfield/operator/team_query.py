@@ -1,4 +1,4 @@
-"""The team of a query: from the mission's files alone, or from the reports of its running hosts."""
+"""The team of a query, from the mission's files or from the reports of its running hosts; and the answer."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from lfield.capability.directory.agent_profile import AgentIdentity, AgentProfile, agent_profiles, location_of
-from lfield.capability.model import Attribute, Registry, Value
-from lfield.capability.offer import Candidate, Fact, Position
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import Attribute, Primitive, Registry, Value
+from lfield.capability.offer import Candidate, Fact, Offer, Position, Rejection
 from lfield.capability.program_types.class_generator import UsableWays
 from lfield.capability.program_types.program_check import check_against, satisfied
 from lfield.capability.program_types.program_resources import resources_of
@@ -25,6 +26,7 @@ from lfield.mission.mission import Mission, with_poses
 from lfield.mission.registry_check import program_files
 from lfield.mission.registry_part import check_stated
 from lfield.mission.team import Team
+from lfield.operator.query_parser import CapabilityQuery
 from lfield.operator.team_model.team_state import HostState
 from lfield.text.source_text import Diagnostics
 from lfield.vm.offer_objects import ways
@@ -223,3 +225,38 @@ def _fact(reported: AttributeReading) -> Fact:
 def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
     """A value as the registry has it: members are a set."""
     return frozenset(said) if isinstance(said, list | tuple) else said
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveAnswer:
+    """The providers of a primitive, best first, their number, and the refusals of other agents.
+
+    `teams` are the best teams of these offers if requested, from `agents` candidates. `notes` are the
+    omissions.
+    """
+
+    primitive: Primitive
+    offers: Sequence[Offer]
+    count: int
+    refusals: Sequence[Rejection]
+    notes: Sequence[str] = ()
+    teams: Sequence[Sequence[Offer]] | None = None
+    agents: int = 0
+    is_truncated: bool = False
+
+
+def primitive_answer(
+    matcher: Matcher, primitive: Primitive, question: CapabilityQuery, size: int | None = None
+) -> PrimitiveAnswer:
+    """The answer for one primitive of a query; with a `size` also the best teams of so many agents."""
+    found = matcher.find(primitive.name, question.offer_query)
+    refusals = matcher.explain(primitive.name, question.constraint)
+    if size is None:
+        return PrimitiveAnswer(
+            primitive, found.offers, found.count, refusals, found.notes, is_truncated=bool(found.cut)
+        )
+    formed = matcher.teams(primitive.name, size, question.offer_query)
+    notes = list(dict.fromkeys([*found.notes, *formed.notes]))
+    return PrimitiveAnswer(
+        primitive, found.offers, found.count, refusals, notes, formed.teams, formed.agents, bool(found.cut)
+    )

@@ -135,6 +135,9 @@ class GoldenWorld:
         """The result counts as persisted at once: there is no journal."""
         self.machine.pending_calls.on_persisted(call.key)
 
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """No call runs elsewhere."""
+
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """No call runs elsewhere: there is one host."""
 

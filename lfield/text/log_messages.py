@@ -259,6 +259,11 @@ START_NEEDS_MAJORITY = _message(
 )
 START_REFUSED = _message("start-refused", "{agent} not started again: it {reason}", "warning")
 START_REQUESTED = _message("start-requested", "start requested: 'lfield start' by {operator}")
+PORTAL_CALLED = _message("portal-called", "{resource}.{portal}() called by {caller}")
+PORTAL_CALL_ENDED = _message("portal-call-ended", "{resource}.{portal}() called by {caller} ended: {outcome}")
+PORTAL_CALL_REFUSED = _message(
+    "portal-call-refused", "{resource}.{portal}() not called for {caller}: {reason}", "warning"
+)
 AGENT_RESUMED = _message("agent-resumed", "{agent} resumed from the journal")
 AGENT_RESTARTED = _message(
     "agent-restarted",

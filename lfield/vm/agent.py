@@ -308,11 +308,6 @@ class Agent:
         polled, self.has_polled = self.has_polled, False
         return polled
 
-    @property
-    def has_waiting_threads(self) -> bool:
-        """Whether a thread may become ready because another one of the agent runs."""
-        return bool(self.pollers or self.blocked or self.monitor_waits)
-
     def remember_poll(self, image: bytes) -> None:
         """Store the block after the turn of a polling thread."""
         self.last_polled_image = image

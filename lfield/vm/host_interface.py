@@ -129,6 +129,13 @@ class HostInterface(Protocol):
         of calls that have ended, and of those whose host is unreachable. A hint: the coordinator goes there.
         """
 
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator cancels calls (resource, number) on several other hosts, and goes there next.
+
+        Their hosts may cancel them already: `PendingCalls.cancel_started`. A hint: it cancels them when it
+        is there.
+        """
+
     def abandon_wait(self, agent: Agent) -> bool:
         """The limit of a suspended coordinator has expired. Whether it is here and can be resumed.
 

@@ -48,6 +48,7 @@ from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.threads import only_thread, place_of
 from lfield.vm.memory.word_codec import encode_device_value
 from lfield.vm.monitor_waits import MonitorWaits, after_turn
+from lfield.vm.person_calls.person_portals import PersonPortals
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.reference.unwinder import stop_limit
 from lfield.vm.reservations.held_reservations import HeldReservations
@@ -103,6 +104,7 @@ class Machine:
         types = MemberTypes(view.members)
         self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
         calls = self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
+        self.person_portals = PersonPortals(scheduler, cancelling)
         self.held_reservations = held = HeldReservations(program, view.members)
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
         limits = self._deadlines = Deadlines(scheduler, cancelling, self.itinerary, calls.stop_waiting)
@@ -266,9 +268,7 @@ class Machine:
         """
         if agent.ended or self.itinerary.head(agent) in CANCELLING_HEADS:
             return False
-        if not self.pending_calls.stop_waiting(agent) and not portal_calls.detach_caller(
-            self._scheduler, agent
-        ):
+        if not (self.pending_calls.stop_waiting(agent) or portal_calls.detach_caller(self._scheduler, agent)):
             return False
         called = self.itinerary.current_target(agent)
         self.throw_builtin(agent, only_thread(agent.block), kind, message, called[0].id if called else "")
@@ -317,7 +317,8 @@ class Machine:
                 break
             agent, thread = ready.popleft()
             # Where no other thread can become ready, a long turn delays none.
-            is_alone = not (ready or agent.has_waiting_threads or self.hooks.meter)
+            others = ready or agent.pollers or agent.blocked or agent.monitor_waits
+            is_alone = not (others or self.hooks.meter)
             try:
                 remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:

@@ -39,6 +39,8 @@ class PendingCall:
     `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: that
     limit cancelled it.
 
+    A call of a person has the name of the caller as `agent`, and `is_of_person`.
+
     `call` is the number of the portal call and `method` the portal's index, 0 if not running in this
     incarnation; `waiter` is the coordinator and thread that wait here for it.
     """
@@ -59,6 +61,7 @@ class PendingCall:
     failure: str = ""
     call: int = 0
     method: int = 0
+    is_of_person: bool = False
     waiter: tuple[Agent, int] | None = field(default=None, repr=False)
 
     @property
@@ -69,6 +72,12 @@ class PendingCall:
     def id(self) -> str:
         """The id of the coordinator, as an agent has it, for `Machine.caller`."""
         return self.agent
+
+    @property
+    def cancel_reason(self) -> str:
+        """What its portal is told when its coordinator cancels it."""
+        what = "has cancelled" if self.is_future else "has left the together that called"
+        return f"{self.agent} {what} {self.portal}()"
 
     @property
     def ended(self) -> str:

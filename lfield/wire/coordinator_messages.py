@@ -212,6 +212,14 @@ class WatchCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     numbers: Numbers
 
 
+class CancelCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=69):
+    """That start of a coordinator cancels calls on the receiver, and goes there for their ends. A hint."""
+
+    agent: Name
+    generation: Ordinal
+    numbers: Numbers
+
+
 class CallsEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=68):
     """These calls of that start of a coordinator have ended on the sender, or are unknown there."""
 

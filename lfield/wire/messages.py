@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 
 from lfield.wire.coordinator_messages import (
     CallsEnded,
+    CancelCalls,
     CoordinatorState,
     Locate,
     Located,
@@ -59,6 +60,11 @@ from lfield.wire.observer_messages import (
     StartResponse,
 )
 from lfield.wire.order_messages import Epochs, RelayedAnswer, RelayedOrder
+from lfield.wire.person_calls.portal_call_messages import (
+    PortalCallCancel,
+    PortalCallRequest,
+    PortalCallResult,
+)
 from lfield.wire.quorum_messages import QuorumMessage
 from lfield.wire.reservation_messages import ReservationMessage
 from lfield.wire.service_messages import ServiceMessage
@@ -140,6 +146,10 @@ class IncompatibleHello(Struct, frozen=True):
     """A Hello of another protocol version; only the version can be read."""
 
     protocol: int
+
+
+#: A part of the reason for which a host refuses a further observer: a later attempt may succeed.
+TOO_MANY_OBSERVERS = "observers are linked to this host"
 
 
 class HandshakeRefused(Struct, frozen=True):
@@ -302,7 +312,11 @@ Control = (
     | ReservationMessage
     | WatchCalls
     | CallsEnded
+    | CancelCalls
     | SubscriptionMessage
+    | PortalCallRequest
+    | PortalCallCancel
+    | PortalCallResult
     | ServiceMessage
 )
 

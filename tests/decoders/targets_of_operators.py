@@ -13,6 +13,8 @@ from rich.console import Console
 from targets_of_links import TOKENS, example, pack, sealed, unpack
 
 from lfield.cli.views import event_view, team_state_view, team_status_view
+from lfield.client.event_json import event_json
+from lfield.client.status_json import status_json
 from lfield.driver import MissionFileError, PlanRequest
 from lfield.errors import LfieldError, WireError
 from lfield.geodata.area_file import check_shape, is_area_file, read_area_file
@@ -27,7 +29,10 @@ from lfield.wire import codec
 from lfield.wire.events import KINDS, Event
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import EventBatch
+from lfield_mavlink.files.parameter_facts import own_values
+from lfield_mavlink.files.parameter_file import read_parameters
 from lfield_mavlink.files.plan_report import read_plan
+from lfield_mavlink.modes import PX4
 
 #: What a terminal would obey.
 _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
@@ -57,7 +62,7 @@ def _shown(hosts: Mapping[str, HostState]) -> None:
         team_status_view.team_tables(hosts)
     )
     _require_plain(text.getvalue())
-    assert team_status_view.as_json(hosts)
+    assert status_json(hosts)
 
 
 def _statuses() -> Sequence[bytes]:
@@ -109,7 +114,7 @@ class _Watching:
             _require_plain(text.getvalue())
         assert self._picture.curves(110.0) is not None
         for told in self._timeline.drain_events():
-            lines = [event_view.event_line(told), event_view.event_json(told), *self._table.rows(told)]
+            lines = [event_view.event_line(told), event_json(told), *self._table.rows(told)]
             for line in self._log.lines(told):
                 lines += [event_view.log_text(told, line), event_view.log_json(told, line)]
             for line in lines:
@@ -167,6 +172,24 @@ def decode_plan(data: bytes) -> None:
         draw_plan(report, "f.plan")
 
 
+PARAMETERS = b"""# Stack: PX4 Pro
+# Vehicle: Quadrotor
+1\t1\tMPC_XY_VEL_MAX\t12.5\t9
+RTL_ALT,1500 # a reason
+STAT_BOOTCNT 3 @READONLY
+"""
+
+
+def decode_parameters(data: bytes) -> None:
+    """A parameter file."""
+    try:
+        content = read_parameters("f.param", data)
+    except MissionFileError as error:
+        str(error)
+        return
+    own_values(PX4, content.values)
+
+
 def decode_area(data: bytes) -> None:
     """A map file, and the check of each of its shapes."""
     is_area_file("f.geojson", data)
@@ -219,6 +242,7 @@ TARGETS = (
     Target(
         "plan", lambda: [(FILES / "north-field.plan").read_bytes()], decode_plan, tokens=_OF_PLANS, share=2
     ),
+    Target("parameters", lambda: [PARAMETERS], decode_parameters, tokens=_OF_ROWS),
     Target("waypoints", lambda: [WAYPOINTS], decode_plan, tokens=_OF_ROWS),
     Target("kml", lambda: [(FILES / "north.kml").read_bytes()], decode_area, tokens=_OF_MAPS),
     Target("geojson", lambda: [GEOJSON], decode_area, tokens=_OF_MAPS),

@@ -26,6 +26,7 @@ SETUP = "writes to a vehicle, after a yes: tests/cli/device/test_setup_command.p
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
 FORMATION = LONG + "examples/20-formation/test_formation.py flies the same on virtual time"
+RESCUE = LONG + "examples/06-search-and-rescue/test_search_and_rescue.py does the same on virtual time"
 ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
@@ -164,6 +165,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield test examples/05-two-carry-one": SUITE,
         "bravo | beam: ada+bob take the beam (composed: two-carry-one of Haul (ada), Haul (bob))": EXAMPLES,
     },
+    "examples/06-search-and-rescue/README.md": {
+        "lfield up --deploy examples/06-search-and-rescue/mission.dL --all --sim --until-done": RESCUE,
+        "lfield test examples/06-search-and-rescue": SUITE,
+        "copter3 | rescue: strip 2 is searched": RESCUE,
+    },
     "examples/16-three-tiers/README.md": {
         "pip install -e examples/16-three-tiers/planner": TIERS,
         "lfield up --deploy examples/16-three-tiers/mission.dL --all --sim --until-done": TIERS,
@@ -180,6 +186,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "examples/20-formation/README.md": {
         "lfield up --deploy examples/20-formation/mission.dL --all --sim --until-done": FORMATION,
         "lfield test examples/20-formation": SUITE,
+        "python examples/20-formation/terrain_marches.py": FORMATION,
         "carol | march: the march is over; the coordinator migrated 100 times": FORMATION,
     },
     "examples/20-gps-driver/README.md": {
@@ -194,6 +201,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/21-box-pushing/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/21-box-pushing": ARENA,
+        "python examples/21-box-pushing/terrain_pushes.py": ARENA,
         "centre    | movers: the box is at (2.99, 1.00), heading 0.50 after 24 steps and 101 hops": ARENA,
     },
     "examples/22-predators/README.md": {
@@ -207,6 +215,9 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "pip install -e examples/21-box-pushing": ARENA,
         "lfield up --deploy examples/23-soccer/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/23-soccer": ARENA,
+        "lfield up --deploy examples/23-soccer/red.dL --all --sim --until-done &": ARENA,
+        "lfield up --deploy examples/23-soccer/blue.dL --all --sim --until-done": ARENA,
+        "python examples/23-soccer/league.py": ARENA,
     },
     "drivers/lfield_mavlink/README.md": {
         "lfield setup --deploy mission.dL": SETUP,

@@ -9,6 +9,7 @@ from lang_expectations import CAPABILITIES
 
 from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import CheckResult, check_file, check_text
+from lfield.lang.language_library import FUNCTIONS
 from lfield.lang.types import INT, EnumType
 
 
@@ -166,6 +167,25 @@ def test_uses_of_constants_are_checked_like_literals() -> None:
         program.replace("-1.0", "1.0").replace("payload >=", "payload >= 1"), capabilities=CAPABILITIES
     )
     assert [d.code for d in found.diagnostics] == ["L902"]
+
+
+#: What functions of the library do, by name. A new one belongs into one of the two, and into purity.py if it
+#: does more than compute.
+PURE = {
+    *("s2i", "s2f", "i2f", "f2i", "i2s", "f2s", "b2s", "abs", "min", "max", "sqrt", "sin", "cos", "tan"),
+    *("asin", "acos", "atan2", "exp", "log", "pow", "floor", "ceil", "round"),
+}
+IMPURE = {"print", "yield", "sleep", "now", "random"}
+
+
+def test_each_function_of_the_library_is_pure_or_reported() -> None:
+    assert {function.name for function in FUNCTIONS if function.scope == "any"} == PURE | IMPURE
+    values = {"int": "1", "real": "0.5", "string": '"1"', "boolean": "true"}
+    for function in FUNCTIONS:
+        arguments = ", ".join(values[str(kind)] for kind in function.parameters)
+        text = f"void f() {{ {function.name}({arguments}); }}"
+        codes = [found.code for found in check_text(text).diagnostics]
+        assert codes == ([] if function.name in PURE else ["L437"]), text
 
 
 def test_functions_have_no_access_to_what_calls_them() -> None:

@@ -133,6 +133,6 @@ def test_holes_can_still_be_planted(hole):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: hole.name)
-def test_a_planted_hole_is_noticed(hole):
+def test_a_planted_security_hole_is_found(hole):
     """In a copy of lfield that has the hole, a cell of the matrix fails."""
     assert noticed(hole) > 0

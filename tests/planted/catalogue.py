@@ -52,38 +52,44 @@ FINDERS = (
     ),
     BugFinder("tests/simulate/test_fleet.py", "test_a_sender_that_resumes_what_it_has_sent_is_found", PATCH),
     BugFinder(
-        "tests/simulate/test_fleet_census.py", "test_a_judge_that_takes_silence_for_a_loss_is_found", PATCH
-    ),
-    BugFinder(
-        "tests/replication/lease/test_quorum_property.py",
-        "test_what_leases_and_fences_rest_on_is_needed",
+        "tests/simulate/test_fleet_census.py",
+        "test_a_judge_that_counts_a_silent_host_as_lost_is_found",
         PATCH,
     ),
     BugFinder(
         "tests/replication/lease/test_quorum_property.py",
-        "test_a_recovery_in_spite_of_a_termination_is_seen",
+        "test_a_broken_lease_rule_is_found",
         PATCH,
     ),
     BugFinder(
-        "tests/replication/transfer/test_mobility_property.py", "test_a_broken_protocol_is_found_out", MACHINE
+        "tests/replication/lease/test_quorum_property.py",
+        "test_a_recovery_despite_a_termination_is_found",
+        PATCH,
+    ),
+    BugFinder(
+        "tests/replication/transfer/test_mobility_property.py",
+        "test_a_broken_transfer_protocol_is_found",
+        MACHINE,
     ),
     BugFinder(
         "tests/replication/transfer/test_mobility_walk.py",
-        "test_a_subtly_broken_protocol_is_found_out",
+        "test_a_protocol_that_is_broken_after_restarts_is_found",
         MACHINE,
     ),
     BugFinder(
         "tests/replication/transfer/test_mobility_kept.py",
-        "test_a_host_that_comes_back_and_does_not_listen_is_found_out",
+        "test_a_restarted_host_that_ignores_a_failover_is_found",
         MACHINE,
     ),
     BugFinder(
         "tests/replication/transfer/test_mobility_kept.py",
-        "test_a_machine_that_keeps_too_little_is_found_out",
+        "test_a_host_that_stores_too_little_is_found",
         MACHINE,
     ),
-    BugFinder("tests/host/reserve/test_reservations_property.py", "test_what_is_broken_is_found", MACHINE),
-    BugFinder("tests/matrix/test_security_matrix.py", "test_a_planted_hole_is_noticed", SOURCE),
+    BugFinder(
+        "tests/host/reserve/test_reservations_property.py", "test_a_broken_reservation_rule_is_found", MACHINE
+    ),
+    BugFinder("tests/matrix/test_security_matrix.py", "test_a_planted_security_hole_is_found", SOURCE),
     BugFinder("tests/fuzz/test_fuzz.py", "test_a_planted_fault_is_found", ENGINE),
     BugFinder("tests/fuzz/test_fuzz.py", "test_a_fault_in_the_text_of_the_engine_is_found", TEXT),
     BugFinder("tests/vm/turns/test_loops.py", "test_a_planted_loop_bug_is_found", PATCH),

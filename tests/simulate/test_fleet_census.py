@@ -191,7 +191,7 @@ def test_losses_are_told_in_bad_weather_at_all(tmp_path):
     raise AssertionError(told)
 
 
-def test_a_judge_that_takes_silence_for_a_loss_is_found(tmp_path, monkeypatch):
+def test_a_judge_that_counts_a_silent_host_as_lost_is_found(tmp_path, monkeypatch):
     """A host without an answer is taken for one that has ended."""
 
     def absent(self, answered, now, lost_after, unmet):

@@ -33,7 +33,7 @@ ALLOWED = {
     "operator/team_model/log_buffer.py": "the order of log lines",
     "operator/team_model/team_view.py": "the order of log lines",
     "operator/dashboard/timeline/event_timeline.py": "the order of events",
-    "cli/views/event_view.py": "shows the timestamp",
+    "client/event_json.py": "shows the timestamp",
     "replay/host_replay.py": "restores the recorded state of the clock",
     "wire/events.py": "the timestamp of an event",
 }

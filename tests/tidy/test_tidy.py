@@ -34,6 +34,10 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/client/event_json.py": "events as JSON, for commands and clients",
+    "lfield/host/person_calls/call_limits.py": "limits on the calls of persons, without I/O",
+    "lfield/testing/mission/double_answers.py": "special results of doubles",
+    "lfield/mission/checks/recovery_findings.py": "what two files say of recovery together",
     "lfield/host/events/path_rate.py": "a measurement of its own, without I/O",
     "lfield/net/coding/link_compression.py": "two streams of zlib",
     "lfield/inventory/location.py": "which inventory counts, without YAML",
@@ -51,7 +55,6 @@ SMALL = {
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/jitter_measurement.py": "what is done for lateness to decide",
     "lfield/operator/web/page.py": "the one page, of the one component",
-    "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
     "lfield/host/process/shutdown_signals.py": "what ends a host",
     "lfield/host/failures/agent_dump.py": "where the block of a dead agent goes",

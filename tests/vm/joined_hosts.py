@@ -33,7 +33,11 @@ class HostWorldStub(GoldenWorld):
         self.waiting: list[tuple[Agent, int]] = []
         self.cancelled: list[int] = []
         #: The last wait of each coordinator for the first of several calls.
+        self.cancel_requests: list[tuple[Agent, Sequence[tuple[TeamMember, int]]]] = []
         self.watched: dict[str, tuple[Agent, Sequence[tuple[TeamMember, int]]]] = {}
+
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        self.cancel_requests.append((agent, calls))
 
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         self.watched[agent.id] = agent, calls
@@ -147,6 +151,17 @@ class JoinedHosts:
                 return True
         return False
 
+    def _deliver_cancels(self) -> None:
+        """Pass on what coordinators have asked other hosts to cancel."""
+        for place in self.places:
+            requests = getattr(place, "cancel_requests", [])
+            while requests:
+                agent, calls = requests.pop()
+                for resource, number in calls:
+                    if resource.host not in self.cut:
+                        pending = self.machines[resource.host].pending_calls
+                        pending.cancel_started(agent.id, agent.generation, [number])
+
     def _has_ended(self, agent: Agent, resource: TeamMember, number: int) -> bool:
         calls = self.machines[resource.host].pending_calls.calls()
         call = next((one for one in calls if one.key == (agent.id, agent.generation, number)), None)
@@ -177,6 +192,7 @@ class JoinedHosts:
         end = self.clock.now + until
         while True:
             pause = self.still()
+            self._deliver_cancels()
             if self.carry() or self.report():
                 continue
             if pause is None or self.clock.now + pause > end:

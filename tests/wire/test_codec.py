@@ -24,6 +24,8 @@ from lfield.wire.codec import (
     limits,
 )
 from lfield.wire.coordinator_messages import (
+    CallsEnded,
+    CancelCalls,
     CheckpointId,
     CoordinatorState,
     LeaseRecord,
@@ -35,6 +37,7 @@ from lfield.wire.coordinator_messages import (
     TransferAccepted,
     TransferQuery,
     TransferRefused,
+    WatchCalls,
 )
 from lfield.wire.fields import MAX_LABEL, MAX_NAME, MAX_NUMBERS, MAX_TEXT, truncate
 from lfield.wire.framing import HEADER_SIZE
@@ -135,6 +138,9 @@ MESSAGES = [
     DirectoryUpdate(1, 0, 1, [AgentUpdate(3, "", None, [], [], "pilot", 12.5)]),
     RenewReservation("arm", 2**62, "Tour:one", 3),
     ReleaseReservation("arm", 7),
+    WatchCalls("Tour:one", 2**62, [1, 2**63 - 1]),
+    CallsEnded("Tour:one", 3, [7]),
+    CancelCalls("Tour:one", 3, [7]),
 ]
 
 
@@ -271,6 +277,11 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         RenewReservation("arm", 1, "Tour:one", 2**63),
         ReleaseReservation("x" * (MAX_NAME + 1), 1),
         ReleaseReservation("arm", -1),
+        WatchCalls("", 1, [1]),
+        WatchCalls("Tour:one", 1, []),
+        CallsEnded("Tour:one", -1, [1]),
+        CallsEnded("Tour:one", 1, [-1]),
+        CallsEnded("Tour:one", 1, [1] * 4097),
         DirectoryUpdate(1, 0, 1, [AgentUpdate(3, "", None, [], [], "x" * (MAX_NAME + 1), 1.0)]),
         DirectoryUpdate(1, 0, 1, [AgentUpdate(3, "", None, [], [], "pilot", -1.0)]),
         status(reserved=[ReservedStatus("arm", "", 2, 12.5, 3.5)]),

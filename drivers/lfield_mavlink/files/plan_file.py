@@ -24,6 +24,8 @@ _TYPES: Mapping[str, frozenset[int]] = {
     "submarine": frozenset({12}),
 }
 KINDS = tuple(_TYPES)
+#: A typical MAV_TYPE of each kind.
+MAV_TYPES: Mapping[str, int] = {kind: min(numbers) for kind, numbers in _TYPES.items()}
 #: The most items that one file may have; a MAVLink mission is counted by 16 bits.
 MAX_ITEMS = 0xFFFF
 _FRAMES_WITHOUT_PLACE = frozenset({dialect.MAV_FRAME_MISSION})
@@ -69,10 +71,14 @@ class PlanFile:
     areas: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     def mission(self, *, px4: bool) -> list[Item]:
-        """The items for a vehicle: PX4 numbers them from 0 in jumps, ArduPilot from 1, after home."""
+        """The items for a vehicle: PX4 numbers them from 0 in jumps, ArduPilot from 1, after home.
+
+        PX4 has NaN for values that are not used, which ArduPilot refuses in most commands.
+        """
         first = self.items[0].number if self.items else 1
         shift = first - (0 if px4 else 1)
-        return [_renumbered(each.item, shift) for each in self.items]
+        items = [_renumbered(each.item, shift) for each in self.items]
+        return items if px4 else [_without_nan(item) for item in items]
 
 
 def firmware_of(number: int) -> str:
@@ -128,6 +134,11 @@ def _scaled(value: float, scale: float) -> int:
     if not abs(value * scale) < _INT32:
         raise ValueError(f"{value:g} is out of range of a position")
     return round(value * scale)
+
+
+def _without_nan(item: Item) -> Item:
+    one, two, three, four = (0.0 if math.isnan(value) else value for value in item.parameters)
+    return replace(item, parameters=(one, two, three, four))
 
 
 def _renumbered(item: Item, shift: int) -> Item:

@@ -10,7 +10,7 @@ from lfield.driver import LocalPlane, PlanPoint
 from lfield_mavlink.files.plan_file import NumberedItem, PlanFile
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.mission_check import HERE
-from lfield_mavlink.services.mission_commands import PLACED, TAKEOFFS, is_flown
+from lfield_mavlink.services.mission_commands import LANDINGS, PLACED, TAKEOFFS, is_flown
 from lfield_mavlink.services.plan_items import Item, command_name
 
 #: m/s of a plan without speeds: QGroundControl's defaults of hover and cruise.
@@ -19,7 +19,6 @@ HOVER, CRUISE = 5.0, 15.0
 _WAITS = frozenset(
     {dialect.MAV_CMD_NAV_LOITER_TIME, dialect.MAV_CMD_NAV_DELAY, dialect.MAV_CMD_CONDITION_DELAY}
 )
-_LANDINGS = frozenset({dialect.MAV_CMD_NAV_LAND, dialect.MAV_CMD_NAV_VTOL_LAND})
 _RETURN, _SPEED = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH, dialect.MAV_CMD_DO_CHANGE_SPEED
 
 
@@ -150,13 +149,13 @@ class PlanPath:
 
 def lands(item: Item) -> bool:
     """Whether an item is a landing, which may be below home."""
-    return item.command in _LANDINGS
+    return item.command in LANDINGS
 
 
 def _meaning(item: Item) -> str:
     if item.command in TAKEOFFS:
         return "takeoff"
-    if item.command in _LANDINGS:
+    if item.command in LANDINGS:
         return "land"
     if item.command == _RETURN:
         return "return"

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from lfield.driver import DeviceBinding, DeviceError, FileFinding, MissionFileError, PlanReport, PlanRequest
 from lfield_mavlink.files.fence_check import FenceCheck
-from lfield_mavlink.files.plan_file import PlanFile
+from lfield_mavlink.files.plan_file import FIRMWARES, PlanFile
 from lfield_mavlink.files.plan_path import PlanPath, lands, placed_items
 from lfield_mavlink.files.qgc_plan import read_plan as read_qgc_plan
 from lfield_mavlink.files.waypoint_file import read_waypoints
@@ -56,6 +56,7 @@ def check_plan(plan: PlanFile, request: PlanRequest) -> PlanReport:
     """The report about a plan that was read."""
     if request.home is not None:
         plan = replace(plan, home=Place(*request.home))
+    request = _of_options(request)
     check = _PlanCheck(plan, request)
     path = check.path
     limit = request.limits.get("speed", math.inf)
@@ -74,6 +75,13 @@ def check_plan(plan: PlanFile, request: PlanRequest) -> PlanReport:
         rally=tuple((point.latitude, point.longitude) for point in plan.rally),
         areas=plan.areas,
     )
+
+
+def _of_options(request: PlanRequest) -> PlanRequest:
+    """The request with kind and firmware of the options of a binding."""
+    kind, firmware = (str(request.options.get(key, "")) for key in ("kind", "autopilot"))
+    known = firmware if firmware in FIRMWARES else ""
+    return replace(request, kind=request.kind or kind, firmware=request.firmware or known)
 
 
 class _PlanCheck:

@@ -115,7 +115,11 @@ class Fences:
         except ValueError as error:
             raise self._vehicle.error(f"{what}: {error}") from None
         there = await self._plans.download(PlanKind.FENCE) if add else []
-        await self._plans.upload(PlanKind.FENCE, [*there, *zone])
+        await self.replace([*there, *zone])
+
+    async def replace(self, zones: list[Item]) -> None:
+        """Replaces the fence, and enables it. Raises DeviceError."""
+        await self._plans.upload(PlanKind.FENCE, zones)
         await self._switch_on()
 
     async def _switch_on(self) -> None:

@@ -63,6 +63,8 @@ class Missions:
         # Whether the mission may have curves, whose path depends on their starting points.
         self._curved = True
         self._current = self._reached = -1
+        # When the mission was complete the last time.
+        self._completed_at = -math.inf
         # Whether it has not reported to be within its mission, and so starts with waypoint 0.
         self._is_starting = True
         # Signs of a changed mission in flight: '' requires a check, else it is why it must hold.
@@ -88,11 +90,7 @@ class Missions:
             items = waypoints(values, yaw=math.nan if self._vehicle.profile.px4 else 0.0)
         except ValueError as error:
             raise self._vehicle.error(f"uploadMission: {error}") from None
-        await self._check("uploadMission", items)
-        self._check_not_flown("uploadMission")
-        await self._plans.upload(PlanKind.MISSION, items)
-        self._count, self._reached = len(items), -1
-        await self._make_current("uploadMission", 0)
+        await self.upload("uploadMission", items)
 
     async def do_mission_waypoints(self) -> list[float]:
         """The stored waypoints, in the format of uploadMission."""
@@ -103,22 +101,34 @@ class Missions:
 
     async def do_start_mission(self) -> None:
         """Flies the stored mission from its current waypoint. Done when it has started."""
+        await self.start("startMission")
+
+    async def upload(self, what: str, items: Sequence[Item]) -> None:
+        """Replaces the mission, and makes its first item the current one. Raises DeviceError."""
+        await self._check(what, items)
+        self._check_not_flown(what)
+        await self._plans.upload(PlanKind.MISSION, items)
+        self._count, self._reached, self._completed_at = len(items), -1, -math.inf
+        await self._make_current(what, 0)
+
+    async def start(self, what: str) -> None:
+        """Flies the stored mission from its current waypoint. Raises DeviceError."""
         profile = self._vehicle.profile
-        self._motion.check_bounded("startMission", profile.mission)
-        self._motion.start_motion("startMission")
+        self._motion.check_bounded(what, profile.mission)
+        self._motion.start_motion(what)
         if not self._state.armed:
-            raise self._vehicle.error("startMission refused: the vehicle is not armed; call arm() first")
+            raise self._vehicle.error(f"{what} refused: the vehicle is not armed; call arm() first")
         items = await self._plans.download(PlanKind.MISSION)
         if not items:
             raise self._vehicle.error(
-                "startMission refused: the vehicle has no mission; call uploadMission() first"
+                f"{what} refused: the vehicle has no mission; call uploadMission() first"
             )
-        await self._check("startMission", items, starts=True)
+        await self._check(what, items, starts=True)
         if profile.flies and self._state.landed:
             self._check_takeoff(items)
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
-        await self._motion.enter("startMission", profile.mission, start, 0.0, 0.0)
+        await self._motion.enter(what, profile.mission, start, 0.0, 0.0)
         if profile.px4:
             # It stays in this mode when the mission is complete.
             self._motion.claim(profile.mission, profile.hold)
@@ -126,10 +136,14 @@ class Missions:
             await self._motion.speed.apply_target()
             if self._limits.bounds_anything:
                 # Another station may have changed it meanwhile.
-                await self._check("startMission", await self._plans.download(PlanKind.MISSION), starts=True)
+                await self._check(what, await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
             await self._motion.halt("its speed or its mission is not known to stay within the limits")
-            raise self._vehicle.error(f"startMission: holding, {error.reason}") from None
+            raise self._vehicle.error(f"{what}: holding, {error.reason}") from None
+
+    def is_complete(self, since: float) -> bool:
+        """Whether the mission has become complete after a time of the monotonic clock."""
+        return self._completed_at >= since
 
     async def do_pause_mission(self) -> None:
         """Stops and holds; startMission continues from here."""
@@ -289,6 +303,8 @@ class Missions:
                 self._reached = max(self._reached, before)
             if message.mission_state == dialect.MISSION_STATE_COMPLETE:
                 self._reached = max(self._reached, self._count - 1)
+        if message.mission_state == dialect.MISSION_STATE_COMPLETE:
+            self._completed_at = self._vehicle.clock.monotonic()
         self._publish_mission()
 
     def _on_reached(self, message: Any) -> None:

@@ -316,7 +316,7 @@ class Motion:
             if left <= near:
                 return
             await self.monitor.check(what, order, left)
-            await self._check_underway(what, order, start)
+            await self.check_underway(what, order, start)
             if progress.is_over(left, self.moves, now, self.speed.of_motion, place):
                 await self._cancel_order(order)
                 seconds = patience.bound(self.moves, self.speed.of_motion)
@@ -379,7 +379,7 @@ class Motion:
             with suppress(DeviceError):
                 await self.hold()
 
-    async def _check_underway(self, what: str, order: Order, start: float) -> None:
+    async def check_underway(self, what: str, order: Order, start: float) -> None:
         """Raises DeviceError under foreign control, but not if a failsafe also lands or returns."""
         if self._stopped:
             raise self._vehicle.error(f"{what} was stopped: {self._stopped}")

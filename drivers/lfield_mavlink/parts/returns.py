@@ -21,7 +21,7 @@ from lfield_mavlink.services.plan_items import Item, PlanKind
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
 #: Minimum height above its destination and minimum climb: parameter names, with units per metre.
-_HEIGHTS: Mapping[tuple[int, str], Mapping[str, float]] = {
+RETURN_HEIGHTS: Mapping[tuple[int, str], Mapping[str, float]] = {
     (ARDUPILOT, "copter"): {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0},
     (ARDUPILOT, "plane"): {"RTL_ALTITUDE": 1.0, "ALT_HOLD_RTL": 100.0},
     (PX4, "copter"): {"RTL_RETURN_ALT": 1.0},
@@ -45,9 +45,9 @@ class Returns:
         """Its height; None if that is not limited or unknown. Raises DeviceError."""
         profile = self._vehicle.profile
         key = profile.autopilot, profile.kind
-        if not self._limits.bounds_heights or key not in _HEIGHTS:
+        if not self._limits.bounds_heights or key not in RETURN_HEIGHTS:
             return None
-        height, name = await self.metres(_HEIGHTS[key])
+        height, name = await self.metres(RETURN_HEIGHTS[key])
         least, least_name = await self.metres(_CLIMBS.get(key, {}))
         return None if height is None else Climb(height, name, least or 0.0, least_name)
 

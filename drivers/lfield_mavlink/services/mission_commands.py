@@ -65,6 +65,9 @@ JUMPS = (
     dialect.MAV_CMD_DO_SET_MISSION_CURRENT,
 )
 
+#: Commands that land.
+LANDINGS = (dialect.MAV_CMD_NAV_LAND, dialect.MAV_CMD_NAV_VTOL_LAND)
+
 #: Commands with a curved path from the previous position.
 CURVES = (dialect.MAV_CMD_NAV_SPLINE_WAYPOINT, dialect.MAV_CMD_NAV_ARC_WAYPOINT)
 

@@ -1,4 +1,4 @@
-"""The driver 'arena': devices of the type Omni, small robots on a plane with objects (README.md)."""
+"""The driver 'arena': Omni, a small robot on a plane with objects, and Whistle, its referee (README.md)."""
 
 from lfield.driver import Plugin
 
@@ -6,6 +6,7 @@ PLUGIN = Plugin(
     name="arena",
     package="lfield_arena",
     driver="lfield_arena.driver:ArenaDriver",
+    manifests=("manifest.yaml", "whistle.yaml"),
     extra="",
     kit="lfield_arena.kit:KIT",
 )

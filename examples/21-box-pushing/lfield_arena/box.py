@@ -75,14 +75,19 @@ class Box:
             self.speed[0] * contact.normal[0] + self.speed[1] * contact.normal[1] + self.spin * contact.lever
         )
 
-    def step(self, pushes: list[tuple[Contact, float]], seconds: float) -> None:
-        """Advances time with pushes in newtons: Newton's second law, then friction, which only slows."""
+    def step(
+        self, pushes: list[tuple[Contact, float]], seconds: float, *, downhill: float = 0.0, mud: float = 1.0
+    ) -> None:
+        """Advances time with pushes in newtons: Newton's second law, then friction, which only slows.
+
+        `downhill` is the force of a slope towards the east, in newtons; `mud` multiplies the friction.
+        """
         kick = seconds / MASS
         north = self.speed[0] + kick * sum(contact.normal[0] * force for contact, force in pushes)
-        east = self.speed[1] + kick * sum(contact.normal[1] * force for contact, force in pushes)
+        east = self.speed[1] + kick * (downhill + sum(c.normal[1] * force for c, force in pushes))
         spin = self.spin + kick / GYRATION**2 * sum(contact.lever * force for contact, force in pushes)
         motion = math.hypot(north, east, GYRATION * spin)
-        left = max(0.0, 1.0 - kick * FRICTION / motion) if motion > 0.0 else 0.0
+        left = max(0.0, 1.0 - kick * FRICTION * mud / motion) if motion > 0.0 else 0.0
         self.speed, self.spin = (north * left, east * left), spin * left
         self.north += self.speed[0] * seconds
         self.east += self.speed[1] * seconds

@@ -8,6 +8,7 @@ from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_arena.device import POLL, OmniDevice
+from lfield_arena.whistle import WhistleDevice
 
 #: Opens a link: by asyncio, or in a test to a simulated device in memory.
 Connect = Callable[..., Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
@@ -26,14 +27,15 @@ class ArenaDriver(Driver):
     def _set_up(self) -> None:
         self._lock = asyncio.Lock()
 
-    def _device(self, binding: DeviceBinding) -> OmniDevice:
-        return OmniDevice(binding, self.manifests[binding.type], self.clock, self.reports, self.ask)
+    def _device(self, binding: DeviceBinding) -> OmniDevice | WhistleDevice:
+        kind = WhistleDevice if binding.type == "Whistle" else OmniDevice
+        return kind(binding, self.manifests[binding.type], self.clock, self.reports, self.ask)
 
     async def _open(self) -> None:
         first, *others = self.devices.values()
         if others:
             raise first.error(f"{self.endpoint} supports one robot, with one binding")
-        assert isinstance(first, OmniDevice)
+        assert isinstance(first, OmniDevice | WhistleDevice)
         self.spawn(self._poll(first))
 
     async def _close(self) -> None:
@@ -46,7 +48,7 @@ class ArenaDriver(Driver):
     def _resume(self) -> None:
         self._polling = True
 
-    async def _poll(self, robot: OmniDevice) -> None:
+    async def _poll(self, robot: OmniDevice | WhistleDevice) -> None:
         while True:
             await asyncio.sleep(POLL)
             if self._polling:

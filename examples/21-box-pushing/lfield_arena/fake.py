@@ -11,6 +11,7 @@ from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
 from lfield_arena.plane import CHECK_INTERVAL, HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_arena.referee import REFEREE
 from lfield_arena.world import World
 from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option
@@ -79,7 +80,9 @@ class ArenaSim:
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Adds robot, plane, endpoint and faults."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
-        parser.add_argument("--robot", type=int, default=1, metavar="NUMBER", help="its number (1)")
+        parser.add_argument(
+            "--robot", type=int, default=1, metavar="NUMBER", help="its number (1); 0: the referee"
+        )
         parser.add_argument(
             "--world", default="", metavar="TEXT", help="how the plane differs: size=6 prey=2"
         )
@@ -91,7 +94,8 @@ class ArenaSim:
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
         """The robot of a binding, on a free port."""
         device = devices[0]
-        plane, robot = device.option("plane"), device.option("robot")
+        robot = REFEREE if device.type == "Whistle" else device.option("robot")
+        plane = device.option("plane")
         world = device.option("world")
         return ["--plane", plane, "--robot", str(robot), "--world", world, "--called", device.name]
 
@@ -111,7 +115,7 @@ class ArenaSim:
         except ValueError as error:
             raise UsageError(f"--world {args.world!r}: {error}") from None
         number, there = str(args.robot), LAYOUTS[args.plane].of_world(world).robots
-        if args.robot not in there:
+        if args.robot not in there and (args.robot, LAYOUTS[args.plane].ball) != (REFEREE, True):
             known = ", ".join(map(str, there))
             raise UsageError(f"there is no robot {number} on the plane '{args.plane}'; there are: {known}")
         faults = Faults(FAULTS, {number: args.called})

@@ -7,13 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from lfield_arena.ball import LENGTH, WIDTH, Ball
-from lfield_arena.box import Box, Vector
+from lfield_arena.box import MASS, Box, Vector
 from lfield_arena.world import PREY_RADIUS, World, along_axes, escape, is_enclosed
 
 #: Metres: radius of a robot, and distance at which it touches the box.
 RADIUS, TOUCH = 0.15, 0.001
 #: Grip of a robot's wheels in newtons, and force per speed deficit in N per m/s.
 GRIP, STIFFNESS = 10.0, 100.0
+#: m/s2; metres north of the stripe of mud.
+GRAVITY, MUD = 9.81, (1.0, 2.0)
 #: Seconds for which a prey is enclosed until it is taken away, where there are several.
 CAUGHT = 0.5
 #: Tolerated overlap in metres; maximum iterations per step.
@@ -81,6 +83,8 @@ class Field:
     all_prey: list[Prey] = field(default_factory=list)
     ball: Ball | None = None
     world: World = field(default_factory=World)
+    #: The sides whose teams have reported to the referee.
+    ready: set[str] = field(default_factory=set)
     #: Seconds since the start.
     now: float = field(default=0.0)
 
@@ -97,12 +101,19 @@ class Field:
         )
 
     @property
+    def plays(self) -> bool:
+        """Whether a match has begun, where it needs a referee."""
+        return not self.world.referee or len(self.ready) == 2
+
+    @property
     def free_prey(self) -> list[Prey]:
         """The prey that is not caught."""
         return [prey for prey in self.all_prey if not prey.caught]
 
     def step(self, seconds: float) -> None:
-        """Advances time."""
+        """Advances time; before a kick-off nothing moves."""
+        if not self.plays:
+            return
         self.now += seconds
         hunters = [robot.place for robot in self.robots.values()]
         for prey in self.free_prey:
@@ -153,7 +164,8 @@ class Field:
                 target = robot.velocity[0] * contact.normal[0] + robot.velocity[1] * contact.normal[1]
                 lacking = STIFFNESS * (target - box.speed_at(contact))
                 pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
-        box.step(pushes, seconds)
+        mud = self.world.mud if MUD[0] < box.north < MUD[1] else 1.0
+        box.step(pushes, seconds, downhill=MASS * GRAVITY * self.world.slope, mud=mud)
 
     def _catch(self, prey: Prey, seconds: float) -> None:
         """Takes a prey away that has been enclosed for some time."""

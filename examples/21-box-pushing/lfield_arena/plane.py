@@ -15,6 +15,7 @@ from typing import Protocol
 from lfield.event_loop import SimulatedLoop
 from lfield_arena.box import WIDTH
 from lfield_arena.field import LAYOUTS, Field, Prey
+from lfield_arena.referee import REFEREE, Referee
 from lfield_arena.robot import Robot
 from lfield_arena.world import World
 
@@ -40,7 +41,10 @@ class Plane:
 
     def __init__(self, layout: str, world: World) -> None:
         self.field = Field.of(LAYOUTS[layout].of_world(world), world)
-        self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
+        robots = {str(number): Robot(self.field, number) for number in self.field.robots}
+        self.robots: dict[str, Robot | Referee] = {**robots}
+        if self.field.ball is not None:
+            self.robots[str(REFEREE)] = Referee(self.field)
         self._clients = 0
         self._living = asyncio.get_running_loop().create_task(self._live())
 

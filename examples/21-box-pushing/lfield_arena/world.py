@@ -29,7 +29,8 @@ class World:
     numbers of directions in which robots and prey can move, 0 for any and 4 for north, east, south, west.
     `mind` of a prey: it stands `still`, moves at `random`, flees `away` from the nearest robot, or to the
     widest `gap` between robots. `slope` is the gradient of the floor, downwards to the east; `mud` the
-    friction of a box in the stripe from 1 m to 2 m north, in multiples of that elsewhere.
+    friction of a box in the stripe from 1 m to 2 m north, in multiples of that elsewhere. With a `referee`
+    a match begins when both teams are ready.
     """
 
     size: float = 0.0
@@ -41,6 +42,7 @@ class World:
     seed: int = 0
     slope: float = 0.0
     mud: float = 1.0
+    referee: int = 0
 
     @classmethod
     def parse(cls, text: str) -> World:

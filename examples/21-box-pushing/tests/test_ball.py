@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from lfield_arena.ball import BALL_RADIUS, GOAL, HARDEST, LENGTH, PAUSE, REACH, ROLLING_FRICTION, WIDTH, Ball
 from lfield_arena.field import LAYOUTS, RADIUS, Body, Field
 from lfield_arena.plane import TICK
+from lfield_arena.referee import Referee
 from lfield_arena.robot import Robot
+from lfield_arena.world import World
 
 COORDINATES = st.tuples(st.floats(-1.9, 1.9), st.floats(-1.4, 1.4))
 SPEEDS = st.tuples(st.floats(-HARDEST, HARDEST), st.floats(-HARDEST, HARDEST))
@@ -105,3 +107,24 @@ def test_a_ball_too_far_away_in_a_goal_or_not_there_is_not_kicked():
     assert robot.answer("kick 1") == "ok"
     robot.answer("wrong 1 1")
     assert robot.answer("kick 1") == "its motors are off: a fault"
+
+
+def test_a_match_with_a_referee_begins_when_both_teams_are_ready():
+    world = World(referee=1)
+    field = Field.of(LAYOUTS["pitch"], world)
+    referee, robot = Referee(field), Robot(field, 1)
+    robot.answer("drive 0.4 0")
+    places = []
+    for request, answer in (
+        ("ready north", "wait"),
+        ("ready north", "wait"),
+        ("ready south", "ok"),
+        ("ready x", "what?"),
+    ):
+        assert referee.answer(request) == answer
+        robot.step(TICK)
+        field.step(TICK)
+        places.append(field.robots[1].place)
+    assert places[0] == places[1] == LAYOUTS["pitch"].robots[1]
+    assert places[2] != places[1]
+    assert referee.answer("?").startswith("now 0.020000 north_goals 0.0")

@@ -1,6 +1,7 @@
 """`lfield setup`: writes the settings that bindings need to their devices, after a confirmation.
 
 It commands no motion. The old values are in a file before anything is written; `--apply FILE` restores them.
+With a parameter file of a ground station, `--apply` writes its values instead.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sim", action="store_true", help="try it on simulated devices")
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
     parser.add_argument(
-        "--apply", metavar="FILE", type=Path, help="restore the old parameters from this file"
+        "--apply",
+        metavar="FILE",
+        type=Path,
+        help="restore the old parameters from this file, or write a parameter file of a ground station "
+        "(.param, .params) into the one device that is named",
     )
     # The newest file: the option of lfield 0.3.
     parser.add_argument("--back", action="store_true", help=argparse.SUPPRESS)
@@ -66,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         if file is None:
             print(f"nothing to restore: {backup_folder(args.state)} has no file of 'lfield setup'")
             return exit_status.DONE
+    if file is not None and _is_parameter_file(file):
+        return event_loop.run(_write_file(args, plugins, file))
     if file is not None:
         return event_loop.run(_restore(args, plugins, read_backup(file)))
     if not args.driver and args.deploy is None:
@@ -112,8 +119,7 @@ async def _set_up(
         if not (args.yes or _confirmed()):
             print("nothing was written")
             return exit_status.FAILED
-        now = datetime.now().astimezone().isoformat(" ", "seconds")
-        await write_settings(found, folder, now, _print)
+        await write_settings(found, folder, _now(), _print)
         print("done: every device keeps what its binding needs")
     return exit_status.DONE
 
@@ -121,6 +127,7 @@ async def _set_up(
 async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[BackupEntry]) -> int:
     from lfield.clock import SystemClock
     from lfield.devices.device_setup import open_devices
+    from lfield.devices.parameter_application import stored_values
     from lfield.devices.parameter_restore import apply_restore, plan_restore
     from lfield.driver.binding import by_bus
 
@@ -136,7 +143,11 @@ async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[Bac
                 found += await stack.enter_async_context(open_devices(plugins, bus, SystemClock(), _print))
             except DevicesError as error:
                 problems += error.problems
-        plans = [plan_restore(by_name[device.name], device) for device in found]
+        plans = []
+        for device in found:
+            entry = by_name[device.name]
+            present = await stored_values(device, [change.name for change in entry.changes])
+            plans.append(plan_restore(entry, device, present))
         for plan in plans:
             print(*plan.lines(), sep="\n")
         if any(plan.writes for plan in plans) and not (args.yes or _confirmed()):
@@ -148,6 +159,55 @@ async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[Bac
         raise DevicesError(problems)
     print("done: all settings are as before")
     return exit_status.DONE
+
+
+def _is_parameter_file(file: Path) -> bool:
+    """Whether it is none of the JSON files that `lfield setup` writes."""
+    from lfield.text.input_files import read_head
+
+    try:
+        return not read_head(file, 64).lstrip().startswith(b"{")
+    except (OSError, ValueError):
+        return False
+
+
+async def _write_file(args: argparse.Namespace, plugins: Plugins, file: Path) -> int:
+    from lfield.clock import SystemClock
+    from lfield.devices.device_setup import open_devices
+    from lfield.devices.parameter_application import check_permitted, plan_file, write_file
+    from lfield.devices.parameter_backup import backup_folder
+    from lfield.text.input_files import MAX_TEXT, read_bytes
+
+    if not args.driver and args.deploy is None:
+        raise UsageError(
+            f"{file} is not of 'lfield setup': name the device by DRIVER --endpoint E, or --deploy"
+        )
+    drivers, devices = _selected(args, plugins)
+    if len(devices) != 1:
+        names = ", ".join(device.name for device in devices) or "none"
+        raise UsageError(f"{file} is for one device, and these are named: {names}; name one, or its --host")
+    data = read_bytes(file, MAX_TEXT)
+    async with (
+        _reachable_devices(devices) as placed,
+        open_devices(drivers, placed, SystemClock(), _print) as found,
+    ):
+        plan = await plan_file(found[0], str(file), data)
+        print(*plan.lines(), sep="\n")
+        check_permitted(plan, _print)
+        if not plan.comparison.changes:
+            return exit_status.DONE
+        if args.sim or not (args.yes or _confirmed()):
+            print(
+                "nothing was written" + (": a simulated device forgets it when it ends" if args.sim else "")
+            )
+            return exit_status.FAILED
+        await write_file(plan, backup_folder(args.state), _now(), _print)
+    print("done: every value of the file is written")
+    return exit_status.DONE
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(" ", "seconds")
 
 
 @asynccontextmanager

@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.action_help import action_help
-from lfield.cli.fleet.desk import add_desk, find_own_keys, open_inventory, report_missing_files, require_hosts
+from lfield.cli.fleet.desk import (
+    add_desk,
+    find_own_keys,
+    open_inventory,
+    report_missing_files,
+)
 from lfield.cli.mission_argument import add_inventory
+from lfield.client.service_desk import require_hosts
 from lfield.errors import AddressError
 from lfield.net.transport import split_address
 from lfield.text.suggestions import listed

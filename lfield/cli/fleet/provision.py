@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import open_inventory, require_hosts
+from lfield.cli.fleet.desk import open_inventory
+from lfield.client.service_desk import require_hosts
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:

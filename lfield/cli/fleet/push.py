@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING
 from lfield import exit_status
 from lfield.cli.fleet.desk import (
     VOTE_GOES_ON,
-    FleetDesk,
     add_desk,
     add_without,
-    ask_all_services,
     explained_interrupt,
     failure_status,
     open_desk,
     report_unreached,
-    split_answers,
 )
 from lfield.cli.mission_argument import add_bindings, add_program
+from lfield.client.service_desk import FleetDesk, ask_all_services, split_answers
 from lfield.errors import BundleError, LfieldError, UsageError
 from lfield.text.number_arguments import real_above_0
 from lfield.text.suggestions import listed

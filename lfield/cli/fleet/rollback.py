@@ -8,17 +8,15 @@ import json
 from typing import TYPE_CHECKING
 
 from lfield.cli.fleet.desk import (
-    TIMEOUT,
     VOTE_GOES_ON,
-    FleetDesk,
     add_desk,
     add_without,
     explained_interrupt,
     failure_status,
     open_desk,
     report_unreached,
-    split_answers,
 )
+from lfield.client.service_desk import TIMEOUT, FleetDesk, split_answers
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line

@@ -6,7 +6,13 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from lfield.cli.fleet.desk import add_desk, failure_status, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    add_desk,
+    failure_status,
+    open_desk,
+    report_unreached,
+)
+from lfield.client.service_desk import split_answers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 import sys
 from typing import TYPE_CHECKING
@@ -15,9 +16,7 @@ from lfield.cli.fleet.desk import (
     failure_status,
     open_desk,
     report_unreached,
-    split_answers,
 )
-from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lfield.wire.service_messages import CommandResult
-
-#: Seconds for a host to end: its devices come to rest first, a vehicle in the air lands.
-STOP_TIMEOUT = 300.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,47 +42,21 @@ def run(args: argparse.Namespace) -> int:
 
     1 when one refuses, 69 when one was not reached.
     """
-    from lfield.wire.service_messages import CommandResult, MissionCommand
+    from lfield.client import mission_stop
 
     desk = open_desk(args)
-    desk.addresses(args.without)
-    hosts = [host for host in desk.hosts if host not in args.without]
-    if not hosts:
-        raise UsageError("no host is left: --without names all of them")
+    hosts = mission_stop.hosts_to_stop(desk, args.without)
     with explained_interrupt("hosts that have received the order stop; vehicles land first"):
-        stopped, failed = split_answers(
-            desk.command(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT)
-        )
-        troubles = [host for host, result in stopped.items() if result.trouble]
-        checked = {host: result.checked for host, result in stopped.items() if result.checked}
-        if args.discard and not failed and not troubles:
-            # Only when every host has stopped: a coordinator on another one could continue. And this order
-            # says that the vehicles of a host that was killed meanwhile have been checked.
-            order = MissionCommand("stop", discards=True)
-            stopped, failed = split_answers(desk.command(hosts, order, CommandResult, STOP_TIMEOUT))
-            troubles = [host for host, result in stopped.items() if result.trouble]
+        found = asyncio.run(mission_stop.stop_mission(desk, hosts, discards=args.discard))
     if args.json:
-        data = _as_data(stopped, checked)
-        print(json.dumps({**data, **{host: error.as_data() for host, error in failed.items()}}))
+        print(json.dumps(found.as_data()))
     else:
-        _show(stopped, checked)
+        _show(found.stopped, found.checked)
         kept = "nothing was discarded"
-        report_unreached(failed, ", not stopped" + (f", {kept}" if args.discard else ""))
-        if troubles and args.discard:
+        report_unreached(found.errors, ", not stopped" + (f", {kept}" if args.discard else ""))
+        if found.troubles and args.discard:
             print(f"{kept}: repeat it when the vehicles have been checked", file=sys.stderr)
-    return exit_status.UNSAFE if troubles else failure_status(failed)
-
-
-def _as_data(stopped: Mapping[str, CommandResult], checked: Mapping[str, str]) -> dict[str, object]:
-    return {
-        host: {
-            "phase": result.run.phase,
-            "discarded": list(result.discarded),
-            "trouble": result.trouble,
-            "checked": checked.get(host, ""),
-        }
-        for host, result in stopped.items()
-    }
+    return exit_status.UNSAFE if found.troubles else failure_status(found.errors)
 
 
 def _show(stopped: Mapping[str, CommandResult], checked: Mapping[str, str]) -> None:

@@ -94,6 +94,7 @@ def run(args: argparse.Namespace) -> int:
     """The status of the mission with --until-done; 130 after a Ctrl-C; else 0, or 69 when a host did not
     answer."""
     from lfield.cli.views import event_view
+    from lfield.client.event_json import event_json
     from lfield.operator.dashboard.event_feed import FeedNotice
     from lfield.wire.events import KINDS, TELEMETRY, EventsDropped
 
@@ -109,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
             return
         if isinstance(item, FeedNotice):
             if args.json and item.lost:
-                yield event_view.event_json(item)
+                yield event_json(item)
         elif isinstance(item.event.what, EventsDropped) and "skipped" not in kinds:
             _print_skipped(item.host, item.event.what, kinds)
         elif item.event.kind not in kinds:
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
         elif args.csv:
             yield from table.rows(item)
         else:
-            yield event_view.event_json(item) if args.json else event_view.event_line(item)
+            yield event_json(item) if args.json else event_view.event_line(item)
 
     if args.csv:
         print(table.header(), flush=True)

@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0, or 69 when a host did not answer; with -f 130, after a Ctrl-C."""
-    from lfield.cli.views.event_view import LogLineView, event_json, log_json, log_text
+    from lfield.cli.views.event_view import LogLineView, log_json, log_text
+    from lfield.client.event_json import event_json
     from lfield.operator.dashboard.event_feed import FeedNotice
 
     view = LogLineView()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
     # First: without a running mission the rest is not imported.
     runs = selected_runs(args)
     from lfield.cli.views import run_table, team_status_view
+    from lfield.client.status_json import runs_data, status_data
     from lfield.operator.client import (
         FULL_SNAPSHOT,
         SNAPSHOT,
@@ -57,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         named = {names[place]: host for place, host in hosts.items()}
         is_team = named_mission(args) is not None or not runs
-        print(team_status_view.as_json(named) if is_team else run_table.as_json(parties, hosts))
+        print(json.dumps(status_data(named) if is_team else runs_data(parties, hosts), indent=2))
         return exit_status.UNAVAILABLE if silent else exit_status.DONE
     if named_mission(args) is None and runs:
         run_table.show(runs)

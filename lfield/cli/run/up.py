@@ -19,11 +19,11 @@ from lfield.cli.mission_argument import (
     add_bindings,
     add_mission,
     add_program,
-    inventory_addresses,
     mission_path,
     setup_command,
 )
 from lfield.cli.run.record_options import add_record_options, recording_target
+from lfield.client.team_selection import TeamSelection
 from lfield.errors import DevicesError, LfieldError, OutputFileError, UsageError
 from lfield.text.number_arguments import real_above_0, whole_between
 
@@ -217,7 +217,7 @@ def _stated_addresses(args: argparse.Namespace) -> Mapping[str, str]:
     """The addresses of hosts, also of other missions: from the service, or from the inventory."""
     if args.address:
         return {name: address for name, _, address in (each.partition("=") for each in args.address)}
-    return inventory_addresses(args)
+    return TeamSelection(inventory=args.inventory).inventory_addresses()
 
 
 def _check_dump_folder(folder: Path) -> None:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import time
 from collections.abc import Iterator
-from typing import Any
 
-import msgspec
-
-from lfield.operator.dashboard.event_feed import FeedNotice
+from lfield.client.event_json import json_line
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 from lfield.operator.team_model.log_buffer import LineAssembler, lines_of
 from lfield.text import log_messages
@@ -95,32 +91,6 @@ def clock_time(dated: DatedEvent) -> str:
         return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{part:03d}"
     except (OverflowError, OSError, ValueError):
         return f"{whole}.{part:03d}"
-
-
-def event_json(item: DatedEvent | FeedNotice) -> str:
-    """One JSON object as in `events.md`, with the host and the merged time.
-
-    NaN and infinities are null. A notice becomes an object of the kind 'lost'.
-    """
-    if isinstance(item, FeedNotice):
-        return _json({"host": item.host, "kind": "lost", "lost": item.lost})
-    cause = None if item.cause is None else item.cause._asdict()
-    whole: dict[str, Any] = {
-        "host": item.host,
-        "incarnation": item.incarnation,
-        "time": item.time,
-        "within": item.within,
-        "tick": item.event.tick,
-        "caused_by": cause,
-        **as_fields(item.event),
-    }
-    return _json(whole)
-
-
-def _json(whole: dict[str, Any]) -> str:
-    """In ASCII: other characters may be control sequences for a terminal."""
-    text = msgspec.json.encode(whole).decode()
-    return text if text.isascii() else json.dumps(msgspec.json.decode(text), separators=(",", ":"))
 
 
 class EventCsv:
@@ -217,4 +187,4 @@ def log_text(dated: DatedEvent, line: LogLine) -> str:
 
 def log_json(dated: DatedEvent, line: LogLine) -> str:
     """The same as a JSON object; the text of a line of the host's log is all that its event has."""
-    return _json({"time": dated.time, "host": dated.host, **line.as_data()})
+    return json_line({"time": dated.time, "host": dated.host, **line.as_data()})

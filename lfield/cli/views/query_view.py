@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lfield.capability.matching.explanation import no_provider_note, render_refusals
 from lfield.capability.matching.plan_search import attributes_of
-from lfield.capability.model import Primitive, Registry
-from lfield.capability.offer import AgentSource, Fact, Offer, Rejection
-from lfield.cli.views.score_view import score_lines, terms_json
+from lfield.capability.model import Registry
+from lfield.capability.offer import Fact, Offer
+from lfield.cli.views.score_view import score_lines
 from lfield.cli.views.trees import plain_console, print_tree
-from lfield.errors import LfieldError
+from lfield.client.query_json import KnownTeam, parts_of, unit_of
 from lfield.operator.query_parser import CapabilityQuery
 from lfield.operator.registry.sheets import printable, value_text
 from lfield.operator.registry.taxonomy import TreeBranch
+from lfield.operator.team_query import PrimitiveAnswer
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,45 +24,6 @@ if TYPE_CHECKING:
 
 #: Maximum number of attributes shown of an offer, the most relevant first; `--json` has all.
 SHOWN = 6
-
-
-@dataclass(frozen=True, slots=True)
-class KnownTeam:
-    """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
-
-    team: AgentSource
-    answered: tuple[str, ...] = ()
-    unanswered: Mapping[str, LfieldError] = field(default_factory=dict)
-
-    @property
-    def is_running(self) -> bool:
-        """Whether any host answered."""
-        return bool(self.answered)
-
-    def __str__(self) -> str:
-        if not self.is_running:
-            why = "no host answered" if self.unanswered else "nothing is running"
-            return f"from the files: {why}, live attributes are unknown"
-        hosts = len(self.answered) + len(self.unanswered)
-        return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
-
-
-@dataclass(frozen=True, slots=True)
-class PrimitiveAnswer:
-    """The providers of a primitive, best first, their number, and the refusals of other agents.
-
-    `teams` are the best teams of these offers if requested, from `agents` candidates. `notes` are the
-    omissions.
-    """
-
-    primitive: Primitive
-    offers: Sequence[Offer]
-    count: int
-    refusals: Sequence[Rejection]
-    notes: Sequence[str] = ()
-    teams: Sequence[Sequence[Offer]] | None = None
-    agents: int = 0
-    is_truncated: bool = False
 
 
 # --- as text ------------------------------------------------------------------------------------------
@@ -182,74 +142,3 @@ def _tree(text: str, offer: Offer, attributes: _Attributes) -> TreeBranch:
         stated = attributes.describe(part.facts)
         children.append(_tree(f"{label}; {stated}" if stated else label, part, attributes))
     return TreeBranch(text, tuple(children))
-
-
-# --- as JSON ------------------------------------------------------------------------------------------
-
-
-def as_json(
-    question: CapabilityQuery, known: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
-) -> str:
-    """The whole answer; lfield/docs/operations.md has its shape."""
-    constraint = question.constraint
-    whole = {
-        "query": question.text,
-        "constraint": constraint.text.strip() if constraint is not None else None,
-        "source": "team" if known.is_running else "files",
-        "answered": list(known.answered),
-        "silent": {host: str(why) for host, why in known.unanswered.items()},
-        "codes": {host: why.code for host, why in known.unanswered.items()},
-        "capabilities": [
-            {
-                "primitive": answer.primitive.name,
-                "id": answer.primitive.id,
-                "count": answer.count,
-                "notes": list(answer.notes),
-                "teams": None
-                if answer.teams is None
-                else [[offer.agent for offer in team] for team in answer.teams],
-                "offers": [_offer(offer, registry) for offer in answer.offers],
-                "refusals": [_refusal(refusal) for refusal in answer.refusals],
-            }
-            for answer in answers
-        ],
-    }
-    return json.dumps(whole, indent=2)
-
-
-def _offer(offer: Offer, registry: Registry) -> dict[str, Any]:
-    return {
-        "primitive": offer.primitive,
-        "agent": offer.agent,
-        "host": offer.host,
-        "kind": offer.kind,
-        "rule": offer.rule or None,
-        "score": round(offer.score, 6),
-        **terms_json(offer),
-        "attributes": {name: _fact(name, fact, registry) for name, fact in offer.facts.items()},
-        "parts": {need: _offer(part, registry) for need, part in parts_of(offer).items()},
-    }
-
-
-def parts_of(offer: Offer) -> dict[str, Offer]:
-    """The parts by the names of their needs; `by` for the provider of an equivalent offer."""
-    if offer.kind == "equivalent":
-        (inner,) = offer.parts.values()
-        return {"by": inner}
-    # ways.part: the name of the whole, which is the way, and that of the need.
-    return {way.removeprefix(f"{offer.way}_"): part for way, part in offer.parts.items()}
-
-
-def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:
-    value = sorted(fact.value) if isinstance(fact.value, frozenset) else fact.value
-    return {"value": value, "unit": unit_of(registry, name), "age": round(fact.age, 3), "source": fact.of}
-
-
-def _refusal(refusal: Rejection) -> dict[str, Any]:
-    inner = [_refusal(below) for below in refusal.inner]
-    return {"subject": refusal.subject, "reasons": list(refusal.reasons), "inner": inner}
-
-
-def unit_of(registry: Registry, attribute: str) -> str:
-    """The unit of an attribute, '' when it has none."""
-    return registry.attributes[attribute].unit if attribute in registry.attributes else ""

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
-from typing import Any
 
 from rich.table import Table
 
-from lfield.cli.views import team_status_view
 from lfield.cli.views.trees import plain_console
-from lfield.operator.client import by_host
 from lfield.operator.runs import Run
-from lfield.operator.targets import HostRef, TargetTeam
-from lfield.operator.team_model.team_state import HostState
 from lfield.text.terminal_escape import escape_line, truncate
 
 #: The longest text of a cell, in characters.
@@ -36,22 +30,3 @@ def show(runs: Sequence[Run]) -> None:
 
 def _time(seconds: float) -> str:
     return datetime.fromtimestamp(seconds).astimezone().isoformat(" ", "seconds")
-
-
-def as_json(parties: Sequence[TargetTeam], hosts: Mapping[HostRef, HostState]) -> str:
-    """The runs, and the state of every host, or the error where it did not answer."""
-    return json.dumps({party.id: _party(party, hosts) for party in parties}, indent=2)
-
-
-def _party(party: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
-    runs = [
-        {
-            "id": run.id,
-            "mission": run.manifest.mission,
-            "user": run.owner,
-            "since": _time(run.manifest.started),
-            "hosts": list(run.manifest.control_sockets),
-        }
-        for run in party.runs
-    ]
-    return {"runs": runs, "hosts": team_status_view.as_data(by_host(hosts, party))}

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from lfield.capability.offer import Offer
 
@@ -31,18 +30,6 @@ def _cost_lines(offer: Offer, indent: str, who: str) -> Iterator[str]:
         yield f"{indent}  fitness {_short(fitness)} = {' + '.join(shares)}"
     for part in offer.parts.values():
         yield from _cost_lines(part, f"{indent}  ", f"{part.agent}, {part.primitive}: ")
-
-
-def terms_json(offer: Offer) -> dict[str, Any]:
-    """The cost of an offer with its terms and penalties; those of its parts follow with the parts."""
-    return {
-        "cost": offer.cost,
-        "terms": {term.name: {"weight": term.weight, "amount": term.amount} for term in offer.terms},
-        "fitness": {
-            penalty.attribute: {"share": penalty.share, "penalty": penalty.penalty}
-            for penalty in offer.penalties
-        },
-    }
 
 
 def _short(number: float) -> str:

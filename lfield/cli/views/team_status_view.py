@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from msgspec.structs import asdict
 from rich.console import Group
 from rich.table import Table
 
@@ -20,11 +17,7 @@ from lfield.operator.team_model.team_state import HostState, LinkState
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.text.value_text import byte_count_text, duration_text, percentage_text
-from lfield.wire.coordinator_messages import CoordinatorState
-from lfield.wire.fields import short_digest
 from lfield.wire.observer_messages import (
-    BundleStatus,
-    DirectoryEntry,
     JournalStatus,
     ParkedStatus,
     StartStatus,
@@ -270,94 +263,3 @@ def _parked(parked: ParkedStatus) -> str:
 
 def _size(count: int) -> str:
     return f"{count} B" if count < 1024 else f"{count / 1024:.1f} KiB"
-
-
-# --- as JSON ------------------------------------------------------------------------------------------
-
-
-def as_json(hosts: Mapping[str, HostState]) -> str:
-    """The state of every host, or the error where it did not answer."""
-    return json.dumps(as_data(hosts), indent=2)
-
-
-def as_data(hosts: Mapping[str, HostState]) -> dict[str, Any]:
-    """The same as data that JSON can hold."""
-    return {
-        name: host.error.as_data() if host.error is not None else _host_data(host)
-        for name, host in hosts.items()
-    }
-
-
-def _host_data(host: HostState) -> dict[str, Any]:
-    status, devices = host.report, host.devices.values()
-    return {
-        "host": status.host,
-        "address": status.address,
-        "up": status.up,
-        "program": status.program.hex()[:16],
-        "deployment": status.deployment.hex()[:16],
-        "bundle": _bundle(status.bundle),
-        "agents": [asdict(agent) for agent in status.agents],
-        "coordinators": [_coordinator(known) for known in status.coordinators],
-        "linked": list(host.links),
-        "away": dict(host.away),
-        "links": {peer: dataclasses.asdict(link) for peer, link in host.links.items()},
-        "observers": host.report.observers,
-        "devices": {device.name: device.telemetry for device in devices},
-        "silences": {device.name: device.silent for device in devices if device.silent is not None},
-        "latched": {device.name: device.latched for device in devices if device.latched},
-        "late": host.late,
-        "silence": status.silence,
-        "paused": host.paused,
-        "held": host.held,
-        "stopped": host.stopped,
-        "unkept": status.persist_error,
-        "lease": status.lease,
-        "journal": _journal_data(status.journal),
-        "begun": [asdict(call) for call in status.pending_calls],
-        "refused": [
-            {"host": one.host, "reason": one.reason, "bundle": short_digest(one.bundle)}
-            for one in status.refused
-        ],
-        "start": None if status.start is None else asdict(status.start),
-        "startable": status.startable,
-        "reads": status.reads,
-        "reserved": [asdict(reserved) for reserved in status.reserved],
-        "moving": {device.name: device.motion for device in devices if device.motion},
-        "directory": _directory(status.directory),
-    }
-
-
-def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
-    return (
-        None if run is None else {"digest": short_digest(run.digest), "signed_by": run.by, "signed": run.at}
-    )
-
-
-_PARKED = ("generation", "hops", "state", "where")
-
-
-def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
-    if journal is None:
-        return None
-    parked = [
-        {"id": one.agent, **{n: getattr(one, n) for n in _PARKED}, "program": one.program.hex()[:16]}
-        for one in journal.parked
-    ]
-    return {"commits": journal.commits, "trouble": journal.trouble, "parked": parked}
-
-
-def _coordinator(known: CoordinatorState) -> dict[str, Any]:
-    data = asdict(known)
-    return {"id": data.pop("agent"), **data}
-
-
-def _directory(agents: Sequence[DirectoryEntry]) -> dict[str, Any]:
-    return {
-        entry.agent: {
-            "refusal": entry.refusal,
-            "facts": {name: [fact.value, fact.age] for name, fact in entry.facts.items()},
-            "unknown": entry.unknown,
-        }
-        for entry in agents
-    }

@@ -58,8 +58,16 @@ class HostFailures:
                 text = "".join(traceback.format_exception(error))
                 self._note(log_messages.TRACEBACK.line(text=text), lines=True)
 
+    def on_unhandled(self, context: dict[str, Any], log_once: Callable[[LogLine], object]) -> None:
+        """An exception in a task or callback outside the core."""
+        if reason := _scarce_resource(context):
+            log_once(log_messages.NO_DESCRIPTORS.line(reason=reason))
+            return
+        error = context.get("exception")
+        self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
-def scarce_resource(context: dict[str, Any]) -> str:
+
+def _scarce_resource(context: dict[str, Any]) -> str:
     """What is exhausted, if a socket call in the event loop failed for that; '' for any other exception."""
     error = context.get("exception")
     is_scarce = isinstance(error, OSError) and error.errno in SCARCE_ERRNOS and "socket" in context

@@ -18,7 +18,7 @@ from lfield.replication.transfer.effects import Send
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.machine import Machine
 from lfield.vm.pending_call import CallKey, PendingCall
-from lfield.wire.coordinator_messages import CallsEnded, WatchCalls
+from lfield.wire.coordinator_messages import CallsEnded, CancelCalls, WatchCalls
 
 #: Seconds after which a host is asked again: the message, or the answer, may be lost.
 REPEAT_AFTER = 1.0
@@ -42,19 +42,29 @@ class CallWatch(Part):
         self._waits: dict[str, _Wait] = {}
         #: The hosts that wait for calls here.
         self._watchers: dict[CallKey, str] = {}
-        self.handles = dict.fromkeys((WatchCalls, CallsEnded), self._on_message)
+        self.handles = {WatchCalls: self._on_watch, CallsEnded: self._on_ended, CancelCalls: self._on_cancel}
         self.observes = {LinkOpened: self._on_link_opened}
         machine.pending_calls.watch_results(self._on_result)
 
     def watch(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """See `HostInterface.watch_calls`."""
-        by_host: dict[str, list[int]] = {}
-        for resource, number in calls:
-            by_host.setdefault(self._hosts[resource.host], []).append(number)
+        by_host = self._by_host(calls)
         self._waits[agent.id] = _Wait(agent, by_host, self._clock.monotonic() + REPEAT_AFTER)
         for host in by_host:
             self._ask(self._waits[agent.id], host)
         self._update_due()
+
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """See `HostInterface.request_cancels`."""
+        for host, numbers in self._by_host(calls).items():
+            if self._reachability.is_linked(host):
+                self._out(Send(host, CancelCalls(agent.id, agent.generation, numbers)))
+
+    def _by_host(self, calls: Sequence[tuple[TeamMember, int]]) -> dict[str, list[int]]:
+        found: dict[str, list[int]] = {}
+        for resource, number in calls:
+            found.setdefault(self._hosts[resource.host], []).append(number)
+        return found
 
     @property
     def needed_hosts(self) -> set[str]:
@@ -96,11 +106,15 @@ class CallWatch(Part):
             if self._is_current(wait) and event.hello.host in wait.calls:
                 self._ask(wait, event.hello.host)
 
-    def _on_message(self, host: str, message: WatchCalls | CallsEnded) -> None:
+    def _on_ended(self, host: str, message: CallsEnded) -> None:
+        pending = self._machine.pending_calls
+        pending.on_ended_elsewhere(message.agent, message.generation, message.numbers)
+
+    def _on_cancel(self, host: str, message: CancelCalls) -> None:
+        self._machine.pending_calls.cancel_started(message.agent, message.generation, message.numbers)
+
+    def _on_watch(self, host: str, message: WatchCalls) -> None:
         start = message.agent, message.generation
-        if isinstance(message, CallsEnded):
-            self._machine.pending_calls.on_ended_elsewhere(*start, message.numbers)
-            return
         pending = {call.key: call for call in self._machine.pending_calls.calls()}
         ended = []
         for number in message.numbers:

@@ -69,6 +69,7 @@ _FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {
     host_effects.PersistRecords: lambda each: [each.number, crc32(_encode([each.records, each.keys]))],
     host_effects.OpenLink: lambda each: [each.host],
     host_effects.WakeWaiters: lambda each: [],
+    host_effects.AnswerPersonCall: lambda each: [each.result],
 }
 
 
@@ -76,6 +77,8 @@ def encode_effects(effects: Sequence[host_effects.Effect]) -> bytes:
     """The summary of the effects of a turn; b"" for none."""
     if not effects:
         return b""
+    if len(effects) == 1 and type(effect := effects[0]) is SendTransfer:
+        return _encode([_transfer(effect)])
     return _encode([_transfer(each) if type(each) is SendTransfer else _other(each) for each in effects])
 
 

@@ -27,7 +27,6 @@ from lfield.host.recording.host_records import (
     HostRecord,
     IdleTurn,
     ReadingChange,
-    RecordedAnswer,
     RunIdRecord,
     ShellEventRecord,
     StartRecord,
@@ -55,7 +54,7 @@ BATCH_INTERVAL, BATCH_BYTES = 0.25, 1 << 16
 
 #: An empty list that is never changed.
 _NOTHING: list[Any] = []
-_EndedTurn = tuple[float, HostInput | None, "Sequence[Effect]", bool, list[RecordedAnswer], float | None]
+_EndedTurn = tuple[float, HostInput | None, "Sequence[Effect]", bool, float | None]
 
 
 class TurnTime(Protocol):
@@ -87,6 +86,7 @@ class FlightRecorder:
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
         self._start, self._drawn, self._on_pending = start, drawn, on_pending
+        environment.start()
         self._run_ids = [start.run]
         #: The lines that the last turn has written.
         self._written: list[str] = []
@@ -102,7 +102,7 @@ class FlightRecorder:
         #: The real times that the core has read within the turn.
         self.times: list[float] = []
         #: The turn that has ended and is not recorded yet: time, input, effects, whether the core was run,
-        #: the new answers of the environment, and the wall-clock time.
+        #: and the wall-clock time.
         self._ended: _EndedTurn | None = None
         #: Whether `write_due` has something to do.
         self._is_due = False
@@ -120,8 +120,8 @@ class FlightRecorder:
         """A turn begins."""
         if self._ended is not None:
             self.complete_turn()
-        self._readings = self._environment.start_turn()
-        clock = self._hybrid
+        environment, clock = self._environment, self._hybrid
+        self._readings = environment.drain_changed_readings() if environment.has_readings else _NOTHING
         is_same = clock.last == self._stamp and clock.settings == self._clock_settings
         self._clock_change = None if is_same else clock.state
 
@@ -134,19 +134,19 @@ class FlightRecorder:
         """
         clock = self._hybrid
         self._stamp, self._clock_settings = clock.last, clock.settings
-        self._ended = at, entry, effects, runs, self._environment.end_turn(), self._clock.wall_time
+        self._ended = at, entry, effects, runs, self._clock.wall_time
 
     def complete_turn(self) -> bool:
         """Record the turn that has ended, if any; returns whether `write_due` must follow."""
         if (ended := self._ended) is None:
             return self._is_due
-        self._ended, at = None, ended[0]
-        if not self._buffer.turns:
+        self._ended, buffer, at = None, self._buffer, ended[0]
+        if not buffer.turns:
             self._first_at = at
-        if not self._buffer.size:
+        if not buffer.records:
             self._on_pending()
         try:
-            size = self._buffer.add_turn(self._record(*ended))
+            size = buffer.add_turn(self._record(*ended))
         except Exception as error:  # of the recorder: it must not end the host
             self._fault, size = error, BATCH_BYTES
         if at >= self._batch_due or size >= BATCH_BYTES:
@@ -159,15 +159,17 @@ class FlightRecorder:
         entry: HostInput | None,
         effects: Sequence[Effect],
         runs: bool,
-        answers: list[RecordedAnswer],
         wall: float | None,
     ) -> IdleTurn | TurnRecord:
         clock, readings, limit = self._clock_change, self._readings, self._limit
+        answers = self._environment.drain_answers()
         cuts = limit.drain_cuts() if limit.has_cuts else UNCUT
-        summary = b""
-        if effects:
-            summary = encode_effects(effects)
-            self._written = [truncate(str(each.text)) for each in effects if type(each) is WriteLog]
+        summary = encode_effects(effects) if effects else b""
+        if self._written:
+            self._written = []
+        for each in effects:
+            if type(each) is WriteLog:
+                self._written.append(truncate(str(each.text)))
         digests = self._digests(at) if at >= self._digest_due else _NOTHING
         drawn, times = _NOTHING, _NOTHING
         if self._drawn:
@@ -190,7 +192,7 @@ class FlightRecorder:
         self._add(ShellEventRecord(self._clock.now(), what))
 
     def _add(self, record: HostRecord) -> None:
-        if not self._buffer.size:
+        if not self._buffer.records:
             self._on_pending()
         try:
             self._buffer.add(record)
@@ -236,7 +238,7 @@ class FlightRecorder:
         self.complete_turn()
         if self._fault is not None:
             raise self._fault
-        if not self._buffer.size:
+        if not self._buffer.records:
             return
         if not self._is_started:
             self._is_started = True

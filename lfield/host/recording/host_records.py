@@ -192,34 +192,28 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self._data = bytearray(_ARRAY.size)
-        self._records = 0
-        #: The turns among the records.
-        self.turns = 0
-
-    @property
-    def size(self) -> int:
-        """The bytes of the records; 0 for none."""
-        return len(self._data) - _ARRAY.size
+        #: The number of records, and that of turns among them.
+        self.records = self.turns = 0
 
     def add(self, record: HostRecord) -> None:
         """Add a record which is no turn."""
-        self._records += 1
+        self.records += 1
         _encoder.encode_into(record, self._data, -1)
 
     def add_turn(self, record: IdleTurn | TurnRecord) -> int:
-        """Add a turn; returns `size`."""
+        """Add a turn; returns the bytes of all records."""
         self.turns += 1
-        self._records += 1
+        self.records += 1
         data = self._data
         _encoder.encode_into(record, data, -1)
-        return len(data) - _ARRAY.size
+        return len(data)
 
     def content(self, kind: bytes, at: float) -> bytes:
         """The content of a frame; the buffer is empty then. Raises RecordingError if a reader would refuse
         it."""
         data, header = self._data, FrameHeader(kind, at, self.turns)
-        _ARRAY.pack_into(data, 0, _ARRAY_CODE, self._records)
-        self._data, self._records, self.turns = bytearray(_ARRAY.size), 0, 0
+        _ARRAY.pack_into(data, 0, _ARRAY_CODE, self.records)
+        self._data, self.records, self.turns = bytearray(_ARRAY.size), 0, 0
         if len(data) > MAX_FRAME:
             raise RecordingError(_TOO_LARGE)
         return _HEADER.pack(*header) + zlib.compress(data, 1)

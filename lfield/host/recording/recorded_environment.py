@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from math import copysign
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
@@ -46,29 +46,43 @@ _UNASKED = object()
 _LAST_CONTACT = int(Question.LAST_CONTACT)
 
 
-class RecordedEnvironment:
-    """Passes the questions on to `inner`. Outside of turns it notes nothing."""
+class Turns(Protocol):
+    """The turns of the core."""
 
-    def __init__(self, inner: Environment, calls: Mapping[DeviceCallRecord, int]) -> None:
-        self._inner, self._calls = inner, calls
+    @property
+    def in_turn(self) -> bool:
+        """Whether one is under way."""
+
+
+class RecordedEnvironment:
+    """Passes the questions on to `inner`. Outside of `turns` it notes nothing."""
+
+    def __init__(self, inner: Environment, calls: Mapping[DeviceCallRecord, int], turns: Turns) -> None:
+        self._inner, self._calls, self._turns = inner, calls, turns
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
-        self._asked: set[tuple[str | int, ...] | str] = set()
-        #: Also the last answers, by host: when something last arrived from it.
+        self._asked: set[tuple[str | int, ...]] = set()
+        #: When something last arrived from a host: the answers of this turn, and the last ones.
         self._contacts: dict[str, float | None] = {}
+        self._known_contacts: dict[str, float | None] = {}
         self._changes: list[RecordedAnswer] = []
         #: The readings by number, and as the recording knows them.
         self._readings: list[Reading] = []
         self._recorded: list[tuple[int, float]] = []
-        self._in_turn = False
+        #: Whether `drain_changed_readings` can have something.
+        self.has_readings = False
 
     # --- turns ----------------------------------------------------------------------------------------
 
-    def start_turn(self) -> list[ReadingChange]:
-        """A turn begins; returns the readings that have changed since the last one."""
-        self._in_turn = True
-        if not self._readings:
-            return _NOTHING
+    def start(self) -> None:
+        """The recording begins: nothing was asked before."""
+        self._known.clear()
+        self._asked.clear()
+        self._contacts.clear()
+        self._changes.clear()
+
+    def drain_changed_readings(self) -> list[ReadingChange]:
+        """A turn begins: the readings that have changed since the last one."""
         changed: list[ReadingChange] = []
         for number, (reading, known) in enumerate(zip(self._readings, self._recorded, strict=True)):
             now = reading.word, reading.until
@@ -77,20 +91,26 @@ class RecordedEnvironment:
                 self._recorded[number] = now
         return changed
 
-    def end_turn(self) -> list[RecordedAnswer]:
-        """The turn has ended; returns its new answers."""
-        self._in_turn = False
+    def drain_answers(self) -> list[RecordedAnswer]:
+        """A turn has ended: its new answers."""
         if self._asked:
             self._asked.clear()
-        if not self._changes:
+        changes = self._changes
+        if self._contacts:
+            for host, found in self._contacts.items():
+                if self._known_contacts.get(host, _UNASKED) != found:
+                    self._known_contacts[host] = found
+                    changes.append(RecordedAnswer(_LAST_CONTACT, [host], found))
+            self._contacts.clear()
+        if not changes:
             return _NOTHING
-        changes, self._changes = self._changes, []
+        self._changes = []
         return changes
 
     @property
     def answers(self) -> list[RecordedAnswer]:
         """The last answers to all questions."""
-        contacts = [RecordedAnswer(_LAST_CONTACT, [host], at) for host, at in self._contacts.items()]
+        contacts = [RecordedAnswer(_LAST_CONTACT, [host], at) for host, at in self._known_contacts.items()]
         return [*contacts, *(_answer(key, value) for key, value in self._known.items())]
 
     @property
@@ -111,22 +131,18 @@ class RecordedEnvironment:
     def down_since(self) -> Mapping[str, float]:
         """See `LinkContacts`."""
         found: Mapping[str, float] = self._inner.down_since
-        if self._in_turn:
+        if self._turns.in_turn:
             self._note((Question.DOWN_SINCE,), dict(found))
         return found
 
     def last_contact_at(self, host: str) -> float | None:
         """See `LinkContacts`."""
-        # As `_note`. Each hop asks, and has another answer.
-        if not self._in_turn:
+        # Not by `_note`, which takes longer: each hop asks, and has another answer.
+        if not self._turns.in_turn:
             return self._inner.last_contact_at(host)
-        if host in self._asked:
+        if host in self._contacts:
             return self._contacts[host]
-        self._asked.add(host)
-        found = self._inner.last_contact_at(host)
-        if self._contacts.get(host, _UNASKED) != found:
-            self._contacts[host] = found
-            self._changes.append(RecordedAnswer(_LAST_CONTACT, [host], found))
+        found = self._contacts[host] = self._inner.last_contact_at(host)
         return found
 
     def round_trip(self, host: str) -> float | None:
@@ -153,7 +169,7 @@ class RecordedEnvironment:
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
         """See `Environment`. Raises DeviceError."""
         key = Question.QUERY, agent, self._calls[call]
-        if self._in_turn and key in self._asked:
+        if self._turns.in_turn and key in self._asked:
             known = self._known[key]
             if isinstance(known, DeviceError):
                 raise DeviceError(known.device, known.reason, kind=known.kind)
@@ -167,7 +183,7 @@ class RecordedEnvironment:
     def reading(self, agent: str, call: DeviceCallRecord) -> Reading | None:
         """See `Environment`."""
         found = self._inner.reading(agent, call)
-        if not self._in_turn:
+        if not self._turns.in_turn:
             return found
         key = Question.READING, agent, self._calls[call]
         if found is None:
@@ -176,6 +192,7 @@ class RecordedEnvironment:
         number = next((n for n, each in enumerate(self._readings) if each is found), len(self._readings))
         if number == len(self._readings):
             self._readings.append(found)
+            self.has_readings = True
             self._recorded.append((found.word, found.until))
             # The recording learns the word at the beginning of a turn, and this one is under way.
             self._change(key, number, [number, found.word, found.until])
@@ -189,7 +206,7 @@ class RecordedEnvironment:
         self._changes.append(RecordedAnswer(Question.READING, list(key[1:]), answer))
 
     def _note(self, key: tuple[str | int, ...], value: T) -> T:
-        if not self._in_turn:
+        if not self._turns.in_turn:
             return value
         if key in self._asked:
             return cast(T, self._known[key])

@@ -99,12 +99,12 @@ class RecordingSession:
         """The seed of the core's random numbers."""
         self._seed = seed
 
-    def environment(self, inner: Environment) -> Environment:
+    def environment(self, inner: Environment, turns: CoreTurns) -> Environment:
         """The environment for the core."""
         if self._target is None:
             return inner
         calls = self._mission.program.core.device_calls
-        self._environment = RecordedEnvironment(inner, {each: n for n, each in enumerate(calls)})
+        self._environment = RecordedEnvironment(inner, {each: n for n, each in enumerate(calls)}, turns)
         return self._environment
 
     def random_bytes(self, inner: Callable[[int], bytes]) -> Callable[[int], bytes]:

@@ -52,6 +52,7 @@ class DeviceCommands(Part):
 
     def on_tick(self, now: float) -> None:
         """Make orphaned devices safe."""
+        self._deadman.on_running((call.agent for call in self._machine.person_portals.running), now)
         self._effects += self._deadman.check(self._here, self._mobility.known_states(), self._membership, now)
         self.due = self._deadman.due
 

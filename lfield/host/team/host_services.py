@@ -13,7 +13,7 @@ from lfield.host.offer_queries import CapabilityQueries
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.device_commands import DeviceCommands
 from lfield.host.team.leases import TeamLeases
-from lfield.host.team.part_interfaces import CallWatcher, SequencingDecisions
+from lfield.host.team.part_interfaces import CallEnds, CallWatcher, SequencingDecisions
 from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
@@ -35,6 +35,7 @@ class HostParts(Protocol):
     coordinators: Coordinators
     leases: TeamLeases
     pending_calls: PendingCallStore
+    person_calls: CallEnds
     reservations: ReservationService
     sequencing: SequencingDecisions
     commands: DeviceCommands
@@ -119,11 +120,18 @@ class HostServices:
 
     def on_call_completed(self, pending: PendingCall) -> None:
         """A pending call has ended: its result is recorded before it is reported."""
-        self._parts.pending_calls.on_call_completed(pending)
+        if pending.is_of_person:
+            self._parts.person_calls.on_completed(pending)
+        else:
+            self._parts.pending_calls.on_call_completed(pending)
 
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """Report the first of these calls on other hosts that ends."""
         self._parts.call_watch.watch(agent, calls)
+
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """Ask other hosts to cancel these calls."""
+        self._parts.call_watch.request_cancels(agent, calls)
 
     def abandon_wait(self, agent: Agent) -> bool:
         """Whether a frozen coordinator may continue at once, since its wait was cancelled."""

@@ -146,7 +146,7 @@ class TeamLeases(Part):
     def _on_lost(self) -> None:
         """Calls under the lease fail, and the devices that they used go into their safe states."""
         reason = ENDED.format(self._hello.host)
-        here = {caller for caller in self._callers() if caller.id in self.leased_agents}
+        here = {caller for caller in self._callers() if self._is_leased(caller)}
         used = {device: users & here for device, users in self._users.items()}
         if here:
             self._out(WriteLog(log_messages.LEASE_LOST.line(host=self._hello.host)))
@@ -163,7 +163,13 @@ class TeamLeases(Part):
         """The agents that are here, and pending calls that run here for coordinators that may be
         elsewhere."""
         running = (call for call in self._machine.pending_calls.calls() if call.state == "running")
-        return [*self._machine.agents.values(), *running]
+        return [*self._machine.agents.values(), *running, *self._machine.person_portals.running]
+
+    def _is_leased(self, caller: Caller) -> bool:
+        """Whether a caller acts under the lease of this host. A person does in a mission with leases: where
+        no lease is held, coordinators may have been resumed on other hosts."""
+        is_person = isinstance(caller, PendingCall) and caller.is_of_person
+        return caller.id in self.leased_agents or (is_person and bool(self.leased_agents))
 
     @property
     def needed_hosts(self) -> set[str]:
@@ -243,10 +249,15 @@ class TeamLeases(Part):
 
         Raises DeviceError when it has passed.
         """
-        if caller.id not in self.leased_agents:
+        if not self._is_leased(caller):
             return math.inf
         now = self._clock.monotonic()
-        if caller.ended or not self.quorum.may_act(caller.id, caller.generation, now):
+        may_act = (
+            self.quorum.may_act(caller.id, caller.generation, now)
+            if caller.id in self.leased_agents
+            else self.quorum.lease.holds(now)
+        )
+        if caller.ended or not may_act:
             raise DeviceError(device.rpartition(".")[2], ENDED.format(self._hello.host))
         self._users.setdefault(device, set()).add(caller)
         return self.quorum.lease.valid_until
@@ -377,10 +388,11 @@ class TeamLeases(Part):
 
 
 def abandon_calls(machine: Machine, coordinator: str, reason: str) -> None:
-    """The calls of a coordinator on this host have ended for it: they may have started."""
+    """The calls of a coordinator or person on this host have ended for it: they may have started."""
     if agent := machine.agents.get(coordinator):
         machine.detach_caller(agent, RESTARTED, reason)
     machine.pending_calls.fail_running(coordinator, RESTARTED, reason)
+    machine.person_portals.fail_running(coordinator, RESTARTED, reason)
 
 
 def _header_field(block: Buffer, index: int) -> int:

@@ -82,7 +82,7 @@ def _change_pause(team: Coordinators, machine: Machine, *, ordered: bool, ballot
     team.set_paused(ordered=ordered, ballot=ballot)
     if was_paused or not team.paused:
         return
-    callers = {call.agent for call in machine.pending_calls.calls()}
+    callers = {call.agent for call in machine.pending_calls.calls() + machine.person_portals.running}
     here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
     for coordinator in sorted(callers | here):
         abandon_calls(machine, coordinator, f"the mission was paused; {MAYBE_STARTED}")

@@ -9,6 +9,8 @@ The host in the newest record is queried regularly, and reports where the coordi
 has not helped for half of the time-out, others are queried too. A terminated coordinator is only one that is
 no longer confirmed: the devices that it left, perhaps hovering, have the same time-out. A later start of it
 counts as the same coordinator.
+
+A person uses a device likewise, and counts as alive while a portal call of that person runs here.
 """
 
 from __future__ import annotations
@@ -91,6 +93,12 @@ class DeadmanMonitor:
         self._users.setdefault(device, set()).add(coordinator)
         self._coordinators.setdefault(coordinator, _Coordinator(now, now)).mark_alive(now)
         self.due = now + CHECK_EVERY if self.due is None else self.due
+
+    def on_running(self, callers: Iterable[str], now: float) -> None:
+        """Portal calls of these persons are running here: they use the devices."""
+        for caller in callers:
+            if caller in self._coordinators:
+                self._coordinators[caller].mark_alive(now)
 
     def on_states(self, host: str, records: Iterable[CoordinatorState], now: float) -> None:
         """A host reports what it knows of coordinators."""

@@ -50,6 +50,9 @@ class CallWatcher(Protocol):
     def watch(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator here waits for the first of these calls."""
 
+    def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator here cancels these calls."""
+
 
 class CoordinatorOperations(Protocol):
     """The coordinators of a host; implemented by `Coordinators`."""
@@ -120,6 +123,26 @@ class SequencingDecisions(Sequencer, Protocol):
 
     def abandon_wait(self, agent: Agent) -> bool:
         """Ends the wait of a coordinator; returns whether it did wait."""
+
+
+class ReservationRules(Protocol):
+    """What reservations allow to persons; implemented by `ReservationService`."""
+
+    def may_serve_person(self, start: tuple[str, int], resource: str) -> bool:
+        """Whether a portal call of a person may start now; otherwise it waits. Raises Trap if it may not."""
+
+    def drain_retried_persons(self) -> list[tuple[str, int]]:
+        """The calls that waited and may try again; each is returned once."""
+
+    def abandon_person(self, start: tuple[str, int]) -> None:
+        """A call that waits does not start."""
+
+
+class CallEnds(Protocol):
+    """Uses the ends of portal calls of persons; implemented by `PersonCalls`."""
+
+    def on_completed(self, pending: PendingCall) -> None:
+        """A portal call of a person has ended."""
 
 
 class StateObserver(Protocol):

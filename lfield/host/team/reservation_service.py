@@ -61,6 +61,9 @@ class ReservationService(Part):
         self._records = [page for page in records if isinstance(page, ReservationRecord)]
         #: The coordinators that are frozen here for a resource.
         self._waiting: dict[StartKey, Agent] = {}
+        #: The calls of persons that wait for a resource, and those that may try again.
+        self._waiting_persons: set[StartKey] = set()
+        self._retried_persons: list[StartKey] = []
         #: The reservations whose records are being written, with the number of the batch.
         self._unwritten: deque[tuple[int, str, int]] = deque()
         #: When the reservations of each coordinator here were last renewed.
@@ -138,6 +141,29 @@ class ReservationService(Part):
         if not serves:
             self._waiting[start] = agent
         return serves
+
+    def may_serve_person(self, start: StartKey, resource: str) -> bool:
+        """See `ReservationRules.may_serve_person`."""
+        try:
+            serves = self._reservations.may_serve(start, resource, 0, self._clock.monotonic())
+        except ReservationDenied as refused:
+            raise Trap(refused.kind, str(refused), resource) from None
+        finally:
+            self._apply_effects()
+        if not serves:
+            self._waiting_persons.add(start)
+        return serves
+
+    def drain_retried_persons(self) -> list[StartKey]:
+        """See `ReservationRules.drain_retried_persons`."""
+        retried, self._retried_persons = self._retried_persons, []
+        return retried
+
+    def abandon_person(self, start: StartKey) -> None:
+        """See `ReservationRules.abandon_person`."""
+        self._waiting_persons.discard(start)
+        self._reservations.abandon_wait(start, self._clock.monotonic())
+        self._apply_effects()
 
     def abandon_wait(self, agent: Agent) -> bool:
         """Cancel a coordinator's wait; whether it did wait."""
@@ -229,7 +255,7 @@ class ReservationService(Part):
         agents = self._machine.agents
         self._waiting = {start: one for start, one in self._waiting.items() if agents.get(one.id) is one}
         self._renew(now)
-        for start in sorted(self._reservations.concerned):
+        for start in sorted(self._reservations.concerned - self._waiting_persons):
             why = self._leases.end_reason(*start)
             # Before that is on disk, a restart of this host would give the reservation back to this start.
             if why and not self._team.write_ahead.is_pending_durable(start[0]):
@@ -309,6 +335,11 @@ class ReservationService(Part):
             self._reservations.on_durable(effect.resource, effect.number, self._clock.monotonic())
 
     def _retry(self, start: StartKey) -> None:
+        if start in self._waiting_persons:
+            self._waiting_persons.discard(start)
+            self._retried_persons.append(start)
+            self._moved = True
+            return
         agent = self._waiting.pop(start, None)
         if agent is not None and self._is_frozen(agent):
             self._machine.unfreeze(agent)

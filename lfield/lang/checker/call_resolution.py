@@ -184,7 +184,7 @@ def _library(body: BodyContext, raw: syntax.Call, name: syntax.Name, given: list
     if scope in ("any", side):
         return _operation(body, raw, name.span, functions, given, None)
     if body.function:
-        what = "writes output" if scope == "resource" else "reads the state of its coordinator"
+        what = "does input or output" if scope == "resource" else "reads the state of its coordinator"
         body.report(messages.IMPURE, name.span, function=body.method.name, what=what)
         return unknown(raw.span)
     rule = messages.COORDINATOR_FUNCTION

@@ -14,6 +14,10 @@ coordinators:
     winch: []
     patrol: [start, stop]          # a startable coordinator, which it may start and stop
   others: all                      # the default: all portals of the own deployment
+calls:                             # the portals that persons may call; none without a line
+  anna: {Copter: [where]}
+  others: {copter3: [where]}       # every other person, and users of the host's own computer
+assistants: [anna]                 # the persons whose assistants may call portals and start missions
 ```
 
 Names are those of agents, types and capabilities, in that order for an ambiguous name. An unknown name is an
@@ -99,8 +103,10 @@ class _Reader:
         top = YamlFields(node, self._found, "an access file")
         people = tuple(map(self._read_person, top.section("people").named()))
         callers = tuple(map(self._caller, top.section("coordinators").named()))
+        calls = tuple(map(self._person_caller, top.section("calls").named()))
+        assistants = tuple(dict.fromkeys(top.texts("assistants")))
         top.report_unread()
-        return Access(file, people, callers)
+        return Access(file, people, callers, calls, assistants)
 
     def _report_error(self, code: str, message: str, span: Span, hint: str) -> None:
         self._found.add(Diagnostic(code, message, span, hint))
@@ -128,10 +134,7 @@ class _Reader:
 
     def _read_person(self, entry: YamlEntry) -> PersonRule:
         """A person, and the rights that the mission leaves them."""
-        name = entry.key
-        if not self._is_starred(entry) and not (0 < len(name) <= MAX_NAME and name.isprintable()):
-            message = f"a person's name has 1 to {MAX_NAME} printable characters"
-            self._report_error("Y113", message, entry.key_span, "")
+        self._check_person(entry)
         items = self._list_nodes(entry, "rights")
         rights = (
             Right
@@ -139,6 +142,17 @@ class _Reader:
             else (Right(name_text) for item in items if (name_text := self._right(item)))
         )
         return PersonRule(entry.key, tuple(rights), entry.key_span.line)
+
+    def _check_person(self, entry: YamlEntry) -> None:
+        name = entry.key
+        if not self._is_starred(entry) and not (0 < len(name) <= MAX_NAME and name.isprintable()):
+            message = f"a person's name has 1 to {MAX_NAME} printable characters"
+            self._report_error("Y113", message, entry.key_span, "")
+
+    def _person_caller(self, entry: YamlEntry) -> CallerRule:
+        """A person, and the portals that the mission opens to them."""
+        self._check_person(entry)
+        return self._lines_of(entry, OTHERS if entry.key == OTHERS else "person")
 
     def _right(self, node: YamlNode) -> str:
         name_text, known = _text(node), f"rights here: {listed(_RIGHTS)}"
@@ -160,7 +174,11 @@ class _Reader:
 
     def _caller(self, entry: YamlEntry) -> CallerRule:
         """A coordinator, and what it may call."""
-        kind, node, line = self._caller_kind(entry), entry.value, entry.key_span.line
+        return self._lines_of(entry, self._caller_kind(entry))
+
+    def _lines_of(self, entry: YamlEntry, kind: SubjectKind) -> CallerRule:
+        """A caller of that kind, and what it may call."""
+        node, line = entry.value, entry.key_span.line
         if isinstance(node, YamlMapping):
             lines = [self._line(below) for below in node.entries.values()]
             return CallerRule(kind, entry.key, line, tuple(line for line in lines if line is not None))

@@ -1,9 +1,10 @@
 """Access rules of one mission as plain data, and decisions on a person's rights or a portal call. Pure.
 
-An access file only restricts: persons have the rights of their certificates, less those that it removes;
-coordinators call the portals of their own deployment, less those that it removes. Without an entry nothing
-changes. One line decides a call, the most specific: for callers the agent before its type before `others`,
-for resources the agent before its type before a capability before `others`.
+For rights and coordinators an access file only restricts: persons have the rights of their certificates, less
+those that it removes; coordinators call the portals of their own deployment, less those that it removes.
+Without an entry nothing changes. Portals are closed to persons, and actions to their assistants, unless the
+file opens them. One line decides a call, the most specific: for callers the agent before its type before
+`others`, for resources the agent before its type before a capability before `others`.
 
 The reader (`access_file.py`) checks every name against program, deployment and registry, and resolves
 capabilities to portals, so a robot needs no registry to apply a rule.
@@ -26,7 +27,7 @@ from lfield.text.suggestions import listed
 OTHERS: Final = "others"
 
 #: Kind of the name at the start of a line.
-SubjectKind = Literal["agent", "type", "capability", "others"]
+SubjectKind = Literal["agent", "type", "capability", "others", "person"]
 
 #: Rights that a file never removes: a stop makes safe, and the signer of a bundle is checked before it is
 #: read.
@@ -54,7 +55,7 @@ class PersonRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
 
 
 class PortalRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The portals of some resources that a coordinator may call; None: all of them.
+    """The portals of some resources that a caller may call; None: all of them.
 
     For a capability, `serving` has them by the resource types that serve it, under the types' own names.
     """
@@ -74,7 +75,7 @@ class PortalRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
                 return self.name == resource.type
             case "capability":
                 return resource.type in self.serving
-            case "others":
+            case "others" | "person":
                 return True
 
     def allows(self, resource: RuleSubject, portal: str) -> bool:
@@ -88,7 +89,7 @@ class PortalRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
 
 
 class CallerRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The calls allowed to one coordinator, a type or OTHERS; without `lines` all."""
+    """The calls allowed to one coordinator, a type, one person or OTHERS; without `lines` all."""
 
     kind: SubjectKind
     name: str
@@ -107,15 +108,20 @@ class CallerRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
         return [line for line in about if _ORDER[line.kind] == first]
 
 
-_ORDER: Mapping[SubjectKind, int] = {"agent": 0, "type": 1, "capability": 2, "others": 3}
+_ORDER: Mapping[SubjectKind, int] = {"agent": 0, "person": 0, "type": 1, "capability": 2, "others": 3}
 
 
 class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The rules of a mission; `file` is the name of their file, '' when there is none."""
+    """The rules of a mission; `file` is the name of their file, '' when there is none.
+
+    `callers` are for coordinators, `calls` for persons. `assistants` are persons whose assistants may act.
+    """
 
     file: str = ""
     people: tuple[PersonRule, ...] = ()
     callers: tuple[CallerRule, ...] = ()
+    calls: tuple[CallerRule, ...] = ()
+    assistants: tuple[str, ...] = ()
 
     @property
     def digest(self) -> bytes:
@@ -157,17 +163,42 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
     def refusal(self, coordinator: RuleSubject, resource: RuleSubject, portal: str) -> str:
         """Why a coordinator may not call a portal, as a sentence that names the rule; '' when it may."""
         caller = self._caller(coordinator)
-        if caller is None or caller.lines is None:
+        if caller is None:
+            return ""
+        return self._line_refusal(coordinator.id, caller, resource, portal)
+
+    def person_refusal(self, person: str, resource: RuleSubject, portal: str) -> str:
+        """Why a person may not call a portal, as `refusal`. '' is a user of the host's own computer.
+
+        Closed by default: without an entry for the person or OTHERS nothing may be called.
+        """
+        rules = {rule.name: rule for rule in self.calls}
+        caller = (rules.get(person) if person else None) or rules.get(OTHERS)
+        if caller is None:
+            closed = f"{self.file} has no line in 'calls' for" if self.file else "no access file opens it to"
+            shown = person or "users of this computer"
+            return f"{shown} may not call {resource.id}.{portal}(): {closed} {shown}"
+        return self._line_refusal(person or "a user of this computer", caller, resource, portal)
+
+    def assistant_refusal(self, person: str) -> str:
+        """Why an assistant of a person may not act, as a sentence; '' when it may."""
+        if OTHERS in self.assistants or (person and person in self.assistants):
+            return ""
+        shown = person or "a user of this computer"
+        closed = f"{self.file} does not list" if self.file else "no access file lists"
+        return f"an assistant may not act for {shown}: {closed} {shown} in 'assistants'"
+
+    def _line_refusal(self, who: str, caller: CallerRule, resource: RuleSubject, portal: str) -> str:
+        """Why the line of a caller does not allow a call."""
+        if caller.lines is None:
             return ""
         lines = caller.deciding(resource)
         if any(line.allows(resource, portal) for line in lines):
             return ""
-        refused = f"{coordinator.id} may not call {resource.id}.{portal}()"
+        refused = f"{who} may not call {resource.id}.{portal}()"
         if not lines:
-            return (
-                f"{refused}: {self.file}:{caller.line} lists what {_subject_text(caller)} may call, without "
-                "this portal"
-            )
+            subject = _subject_text(caller, "others" if caller in self.calls else "other coordinators")
+            return f"{refused}: {self.file}:{caller.line} lists what {subject} may call, without this portal"
         return f"{refused}: {self.file}:{lines[0].line} allows {_allowed(lines, resource)}"
 
     def _caller(self, coordinator: RuleSubject) -> CallerRule | None:
@@ -179,11 +210,11 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 NO_RULES = Access()
 
 
-def _subject_text(caller: CallerRule) -> str:
+def _subject_text(caller: CallerRule, others: str) -> str:
     """The subject of an entry, for a sentence."""
     if caller.kind == "others":
-        return "other coordinators"
-    return caller.name if caller.kind == "agent" else f"a {caller.name}"
+        return others
+    return f"a {caller.name}" if caller.kind == "type" else caller.name
 
 
 def _allowed(lines: Sequence[PortalRule], resource: RuleSubject) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from lfield.wire.coordinator_messages import (
     CallsEnded,
+    CancelCalls,
     Locate,
     Located,
     Terminated,
@@ -58,6 +59,7 @@ _HOP = (
     WholeTransferRequest,
     WatchCalls,
     CallsEnded,
+    CancelCalls,
     RenewReservation,
     ReleaseReservation,
     HandshakeRefused,

@@ -29,6 +29,7 @@ from lfield.operator.dashboard.timeline.event_timeline import DatedEvent, EventT
 from lfield.operator.observer_link import PresentedCrl
 from lfield.operator.targets import HostRef, TargetTeam
 from lfield.operator.team_model.log_buffer import MAX_LINES
+from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.subscription_messages import EventBatch
 
 #: The kinds of events that make a log.
@@ -178,6 +179,14 @@ class EventFeed:
         """The state of every host of a single team, requested now, by name."""
         assert self._query is not None, "the feed of one team"
         return await self._query()
+
+    async def follow_end(self, end: MissionEnd) -> None:
+        """Query the hosts of a single team whenever that is due, until their mission has ended."""
+        while not end.is_over():
+            if end.is_query_due:
+                end.on_answers(await self.snapshots())
+            end.check()
+            await asyncio.sleep(POLL_INTERVAL)
 
     @property
     def unreached(self) -> Sequence[str]:

@@ -37,7 +37,7 @@ from lfield.operator.orders.order_sender import OrderSender
 from lfield.operator.query_parser import parse_query
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.team_state import HostState
-from lfield.operator.team_query import QueryContext, directory_views, roster_from_hosts
+from lfield.operator.team_query import QueryContext, directory_views, primitive_answer, roster_from_hosts
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, Pause
 from lfield.wire.order_messages import ID_SIZE, OrderKind
 
@@ -210,9 +210,9 @@ class OrderService:
         )
         matcher = Matcher(asked.registry, team, asked.ways)
         units = {name: attribute.unit for name, attribute in asked.registry.attributes.items()}
-        found = []
-        for primitive in question.primitives:
-            best = matcher.find(primitive.name, question.offer_query)
-            refusals = matcher.explain(primitive.name, question.constraint)
-            found.append(PrimitiveMatches(primitive, best.offers, best.count, refusals, best.notes, units))
+        answers = [primitive_answer(matcher, primitive, question) for primitive in question.primitives]
+        found = [
+            PrimitiveMatches(each.primitive, each.offers, each.count, each.refusals, each.notes, units)
+            for each in answers
+        ]
         return QueryAnswer(text, tuple(found), unreachable)

@@ -20,7 +20,7 @@ from lfield.lang.scanner import scan
 from lfield.replay.debugger.device_readings import DeviceReading, device_readings, reading_named
 from lfield.replay.debugger.frames import reader_of
 from lfield.replay.debugger.moment import Moment
-from lfield.replay.debugger.value_tree import ValueReader, Variable
+from lfield.replay.debugger.value_tree import NamedMember, ValueReader, Variable
 from lfield.text.source_text import Diagnostics, Source
 from lfield.vm.engine_interface import Trap
 from lfield.vm.reference.arithmetic import INT, REAL
@@ -91,6 +91,15 @@ class WatchScope:
         if found is None:
             raise ValueUnknown(f"{'.'.join(path)} is not known here")
         return found.value
+
+    def enum_member(self, path: tuple[str, ...]) -> NamedMember | None:
+        """The member of an enum that a path such as `Phase.LIFT` names."""
+        program = self._moment.table.program
+        index = program.class_index.get(path[0], -1) if len(path) == 2 else -1
+        if index not in program.core.enum_classes:
+            return None
+        names = [field.name for field in program.core.classes[index].fields]
+        return NamedMember(names.index(path[1]), path[1]) if path[1] in names else None
 
     def part(self, owner: FoundValue, name: str) -> FoundValue | None:
         """A field or an element of a value."""
@@ -193,6 +202,8 @@ def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
         case syntax.Name() | syntax.Member() | syntax.Index() | syntax.This():
             if (found := _variable(tree, scope)) is not None:
                 return scope.plain(found)
+            if (member := scope.enum_member(_path(tree))) is not None:
+                return member
             if path := _path(tree):
                 return scope.reading(path)
     raise ValueUnknown("it has a part that is not evaluated here")
@@ -223,7 +234,7 @@ def _computed(sign: str, left: object, right: object) -> object:
 
 
 def _compared(sign: str, left: object, right: object) -> object:
-    is_same_type = type(left) is type(right) and (sign in ("==", "!=") or isinstance(left, str))
+    is_same_type = type(left) is type(right) and (sign in ("==", "!=") or isinstance(left, str | NamedMember))
     is_with_null = sign in ("==", "!=") and (left is None or right is None)
     if not (is_same_type or is_with_null or (_is_number(left) and _is_number(right))):
         raise ValueUnknown(f"the sides of {sign} are of different types")

@@ -63,6 +63,17 @@ class Variable:
     has_parts: bool = False
 
 
+@dataclass(frozen=True, order=True)
+class NamedMember:
+    """A member of an enum: members are in the order of their declaration."""
+
+    number: int
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
 #: A type, by index, and the value as in a slot.
 RawValue = tuple[int, int]
 
@@ -181,7 +192,7 @@ class ValueReader:
     def plain(self, value: RawValue) -> object:
         """The value for comparisons: a number, a text, None for null, or the place of an object.
 
-        A member of an enum is its name.
+        A member of an enum is a NamedMember.
         """
         kind, word = self._program.core.types[value[0]].kind, value[1]
         if kind == BOOLEAN:
@@ -190,7 +201,7 @@ class ValueReader:
             return real_from_bits(word)
         if kind == INT or kind not in REFERENCES:
             members = self._program.core.enum_members(value[0])
-            return members[word] if 0 <= word < len(members) else word
+            return NamedMember(word, members[word]) if 0 <= word < len(members) else word
         if not word:
             return None
         return self._block.text(word) if kind == STRING else ("object", word)

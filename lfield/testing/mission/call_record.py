@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from lfield.testing.mission.value_conversion import thrown_of, values_of
 from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
 from lfield.vm.memory.layout import FRAME_SLOTS, THREAD_FRAME
 from lfield.vm.memory.threads import place_of
+from lfield.vm.person_calls.value_conversion import thrown_of, values_of
 
 
 @dataclass(slots=True)

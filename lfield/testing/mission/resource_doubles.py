@@ -17,12 +17,12 @@ from lfield.simulate.host_fleet import HostLife
 from lfield.testing.mission import live_attributes
 from lfield.testing.mission.call_record import arguments_of
 from lfield.testing.mission.double_answers import After, Throws
-from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, type_text
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.vm.agent import TeamMember
 from lfield.vm.hooks import StubCall
 from lfield.vm.machine import Machine
 from lfield.vm.memory.threads import place_of
+from lfield.vm.person_calls.value_conversion import EncodedValue, Mismatch, type_text
 
 
 class ResourceDoubles:

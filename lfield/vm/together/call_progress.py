@@ -88,11 +88,12 @@ class CallProgress:
                 return True
         return False
 
-    def are_all_cancelled(self, agent: Agent, thread: int, reason: str) -> bool:
+    def are_all_cancelled(self, agent: Agent, thread: int) -> bool:
         """Cancel all started calls, host by host, then wait for them; whether all of them have ended.
 
+        Several other hosts get a message first, so that the calls end while the coordinator is on its way.
         When a time limit around the block has expired, unreachable hosts are not awaited: they know the
-        limit, and end the calls themselves. `reason` is for the portals, with {portal}.
+        limit, and end the calls themselves.
         """
         for state in (TICKET_STARTED, TICKET_CANCELLING):
             self._outcomes.mark_lost(agent, thread, state)
@@ -100,7 +101,8 @@ class CallProgress:
         self.running_calls(agent, thread, TICKET_STARTED)
         for ticket in self._itinerary.tickets(agent, thread):
             if ticket.state == TICKET_STARTED and self._itinerary.is_here(ticket):
-                self._send_cancel(agent, ticket, reason)
+                self._send_cancel(agent, ticket)
+        self._request_cancels(agent, thread)
         if self._departs_in_time(agent, thread, TICKET_STARTED) or self.is_waiting_for(
             agent, thread, TICKET_CANCELLING
         ):
@@ -132,11 +134,18 @@ class CallProgress:
                 self._outcomes.throw(agent, thread, number, UNREACHABLE, UNREACHED_MESSAGE)
         return False
 
-    def _send_cancel(self, agent: Agent, ticket: Ticket, reason: str) -> None:
+    def _request_cancels(self, agent: Agent, thread: int) -> None:
+        """Ask the other hosts to cancel, if there are several: the coordinator goes to one host at a time."""
+        found = self._itinerary.tickets(agent, thread)
+        elsewhere = [t for t in found if t.state == TICKET_STARTED and not self._itinerary.is_here(t)]
+        calls = [(self._itinerary.resource(ticket), ticket.number) for ticket in elsewhere]
+        if len({resource.host for resource, _ in calls}) > 1:
+            self._scheduler.world.request_cancels(agent, calls)
+
+    def _send_cancel(self, agent: Agent, ticket: Ticket) -> None:
         """Cancel a call that runs here, if it is still running."""
         ticket.w[ticket.place + TICKET_STATE] = TICKET_CANCELLING
         pending = self._scheduler.pending_calls.get((agent.id, ticket.generation, ticket.number))
         resource = self._scheduler.agents.get(self._itinerary.resource(ticket).id)
         if pending is not None and pending.state == "running" and resource is not None:
-            portal = self._itinerary.portal(ticket)
-            self._cancellation.cancel_call(resource, pending.call, reason.format(portal=portal))
+            self._cancellation.cancel_call(resource, pending.call, pending.cancel_reason)

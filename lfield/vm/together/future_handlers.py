@@ -29,7 +29,6 @@ from lfield.vm.together.call_progress import CallProgress, Handler
 from lfield.vm.together.itinerary import Itinerary, Ticket
 
 _OPEN = (TICKET_STARTED, TICKET_CANCELLING)
-_CANCELLED = "{agent} has cancelled {{portal}}()"
 
 
 class FutureHandlers:
@@ -76,7 +75,7 @@ class FutureHandlers:
             self._complete(agent, thread, 0 if running else 1)
 
     def _on_cancel(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        if self._progress.are_all_cancelled(agent, thread, _CANCELLED.format(agent=agent.id)):
+        if self._progress.are_all_cancelled(agent, thread):
             self._complete(agent, thread, 0)
 
     def _on_failure(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:

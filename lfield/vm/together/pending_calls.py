@@ -133,6 +133,14 @@ class PendingCalls:
         agent.stop_waiting_for_any(numbers)
         self._scheduler.run_queue.push_front(agent, only_thread(agent.block))
 
+    def cancel_started(self, agent_id: str, generation: int, numbers: Collection[int]) -> None:
+        """Cancel calls of a coordinator that is on its way here to fetch how they end."""
+        for number in numbers:
+            pending = self._scheduler.pending_calls.get((agent_id, generation, number))
+            resource = self._scheduler.agents.get(pending.resource) if pending is not None else None
+            if pending is not None and pending.state == "running" and resource is not None:
+                self._cancellation.cancel_call(resource, pending.call, pending.cancel_reason)
+
     def _report_failures(self, calls: list[PendingCall]) -> None:
         """Log the failures of calls whose futures were dropped. That they were cancelled is none."""
         for pending in calls:

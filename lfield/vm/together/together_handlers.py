@@ -33,7 +33,6 @@ from lfield.vm.together.future_handlers import FutureHandlers
 from lfield.vm.together.itinerary import Itinerary, Ticket
 
 RESERVED = "ReservedException"
-_LEFT = "{agent} has left the together that called {{portal}}()"
 
 
 class TogetherHandlers:
@@ -155,7 +154,7 @@ class TogetherHandlers:
                     TICKET_RETURNED,
                     0,
                 )
-        if self._progress.are_all_cancelled(agent, thread, _LEFT.format(agent=agent.id)):
+        if self._progress.are_all_cancelled(agent, thread):
             self._report(agent, thread)
             self._clear(agent, thread)
 

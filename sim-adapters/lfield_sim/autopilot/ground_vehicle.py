@@ -62,6 +62,7 @@ class GroundVehicle(Vehicle):
         """Advances time by `dt` seconds."""
         before, heading = self.velocity, self.yaw
         north, east, _ = self._kept_in(self._target_velocity())
+        north, east = north * self.ground, east * self.ground
         target_speed, along = math.hypot(north, east), math.hypot(*before[:2])
         course = math.atan2(east, north) if target_speed > 1e-3 else self.yaw_goal
         if self._brakes_first(course, along):

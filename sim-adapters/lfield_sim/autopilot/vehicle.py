@@ -107,6 +107,8 @@ class VelocityFence:
 class Vehicle:
     """A copter. `yaw_goal` None turns the heading along its path; `yaw_rate_goal` (rad/s) has priority.
 
+    `ground` is the share of its speed that the ground permits a rover.
+
     `station` is the position that it returns to after wind has moved it, `sags` its forced sink rate in m/s
     for lack of power.
     """
@@ -123,6 +125,7 @@ class Vehicle:
     corral: VelocityFence | None = None
     lifting: bool = True
     wind: Wind = field(default_factory=Wind)
+    ground: float = 1.0
     station: tuple[float, float] | None = None
     sags: float = 0.0
     _learned: tuple[float, float] = (0.0, 0.0)

@@ -234,6 +234,7 @@ class MavlinkFake:
                 setattr(self.autopilot, STATES[name], changed[name])
         for name in AIR:
             setattr(self.autopilot.vehicle.wind, AIR[name], changed[name])
+        self.autopilot.vehicle.ground = changed["ground"]
         north, east = (changed[name] - known[name] for name in WHERE)
         at = self.autopilot.vehicle.place
         self.autopilot.vehicle.place = (at[0] + north, at[1] + east, at[2])

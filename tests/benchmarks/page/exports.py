@@ -15,7 +15,7 @@ from harness.number_text import BYTES
 from harness.processes import Processes
 from harness.samples import Contender, timed
 
-from lfield.cli.views.event_view import event_json
+from lfield.client.event_json import event_json
 from lfield.export.mcap_writer import export_mcap
 from lfield.export.tables.csv_tables import export_csv
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent

@@ -5,17 +5,13 @@ from __future__ import annotations
 import pytest
 
 from lfield import exit_status
-from lfield.cli.fleet import mission_start, push, rollback
-from lfield.cli.fleet.desk import FleetDesk
+from lfield.cli.fleet import push, rollback
+from lfield.client import mission_start, mission_stop
 
 pytestmark = pytest.mark.process
 
 
-def interrupt(*_: object, **__: object) -> None:
-    raise KeyboardInterrupt
-
-
-async def interrupt_soon(*_: object) -> None:
+async def interrupt_soon(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
@@ -24,12 +20,12 @@ async def interrupt_soon(*_: object) -> None:
     [
         (("push", "mission.dL"), push, "_push"),
         (("rollback",), rollback, "_rollback"),
-        (("stop",), FleetDesk, "ask"),
+        (("stop",), mission_stop, "stop_mission"),
     ],
 )
 def test_what_robots_go_on_with_is_printed(here, robots, monkeypatch, words, owner, name) -> None:
     robots("alpha", "bravo").mission()
-    monkeypatch.setattr(owner, name, interrupt if owner is FleetDesk else interrupt_soon)
+    monkeypatch.setattr(owner, name, interrupt_soon)
     ended = here(*words)
     assert ended.status == exit_status.INTERRUPTED
     assert [("interrupted: " in line, "'lfield status'" in line) for line in ended.err] == [(True, True)]
@@ -40,7 +36,7 @@ def test_a_start_that_is_interrupted_goes_on(here, robots, monkeypatch) -> None:
     team.up()
     team.mission()
     assert here("push", "mission.dL").status == 0
-    monkeypatch.setattr(mission_start, "_wait_until_up", interrupt)
+    monkeypatch.setattr(mission_start, "wait_until_up", interrupt_soon)
     ended = here("start")
     assert ended.status == exit_status.INTERRUPTED
     assert ["'lfield status'" in line for line in ended.err] == [True]

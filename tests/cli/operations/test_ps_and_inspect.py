@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from scripted_snapshots import states_of
 
 from lfield.cli.views import team_status_view
+from lfield.client.status_json import status_json
 from lfield.errors import AddressError
 from lfield.wire.coordinator_messages import CoordinatorState
 from lfield.wire.observer_messages import (
@@ -108,7 +109,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
     )
     answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
-    assert json.loads(team_status_view.as_json(states_of(answers))) == {
+    assert json.loads(status_json(states_of(answers))) == {
         "alpha": {
             "host": "alpha",
             "address": "127.0.0.1:1",
@@ -214,7 +215,7 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
         lease=1.46,
     )
     answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
-    told = json.loads(team_status_view.as_json(states_of(answers)))
+    told = json.loads(status_json(states_of(answers)))
     assert (told["alpha"]["late"], told["alpha"]["silence"]) == (0.0312, 0.2)
     assert (told["carol"]["late"], told["carol"]["silence"]) == (None, None)
     team_status_view.show(states_of(answers))
@@ -237,7 +238,7 @@ def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [], observers=watched
     )
-    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))["alpha"]
+    told = json.loads(status_json(states_of({"alpha": status})))["alpha"]
     assert (told["linked"], told["away"]) == (["bravo", "delta", "echo", "golf"], {"carol": 3.5})
     figures = {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999, "kinds": kinds}
     unknown = {**dict.fromkeys(("round_trip", "loss", "sent", "received")), "kinds": {}}
@@ -271,7 +272,7 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
             links[2:4] = [LinkStatus(others[2], None, 0.001, 0.25, 10, 10), LinkStatus(others[3], 40.0)]
         answers[name] = Status(name, f"{name}:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
     states = states_of(answers)
-    told = json.loads(team_status_view.as_json(states))
+    told = json.loads(status_json(states))
     assert sum(len(host["links"]) + len(host["away"]) for host in told.values()) == 800
     team_status_view.show(states)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -284,7 +285,7 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
 def test_what_is_reserved_and_for_how_long_yet(capsys):
     reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
-    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))
+    told = json.loads(status_json(states_of({"alpha": status})))
     assert told["alpha"]["reserved"] == [
         {"resource": "near", "agent": "tom", "generation": 2, "held": 12.25, "left": 4.5}
     ]
@@ -298,7 +299,7 @@ def test_what_was_begun_and_is_to_be_fetched(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
     )
-    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))
+    told = json.loads(status_json(states_of({"alpha": status})))
     assert told["alpha"]["begun"][0] == {
         "agent": "tom",
         "generation": 1,

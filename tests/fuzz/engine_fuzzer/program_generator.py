@@ -102,7 +102,7 @@ _OF_WALKERS = (
 )
 _OF_STORES = (
     *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
-    *("write(read(0.25));|", "s0 = read(0.0 + #);|real"),
+    *("write(read(0.25));|", "s0 = read(r0 * #);|real"),
 )
 #: What a synchronized method of a resource does besides.
 _IN_MONITOR = ("wait until (#) within (0.3);|boolean", "wait until (n > #) within (x);|int", "n = n + 1;|")

@@ -221,7 +221,7 @@ class Reserving(RuleBasedStateMachine):
                 self._goes_on(effect.start)
 
 
-class ToldBeforeItIsKept(Reservations):
+class GrantedBeforeItIsOnDisk(Reservations):
     """Grants a number before it is on disk."""
 
     def acquire(self, start: StartKey, resource: str, now: float, *, nested: bool) -> int:
@@ -240,7 +240,7 @@ class NoWaitAfterARestart(Reservations):
         super().restore(resource, number, None, now)
 
 
-class NumbersBeginAgain(Reservations):
+class NumbersRestartAt1(Reservations):
     """Does not restore the numbers of the journal."""
 
     def restore(self, resource: str, number: int, holder: StartKey | None, now: float) -> None:
@@ -262,8 +262,8 @@ def test_nobody_has_what_another_has() -> None:
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("broken", [ToldBeforeItIsKept, NoWaitAfterARestart, NumbersBeginAgain])
-def test_what_is_broken_is_found(broken: type[Reservations]) -> None:
+@pytest.mark.parametrize("broken", [GrantedBeforeItIsOnDisk, NoWaitAfterARestart, NumbersRestartAt1])
+def test_a_broken_reservation_rule_is_found(broken: type[Reservations]) -> None:
     class Broken(Reserving):
         core_type = broken
 

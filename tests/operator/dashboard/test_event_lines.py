@@ -7,7 +7,8 @@ import math
 
 import pytest
 
-from lfield.cli.views.event_view import COLUMNS, EventCsv, LogLineView, event_json, event_line, log_text
+from lfield.cli.views.event_view import COLUMNS, EventCsv, LogLineView, event_line, log_text
+from lfield.client.event_json import event_json
 from lfield.operator.dashboard.event_feed import FeedNotice
 from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
 from lfield.wire.events import (

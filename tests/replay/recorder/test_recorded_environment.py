@@ -36,7 +36,9 @@ class World:
             reading=lambda agent, call: self.readings.get(call),
             last=lambda device, quantity: Observation(self.answers[self.calls[0]], 1.0),
         )
-        self.recorded, self.replayed = RecordedEnvironment(inner, numbers), ReplayEnvironment(numbers)
+        self.turns = SimpleNamespace(in_turn=False)
+        self.recorded = RecordedEnvironment(inner, numbers, self.turns)
+        self.replayed = ReplayEnvironment(numbers)
 
     def _query(self, call: DeviceCallRecord) -> Any:
         found = self.answers[call]
@@ -46,9 +48,11 @@ class World:
 
     def turn(self, ask) -> tuple[Any, Any]:
         """The answers of a question in a turn: recorded, replayed."""
-        changes = self.recorded.start_turn()
+        changes = self.recorded.drain_changed_readings()
+        self.turns.in_turn = True
         found = ask(self.recorded)
-        answers = self.recorded.end_turn()
+        self.turns.in_turn = False
+        answers = self.recorded.drain_answers()
         self.replayed.apply(
             msgspec.msgpack.decode(msgspec.msgpack.encode(answers), type=list[RecordedAnswer]),
             msgspec.msgpack.decode(msgspec.msgpack.encode(changes), type=list[ReadingChange]),

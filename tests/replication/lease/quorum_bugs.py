@@ -22,7 +22,7 @@ from lfield.wire.quorum_messages import Heartbeat, HeartbeatAck, Propose
 Patch = pytest.MonkeyPatch
 
 
-def resumes_after_the_point_of_no_return(patch: Patch) -> None:
+def resumes_after_sending(patch: Patch) -> None:
     """A sender that gets no answer resumes the coordinator that it has sent."""
 
     def ask(self: HostLife, agent: str, copy: Copy) -> None:
@@ -57,7 +57,7 @@ def has_no_fence_on_disk(patch: Patch) -> None:
     patch.setattr(HostLife, "keep_fence", lambda self, agent, generation: None)
 
 
-def goes_on_with_promises_of_a_minority(patch: Patch) -> None:
+def continues_with_a_minority_of_promises(patch: Patch) -> None:
     """A failover continues with the promises of a minority."""
     propose = Failover._send_proposals
 
@@ -95,7 +95,7 @@ def does_not_query_first(patch: Patch) -> None:
     patch.setattr(Failover, "_has_enough_answers", lambda self, attempt, now: True)
 
 
-def promises_in_spite_of_a_known_termination(patch: Patch) -> None:
+def promises_despite_a_known_termination(patch: Patch) -> None:
     """A host that knows a termination promises a recovery."""
     on_propose, sought = Quorum._on_propose, Quorum._locate
 
@@ -110,6 +110,6 @@ def promises_in_spite_of_a_known_termination(patch: Patch) -> None:
     patch.setattr(TerminationLog, "all", property(lambda self: []))
 
 
-def knows_nothing_of_a_termination(patch: Patch) -> None:
+def does_not_record_a_termination(patch: Patch) -> None:
     """A host does not record a termination."""
     patch.setattr(Ends, "checkpoint", lambda self, agent, copy: None)

@@ -79,11 +79,11 @@ def test_no_termination_is_undone_in_a_team_in_bad_weather(seed: int) -> None:
 @pytest.mark.parametrize(
     ("bug", "seed"),
     [
-        (bugs.promises_in_spite_of_a_known_termination, 24),
-        (bugs.knows_nothing_of_a_termination, 24),
+        (bugs.promises_despite_a_known_termination, 24),
+        (bugs.does_not_record_a_termination, 24),
     ],
 )
-def test_a_recovery_in_spite_of_a_termination_is_seen(
+def test_a_recovery_despite_a_termination_is_found(
     bug: Callable[[pytest.MonkeyPatch], None], seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert judged(ending(seed)).judge.counts["ends"] > 0
@@ -98,12 +98,12 @@ def test_a_story_is_the_same_each_time() -> None:
 
 #: Where the search for each begins; some need much bad luck.
 FOUND: list[tuple[Callable[[pytest.MonkeyPatch], None], int]] = [
-    (bugs.resumes_after_the_point_of_no_return, 1),
+    (bugs.resumes_after_sending, 1),
     (bugs.acknowledges_without_the_fence, 4),
     (bugs.does_not_wait, 3),
     (bugs.waits_less_than_a_lease, 69),
     (bugs.has_no_fence_on_disk, 183),
-    (bugs.goes_on_with_promises_of_a_minority, 0),
+    (bugs.continues_with_a_minority_of_promises, 0),
     (bugs.runs_without_a_lease, 10),
     (bugs.sends_fences_once, 93),
     (bugs.does_not_query_first, 1),
@@ -111,7 +111,7 @@ FOUND: list[tuple[Callable[[pytest.MonkeyPatch], None], int]] = [
 
 
 @pytest.mark.parametrize(("bug", "first"), FOUND, ids=[bug.__name__ for bug, _ in FOUND])
-def test_what_leases_and_fences_rest_on_is_needed(
+def test_a_broken_lease_rule_is_found(
     bug: Callable[[pytest.MonkeyPatch], None], first: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     judged(stormy(first))

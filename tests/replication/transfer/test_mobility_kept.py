@@ -90,7 +90,7 @@ def test_a_recovery_that_is_truly_declared_makes_no_second_copy():
     explored(Declared, Mobility, examples=60)
 
 
-class Forgetful(Mobility):
+class ForgetsItsAnswer(Mobility):
     """Keeps nothing of what it sends or takes in."""
 
     forgets = ("PREPARED",)
@@ -105,11 +105,11 @@ class Forgetful(Mobility):
         self._copies.persist = forget
 
 
-class Unprepared(Forgetful):
+class SentTransferNotOnDisk(ForgetsItsAnswer):
     """The page of what was sent is not on the disk."""
 
 
-class Unaware(Forgetful):
+class AdmissionNotOnDisk(ForgetsItsAnswer):
     """The verdict on what came is not on the disk."""
 
     forgets = ("RUN",)
@@ -125,13 +125,13 @@ class Deaf(Mobility):
         self._termination.stop_for_other_start = lambda *_: []
 
 
-def test_a_host_that_comes_back_and_does_not_listen_is_found_out():
+def test_a_restarted_host_that_ignores_a_failover_is_found():
     """A restarted host resumes the copy on its disk and ignores messages about a failover."""
     with pytest.raises(AssertionError, match="side by side"):
         explored(Declared, Deaf, examples=400, shrink=False)
 
 
-@pytest.mark.parametrize("machine", [Unprepared, Unaware])
-def test_a_machine_that_keeps_too_little_is_found_out(machine):
+@pytest.mark.parametrize("machine", [SentTransferNotOnDisk, AdmissionNotOnDisk])
+def test_a_host_that_stores_too_little_is_found(machine):
     with pytest.raises(AssertionError):
         explored(Surviving, machine, examples=400, shrink=False)

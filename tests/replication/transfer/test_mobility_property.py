@@ -173,7 +173,7 @@ def test_never_two_live_copies_and_none_vanishes():
     explore(Mobility, examples=120)
 
 
-class Hasty(Mobility):
+class ResumesAfterSending(Mobility):
     """Appendix I as printed: without an answer the call throws, and the coordinator continues."""
 
     def tick(self, now):
@@ -184,7 +184,7 @@ class Hasty(Mobility):
         return effects + super().tick(now)
 
 
-class Repeating(Mobility):
+class AdmitsRepeatedTransfers(Mobility):
     """Admits every transfer, also a repeated one."""
 
     def on_transfer(self, host, header, block, inject):
@@ -194,7 +194,10 @@ class Repeating(Mobility):
         return super().on_transfer(host, header, block, inject)
 
 
-@pytest.mark.parametrize(("machine", "words"), [(Hasty, "2 live copies"), (Repeating, "injected 2 times")])
-def test_a_broken_protocol_is_found_out(machine, words):
+@pytest.mark.parametrize(
+    ("machine", "words"),
+    [(ResumesAfterSending, "2 live copies"), (AdmitsRepeatedTransfers, "injected 2 times")],
+)
+def test_a_broken_transfer_protocol_is_found(machine, words):
     with pytest.raises(AssertionError, match=words):
         explore(machine, examples=1000, shrink=False)

@@ -111,7 +111,7 @@ def test_walks(start):
     assert walks(Mobility, range(start, start + 100)) > 500, "the walks must get somewhere"
 
 
-class Forgetful(Mobility):
+class ForgetsItsAnswer(Mobility):
     """Answers 'never arrived' and does not store the answer."""
 
     def on_message(self, host, message, now):
@@ -125,7 +125,7 @@ class Forgetful(Mobility):
         return super().on_message(host, message, now)
 
 
-class Trusting(Mobility):
+class TrustsARestartedReceiver(Mobility):
     """Accepts the answer of a restarted receiver about its earlier incarnation."""
 
     def on_linked(self, peer):
@@ -135,7 +135,7 @@ class Trusting(Mobility):
         return super().on_linked(peer)
 
 
-@pytest.mark.parametrize("machine", [Forgetful, Trusting])
-def test_a_subtly_broken_protocol_is_found_out(machine):
+@pytest.mark.parametrize("machine", [ForgetsItsAnswer, TrustsARestartedReceiver])
+def test_a_protocol_that_is_broken_after_restarts_is_found(machine):
     with pytest.raises(AssertionError, match=r"live copies|injected|old copy"):
         walks(machine, range(3000))

@@ -70,7 +70,7 @@ def forgotten_walkers(seed: int) -> Scenario:
     return replace(forgotten(seed), walkers=4, stay=0.2, weather=28.0, seconds=28.0)
 
 
-def silence_is_a_loss(patch: Patch) -> None:
+def no_answer_counts_as_a_loss(patch: Patch) -> None:
     def absent(
         self: Membership, answered: Any, now: float, lost_after: float, unmet: float
     ) -> UnavailableHosts:
@@ -93,7 +93,7 @@ def two_starts_on_one_host(patch: Patch) -> None:
     patch.setattr(Machine, "inject", admit_beside)
 
 
-def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
+def guards_get_heartbeats_from_a_failed_host(patch: Patch) -> None:
     enter, unlinked = Host.dispatch, HostCore.on_unlinked
 
     def breaks(self: HostCore, host: str) -> None:
@@ -112,7 +112,7 @@ def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
     patch.setattr(Host, "step", lambda self: self.dispatch() or True)
 
 
-def an_exception_loses_a_thread(patch: Patch) -> None:
+def a_reply_with_an_exception_is_dropped(patch: Patch) -> None:
     answered = HostCore.on_device_answer
 
     def lost(self: HostCore, number: int, value: Any) -> None:
@@ -122,7 +122,7 @@ def an_exception_loses_a_thread(patch: Patch) -> None:
     patch.setattr(HostCore, "on_device_answer", lost)
 
 
-def resume_after_the_point_of_no_return(patch: Patch) -> None:
+def a_sender_resumes_after_sending(patch: Patch) -> None:
     def overdue(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
@@ -130,7 +130,7 @@ def resume_after_the_point_of_no_return(patch: Patch) -> None:
     patch.setattr("lfield.replication.transfer.transfer_sender.MIN_DOUBT_TIME", 0.0)
 
 
-def no_memory_of_ids(patch: Patch) -> None:
+def a_receiver_forgets_its_answers(patch: Patch) -> None:
     def inquire(self: TransferReceiver, host: str, asked: TransferQuery) -> list[Effect]:
         refused = TransferRefused(asked.agent, asked.generation, asked.sequence, NEVER_ARRIVED, "who?")
         return [Send(host, refused)]
@@ -138,7 +138,7 @@ def no_memory_of_ids(patch: Patch) -> None:
     patch.setattr(TransferReceiver, "on_query", inquire)
 
 
-def a_restart_is_taken_for_a_proof(patch: Patch) -> None:
+def a_restart_counts_as_proof_of_absence(patch: Patch) -> None:
     take_up = TransferSender._retry
 
     def take_up_boldly(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
@@ -159,16 +159,16 @@ def _drops(patch: Patch, cls: type, name: str, states: str) -> None:
     patch.setattr(cls, name, forgets)
 
 
-def what_is_sent_is_not_on_disk(patch: Patch) -> None:
+def a_sent_transfer_is_not_on_disk(patch: Patch) -> None:
     _drops(patch, TransferSender, "_send", "PREPARED")
 
 
-def verdicts_are_not_on_disk(patch: Patch) -> None:
+def admissions_are_not_on_disk(patch: Patch) -> None:
     _drops(patch, TransferReceiver, "on_transfer", "RUN ABSENT")
     _drops(patch, TransferReceiver, "on_query", "RUN ABSENT MOVED")
 
 
-def an_answer_overtakes_its_page(patch: Patch) -> None:
+def an_admission_is_acknowledged_before_it_is_on_disk(patch: Patch) -> None:
     put = WriteAheadQueue.put
 
     def hasty(self: WriteAheadQueue, effects: Iterable[Effect], now: float) -> list[Effect]:
@@ -183,12 +183,12 @@ def an_answer_overtakes_its_page(patch: Patch) -> None:
     patch.setattr(WriteAheadQueue, "put", hasty)
 
 
-def a_call_overtakes_its_page(patch: Patch) -> None:
+def a_call_starts_before_its_checkpoint_is_on_disk(patch: Patch) -> None:
     save = Mobility.save
     patch.setattr(Mobility, "save", lambda *given: list(reversed(save(*given))))
 
 
-def a_kept_copy_runs_although_it_had_left(patch: Patch) -> None:
+def a_restarted_host_runs_a_shadow(patch: Patch) -> None:
     restore = CoordinatorCopy.restore
 
     def returns(self: CoordinatorCopy, page: CoordinatorRecord) -> None:
@@ -198,11 +198,11 @@ def a_kept_copy_runs_although_it_had_left(patch: Patch) -> None:
     patch.setattr(CoordinatorCopy, "restore", returns)
 
 
-def a_journal_is_no_memory(patch: Patch) -> None:
+def answers_from_the_journal_are_not_accepted(patch: Patch) -> None:
     patch.setattr(Hello, "state_id", property(lambda self: self.incarnation))
 
 
-def generations_from_the_wall_clock(patch: Patch) -> None:
+def start_numbers_come_from_the_wall_clock(patch: Patch) -> None:
     begin = Startup.__init__
 
     def with_clock(self: Startup, context: HostContext, *more: Any) -> None:
@@ -213,13 +213,13 @@ def generations_from_the_wall_clock(patch: Patch) -> None:
     patch.setattr(StartGate, "next_generation", property(lambda self: int(self.clock.time())))
 
 
-def nobody_asks_over_other_hosts(patch: Patch) -> None:
+def queries_are_not_relayed(patch: Patch) -> None:
     patch.setattr(QueryRelay, "arm", lambda self: None)
 
 
 BUGS = [
     Bug(
-        silence_is_a_loss,
+        no_answer_counts_as_a_loss,
         "a host without an answer counts as lost: one cut link makes a live coordinator 'lost'",
         frozenset({"lost", "stuck"}),
         775,
@@ -232,80 +232,80 @@ BUGS = [
         draws=forgotten_walkers,
     ),
     Bug(
-        a_pump_dies_while_guards_are_fed,
+        guards_get_heartbeats_from_a_failed_host,
         "the host's event loop ends with an exception, and heartbeats to the guards continue",
         frozenset({"stuck", "device", "doubt"}),
         2,
     ),
     Bug(
-        an_exception_loses_a_thread,
+        a_reply_with_an_exception_is_dropped,
         "a reply that is an exception is dropped: its thread waits without end",
         frozenset({"stuck"}),
         2,
     ),
     Bug(
-        resume_after_the_point_of_no_return,
+        a_sender_resumes_after_sending,
         "appendix I as printed: a sender resumes after sending, although the copy may have arrived",
         frozenset({"I1", "I4"}),
         3,
     ),
     Bug(
-        no_memory_of_ids,
+        a_receiver_forgets_its_answers,
         "a receiver forgets its answers and reports an admitted transfer as not arrived",
         frozenset({"I1", "I4"}),
         12,
     ),
     Bug(
-        a_restart_is_taken_for_a_proof,
+        a_restart_counts_as_proof_of_absence,
         "the restart of a receiver counts as proof that the coordinator did not run there before",
         frozenset({"I1", "I4"}),
         652,
     ),
     Bug(
-        what_is_sent_is_not_on_disk,
+        a_sent_transfer_is_not_on_disk,
         "the sender's record of a transfer is not on disk: after a restart it resumes the sent copy",
         frozenset({"I1", "I4", "start"}),
         12,
     ),
     Bug(
-        verdicts_are_not_on_disk,
+        admissions_are_not_on_disk,
         "the receiver's record of an admission is not on disk: after a restart the coordinator is missing",
         frozenset({"I5", "I1", "I4", "I2", "stuck"}),
         2,
     ),
     Bug(
-        an_answer_overtakes_its_page,
+        an_admission_is_acknowledged_before_it_is_on_disk,
         "an admission is acknowledged before its record is on disk",
         frozenset({"I5", "I1", "I4", "I2", "stuck"}),
         7,
     ),
     Bug(
-        a_call_overtakes_its_page,
+        a_call_starts_before_its_checkpoint_is_on_disk,
         "a call starts before the checkpoint of its caller is on disk",
         frozenset({"I4", "I5"}),
         566,
     ),
     Bug(
-        a_kept_copy_runs_although_it_had_left,
+        a_restarted_host_runs_a_shadow,
         "a restarted host runs the shadow of a coordinator that has migrated",
         frozenset({"I1", "I4"}),
         2,
     ),
     Bug(
-        a_journal_is_no_memory,
+        answers_from_the_journal_are_not_accepted,
         "senders do not accept answers from the journal of a restarted receiver",
         frozenset({"stuck"}),
         19,
     ),
     Bug(
-        generations_from_the_wall_clock,
+        start_numbers_come_from_the_wall_clock,
         "start numbers come from the wall clock: after it is set back, a later start has a smaller number",
         frozenset({"start", "I1", "I2"}),
         50,
         draws=forgetful,
     ),
     Bug(
-        nobody_asks_over_other_hosts,
+        queries_are_not_relayed,
         "queries are not relayed: two hosts with a common neighbour leave a coordinator in doubt",
         frozenset({"doubt"}),
         4,

@@ -40,7 +40,7 @@ def a_pause_is_forgotten_by_a_restart(patch: Patch) -> None:
     patch.setattr(operator_commands, "PauseFlag", lambda on, order: PauseFlag(False, order))
 
 
-def a_stop_bars_nobody(patch: Patch) -> None:
+def a_program_can_release_during_a_stop(patch: Patch) -> None:
     def bar(self: DeviceGuards, reason: str) -> None:
         for guard in self._guards:
             for name in guard.actuated_devices:
@@ -49,7 +49,7 @@ def a_stop_bars_nobody(patch: Patch) -> None:
     patch.setattr(DeviceGuards, "inhibit", bar)
 
 
-def a_pause_leaves_devices_alone(patch: Patch) -> None:
+def a_pause_does_not_make_devices_safe(patch: Patch) -> None:
     async def rest(self: DeviceGuards, reason: str) -> dict[str, str]:
         return {name: "" for guard in self._guards for name in guard.actuated_devices}
 
@@ -70,7 +70,7 @@ def hasty(seed: int) -> Scenario:
     return replace(story, cast=2, hosts=2, means={}, aimed=tuple(aimed), weather=25.0, seconds=25.0)
 
 
-def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
+def a_delayed_order_ends_a_newer_stop(patch: Patch) -> None:
     standing = ExecutedOrders.standing_of
 
     def any_epoch(self: ExecutedOrders, kind: OrderKind, id: bytes, epoch: bytes) -> OrderStanding:
@@ -80,7 +80,7 @@ def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
     patch.setattr(ExecutedOrders, "standing_of", any_epoch)
 
 
-def a_coordinator_that_was_given_up_continues(patch: Patch) -> None:
+def a_forgotten_coordinator_continues(patch: Patch) -> None:
     def forget(self: Mobility, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
         doubted = [
             copy for copy in self._copies.starts_of(agent) if copy.doubt_reason and copy.state == "PREPARED"
@@ -94,7 +94,7 @@ def a_coordinator_that_was_given_up_continues(patch: Patch) -> None:
     patch.setattr(Mobility, "declare_lost", forget)
 
 
-def only_neighbours_are_called(patch: Patch) -> None:
+def transfers_are_not_relayed(patch: Patch) -> None:
     def wanted(self: HostCore) -> set[str]:
         return {*self.membership.overlay_links(self._clock.monotonic())} - {self.name}
 
@@ -119,24 +119,31 @@ ORDER_BUGS = [
         "pause",
         1,
     ),
-    _bug(a_stop_bars_nobody, "a program can release a device during an emergency stop", "stop", 13),
-    _bug(a_pause_leaves_devices_alone, "a pause does not put devices into their safe states", "pause", 9),
     _bug(
-        an_order_that_comes_late_ends_a_newer_stop,
+        a_program_can_release_during_a_stop,
+        "a program can release a device during an emergency stop",
+        "stop",
+        13,
+    ),
+    _bug(
+        a_pause_does_not_make_devices_safe, "a pause does not put devices into their safe states", "pause", 9
+    ),
+    _bug(
+        a_delayed_order_ends_a_newer_stop,
         "a delayed lift ends a newer emergency stop",
         "stop",
         0,
         hasty,
     ),
     _bug(
-        a_coordinator_that_was_given_up_continues,
+        a_forgotten_coordinator_continues,
         "a coordinator continues after 'lfield forget'",
         "forget",
         1,
         wrecked,
     ),
     _bug(
-        only_neighbours_are_called,
+        transfers_are_not_relayed,
         "transfers are not relayed: a coordinator never reaches a host without a direct link",
         "reach",
         0,

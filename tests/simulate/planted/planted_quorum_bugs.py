@@ -33,11 +33,11 @@ MEETING = 199
 TWO_ACT = frozenset({"I1", "I4", "start"})
 
 
-def an_acknowledgement_without_the_fence(patch: Patch) -> None:
+def acknowledgements_omit_the_fence(patch: Patch) -> None:
     _answers(patch, lambda self, host, message: [])
 
 
-def fences_told_once_and_lost_with_their_link(patch: Patch) -> None:
+def a_fence_is_sent_once_and_lost_with_its_link(patch: Patch) -> None:
     told: set[tuple[int, str, int]] = set()
 
     def fences(self: Quorum, host: str, message: Heartbeat) -> list[Any]:
@@ -77,11 +77,11 @@ def _answers(patch: Patch, fences: Any) -> None:
     patch.setattr(Quorum, "_on_heartbeat", answers)
 
 
-def no_wait_after_the_promises(patch: Patch) -> None:
+def a_failover_does_not_wait_for_granted_leases(patch: Patch) -> None:
     patch.setattr(QuorumMembers, "grace_period", property(lambda self: 0.0))
 
 
-def a_wait_that_is_shorter_than_the_lease(patch: Patch) -> None:
+def a_failover_waits_less_than_a_lease(patch: Patch) -> None:
     patch.setattr(QuorumMembers, "grace_period", property(lambda self: 0.1 * self.lease))
 
 
@@ -98,7 +98,7 @@ def the_fence_is_not_on_disk(patch: Patch) -> None:
     patch.setattr(WriteAheadQueue, "put", forgets)
 
 
-def the_promises_of_a_minority(patch: Patch) -> None:
+def a_minority_of_promises_is_enough(patch: Patch) -> None:
     begin = Failover.__init__
 
     class Few(QuorumMembers):
@@ -111,7 +111,7 @@ def the_promises_of_a_minority(patch: Patch) -> None:
     patch.setattr(Failover, "__init__", with_few)
 
 
-def the_first_acknowledgement_is_enough(patch: Patch) -> None:
+def one_acknowledgement_renews_a_lease(patch: Patch) -> None:
     """Of two groups of a team each goes on with the lease, as long as one other of its group answers."""
 
     def count(self: Lease) -> None:
@@ -122,7 +122,7 @@ def the_first_acknowledgement_is_enough(patch: Patch) -> None:
     patch.setattr(Lease, "_update", count)
 
 
-def running_without_a_lease(patch: Patch) -> None:
+def a_coordinator_runs_without_a_lease(patch: Patch) -> None:
     def may_act(self: Quorum, agent: str, generation: int, now: float) -> bool:
         return not self.is_fenced(agent, generation)
 
@@ -140,26 +140,30 @@ def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = doubted) -> B
 
 QUORUM_BUGS = [
     _bug(
-        an_acknowledgement_without_the_fence,
+        acknowledgements_omit_the_fence,
         "acknowledgements omit the fence: a host keeps its lease although its coordinator is fenced",
         95,
     ),
     _bug(
-        no_wait_after_the_promises,
+        a_failover_does_not_wait_for_granted_leases,
         "a failover does not wait for leases that its voters have granted before",
         61,
     ),
-    _bug(a_wait_that_is_shorter_than_the_lease, "a failover waits less than a lease", 67),
-    _bug(the_promises_of_a_minority, "the promises of a minority are enough for a failover", 116),
+    _bug(a_failover_waits_less_than_a_lease, "a failover waits less than a lease", 67),
+    _bug(a_minority_of_promises_is_enough, "the promises of a minority are enough for a failover", 116),
     _bug(
-        the_first_acknowledgement_is_enough,
+        one_acknowledgement_renews_a_lease,
         "one acknowledgement renews a lease, also in a team of more than three members",
         25,
         split,
     ),
-    _bug(running_without_a_lease, "a coordinator runs without a lease, beside its recovered copy", 101),
     _bug(
-        fences_told_once_and_lost_with_their_link,
+        a_coordinator_runs_without_a_lease,
+        "a coordinator runs without a lease, beside its recovered copy",
+        101,
+    ),
+    _bug(
+        a_fence_is_sent_once_and_lost_with_its_link,
         "a fence is sent only once and is lost with the link",
         0,
         interrupted,

@@ -14,7 +14,7 @@ from lfield.host.team.reservations import Reservations, StartKey
 from simulation_testing.scenarios.scenario import Scenario, doubted, keeper
 
 
-def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
+def a_reservation_number_is_granted_before_it_is_on_disk(patch: Patch) -> None:
     write = ReservationService._write
 
     def boldly(self: ReservationService, effect: Any) -> None:
@@ -25,7 +25,7 @@ def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
     patch.setattr(ReservationService, "_write", boldly)
 
 
-def no_wait_after_a_restart(patch: Patch) -> None:
+def a_restarted_host_grants_without_waiting(patch: Patch) -> None:
     restore = Reservations.restore
 
     def free(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
@@ -34,7 +34,7 @@ def no_wait_after_a_restart(patch: Patch) -> None:
     patch.setattr(Reservations, "restore", free)
 
 
-def a_stale_holder_renews(patch: Patch) -> None:
+def an_expired_holder_renews(patch: Patch) -> None:
     def renew(self: Reservations, start: StartKey, resource: str, number: int, now: float) -> None:
         found = self._find(resource, now)
         if found.number >= number:
@@ -48,7 +48,7 @@ def a_stale_holder_renews(patch: Patch) -> None:
     patch.setattr(Reservations, "renew", renew)
 
 
-def numbers_begin_again(patch: Patch) -> None:
+def reservation_numbers_restart_at_1(patch: Patch) -> None:
     def nothing(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
         """Nothing is known of earlier lives."""
         self._first = 1
@@ -56,7 +56,7 @@ def numbers_begin_again(patch: Patch) -> None:
     patch.setattr(Reservations, "restore", nothing)
 
 
-def any_number_will_do(patch: Patch) -> None:
+def reservation_numbers_are_not_checked(patch: Patch) -> None:
     serves = Reservations.may_serve
 
     def whoever(
@@ -67,15 +67,15 @@ def any_number_will_do(patch: Patch) -> None:
     patch.setattr(Reservations, "may_serve", whoever)
 
 
-def it_is_given_while_others_are_at_work(patch: Patch) -> None:
+def a_reservation_is_granted_while_other_calls_run(patch: Patch) -> None:
     patch.setattr(ReservationService, "_busy", lambda self, resource, agent: False)
 
 
-def who_only_calls_need_not_ask(patch: Patch) -> None:
+def a_call_without_a_reservation_starts(patch: Patch) -> None:
     patch.setattr(Reservations, "is_contended", lambda self, resource: False)
 
 
-def a_fence_ends_it_before_it_is_on_disk(patch: Patch) -> None:
+def a_reservation_ends_before_the_fence_is_on_disk(patch: Patch) -> None:
     patch.setattr(WriteAheadQueue, "is_pending_durable", lambda self, agent: False)
 
 
@@ -105,44 +105,49 @@ def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
 
 RESERVE_BUGS = [
     _bug(
-        a_number_is_told_before_it_is_kept,
+        a_reservation_number_is_granted_before_it_is_on_disk,
         "a reservation number is granted before it is on disk: a restarted host grants it again",
         "given",
         0,
     ),
     _bug(
-        no_wait_after_a_restart,
+        a_restarted_host_grants_without_waiting,
         "a restarted host grants a resource without waiting for the lease of its holder",
         "reserved robbed",
         23,
     ),
     _bug(
-        a_stale_holder_renews,
+        an_expired_holder_renews,
         "an expired holder can renew its reservation although another one holds it",
         "reserved robbed stale",
         151,
     ),
-    _bug(numbers_begin_again, "reservation numbers restart at 1 after a restart", "number robbed", 1),
     _bug(
-        any_number_will_do,
+        reservation_numbers_restart_at_1,
+        "reservation numbers restart at 1 after a restart",
+        "number robbed",
+        1,
+    ),
+    _bug(
+        reservation_numbers_are_not_checked,
         "the reservation number of a call is not checked: a former holder can call",
         "stale reserved",
         20,
     ),
     _bug(
-        it_is_given_while_others_are_at_work,
+        a_reservation_is_granted_while_other_calls_run,
         "a reservation is granted while calls of other coordinators are running",
         "busy",
         1,
     ),
     _bug(
-        who_only_calls_need_not_ask,
+        a_call_without_a_reservation_starts,
         "a call without a reservation starts while another coordinator holds one",
         "reserved",
         1,
     ),
     Bug(
-        a_fence_ends_it_before_it_is_on_disk,
+        a_reservation_ends_before_the_fence_is_on_disk,
         "the reservation of a fenced start ends before the fence is on disk: a restarted host gives it back",
         frozenset({"reserved"}),
         6,

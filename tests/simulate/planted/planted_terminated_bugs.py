@@ -31,13 +31,13 @@ def _no_ends_in_answers(patch: Patch) -> None:
     patch.setattr(Mobility, "on_states", without_ends)
 
 
-def an_end_is_like_nothing_known(patch: Patch) -> None:
+def a_termination_is_not_reported(patch: Patch) -> None:
     """A coordinator that has terminated looks like one of which nothing is known."""
     _no_ends_in_answers(patch)
     patch.setattr(TeamLeases, "_termination_checkpoint", lambda self, agent: None)
 
 
-def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
+def a_vote_ignores_a_termination(patch: Patch) -> None:
     """Acknowledgements report it, but a vote does not consider it."""
     _no_ends_in_answers(patch)
     on_propose, sought = Quorum._on_propose, Quorum._locate
@@ -53,11 +53,11 @@ def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
     patch.setattr(TerminationLog, "all", property(lambda self: []))
 
 
-def an_end_is_told_before_it_is_on_disk(patch: Patch) -> None:
+def a_termination_is_sent_before_it_is_on_disk(patch: Patch) -> None:
     patch.setattr(WriteAheadQueue, "durable_states", lambda self, rows, here: list(rows))
 
 
-def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
+def a_termination_is_stored_despite_a_promise(patch: Patch) -> None:
     """It becomes final while the recovery that was promised begins, and its proposer is not told."""
     patch.setattr(TerminationLog, "is_delayed", lambda self, ended, now: False)
     patch.setattr(TerminationLog, "all", property(lambda self: []))
@@ -85,17 +85,22 @@ def slowly(seed: int) -> Scenario:
 
 TERMINATED_BUGS = [
     _bug(
-        an_end_is_like_nothing_known, "a host that has a termination answers like one that has none", 99, calm
+        a_termination_is_not_reported,
+        "a host that has a termination answers like one that has none",
+        99,
+        calm,
     ),
     _bug(
-        a_promise_in_spite_of_a_known_end,
+        a_vote_ignores_a_termination,
         "a vote for a failover ignores a known termination",
         99,
         calm,
     ),
-    _bug(an_end_is_told_before_it_is_on_disk, "a termination is sent before it is on disk", 184, slowly),
     _bug(
-        an_end_is_written_down_in_spite_of_a_promise,
+        a_termination_is_sent_before_it_is_on_disk, "a termination is sent before it is on disk", 184, slowly
+    ),
+    _bug(
+        a_termination_is_stored_despite_a_promise,
         "a termination is stored although a failover has been promised",
         41,
     ),

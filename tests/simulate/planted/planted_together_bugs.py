@@ -17,7 +17,7 @@ from lfield.vm.together.itinerary import Itinerary
 from simulation_testing.scenarios.scenario import crew, racer
 
 
-def a_result_is_told_before_it_is_kept(patch: Patch) -> None:
+def a_result_is_returned_before_it_is_on_disk(patch: Patch) -> None:
     came_back = PendingCallStore.on_call_completed
 
     def boldly(self: PendingCallStore, begun: PendingCall) -> None:
@@ -27,18 +27,18 @@ def a_result_is_told_before_it_is_kept(patch: Patch) -> None:
     patch.setattr(PendingCallStore, "on_call_completed", boldly)
 
 
-def what_is_begun_is_not_on_disk(patch: Patch) -> None:
+def the_start_of_a_call_is_not_on_disk(patch: Patch) -> None:
     def begins(self: PendingCallStore, agent: Agent, calls: Sequence[Any]) -> bool:
         return self._leases.may_start_call(agent)
 
     patch.setattr(PendingCallStore, "may_start_calls", begins)
 
 
-def a_fence_cancels_nothing(patch: Patch) -> None:
+def a_fence_does_not_cancel_calls(patch: Patch) -> None:
     patch.setattr(PendingCallStore, "_end_reason", lambda self, start: "")
 
 
-def a_result_goes_before_its_coordinators_page(patch: Patch) -> None:
+def a_result_is_deleted_before_its_checkpoint_is_on_disk(patch: Patch) -> None:
     def look(self: PendingCallStore, now: float) -> None:
         for agent in self._machine.agents.values():
             self._delete(agent.fetched)
@@ -46,11 +46,11 @@ def a_result_goes_before_its_coordinators_page(patch: Patch) -> None:
     patch.setattr(PendingCallStore, "on_tick", look)
 
 
-def who_may_have_begun_begins_again(patch: Patch) -> None:
+def an_interrupted_call_is_started_again(patch: Patch) -> None:
     patch.setattr(Itinerary, "may_continue", lambda self, agent: True)
 
 
-def a_begun_call_knows_no_time_limit(patch: Patch) -> None:
+def a_started_call_has_no_time_limit(patch: Patch) -> None:
     patch.setattr(Deadlines, "schedule_cancel", lambda self, agent, resource, begun: None)
 
 
@@ -70,37 +70,37 @@ def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
 
 TOGETHER_BUGS = [
     _bug(
-        a_result_is_told_before_it_is_kept,
+        a_result_is_returned_before_it_is_on_disk,
         "a result is returned before its record is on disk",
         "told",
         0,
     ),
     _bug(
-        what_is_begun_is_not_on_disk,
+        the_start_of_a_call_is_not_on_disk,
         "the start of a call is not on disk: a restarted host does not know that it was running",
         "begun told I5",
         0,
     ),
     _bug(
-        a_fence_cancels_nothing,
+        a_fence_does_not_cancel_calls,
         "a fence does not cancel the calls of the fenced start",
         "outlives",
         17,
     ),
     _bug(
-        a_result_goes_before_its_coordinators_page,
+        a_result_is_deleted_before_its_checkpoint_is_on_disk,
         "a result is deleted before the checkpoint of its coordinator is on disk",
         "result",
         2,
     ),
     _bug(
-        who_may_have_begun_begins_again,
+        an_interrupted_call_is_started_again,
         "a call that was running when its host failed is started again",
         "I4",
         2,
     ),
     _bug(
-        a_begun_call_knows_no_time_limit,
+        a_started_call_has_no_time_limit,
         "a started call has no time limit: it continues on an unreachable host after its 'within' has ended",
         "outlives",
         91,

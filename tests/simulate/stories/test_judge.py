@@ -24,7 +24,7 @@ from lfield.simulate.host_fleet import Fleet
 from lfield.vm.memory.layout import W_GENERATION
 from simulation_testing.invariants.durability import last_location, unsaved_starts
 from simulation_testing.invariants.run_judge import RunJudge
-from simulation_testing.scenarios.scenario import FOR_EVER, crew, fenced, keeper
+from simulation_testing.scenarios.scenario import FOR_EVER, crew, fenced, keeper, racer
 from simulation_testing.scenarios.scenario_drawing import draw_scenario
 from simulation_testing.scenarios.scenario_run import run_scenario
 from simulation_testing.scenarios.scenario_shrinker import command, shrink_scenario
@@ -53,6 +53,20 @@ def test_stories_of_crews_keep_every_promise() -> None:
         recovered += verdict.recovered
     assert calls > 200
     assert recovered > 0
+
+
+def test_stories_of_racers_keep_every_promise() -> None:
+    recovered = 0
+    ways = Counter[str]()
+    for seed in range(12):
+        verdict = run_scenario(racer(seed), keep_log=True)
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        recovered += verdict.recovered
+        lines = [text.split() for _, _, text in verdict.log]
+        ways.update(words[words.index("closes") + 3] for words in lines if "closes" in words)
+    assert recovered > 0
+    assert ways["won"] > 20
+    assert {"won", "came-back", "late", "failed", "restarted"} <= ways.keys()
 
 
 @pytest.mark.few(0)

@@ -8,12 +8,12 @@ from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.encoding import decode, encode
 from lfield.replay.debugger.value_tree import ValueReader
 from lfield.testing.golden import compile_text, run_text
-from lfield.testing.mission.value_conversion import EncodedValue, values_of
 from lfield.vm.agent import TeamMember
 from lfield.vm.inspection.block_view import view
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
+from lfield.vm.person_calls.value_conversion import EncodedValue, values_of
 
 TEXT = """
 class Place { public real north; public Place(real n) { north = n; } }

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import pytest
+from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
 from msgspec.structs import replace
 
 from lfield.bytecode.disassembler import disassemble
@@ -10,13 +14,16 @@ from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.program import INT, Program, TypeRecord
 from lfield.bytecode.verifier import verify
 from lfield.errors import ProgramFileError
+from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression, WatchScope
+from lfield.replay.debugger.moment import Moment
 from lfield.replay.debugger.value_tree import ValueReader
 from lfield.testing.golden import compile_text, run_text
-from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
 from lfield.vm.inspection.block_view import view
+from lfield.vm.inspection.traceback import stack
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
+from lfield.vm.memory.threads import threads
 
 TEXT = """
 enum Phase { SEARCH, LIFT, HOME }
@@ -69,8 +76,38 @@ def test_a_debugger_has_types_and_names() -> None:
     types = {field.name: field.type for field in record.fields}
     assert [reader.type_name(types[name]) for name in ("now", "all", "number")] == ["Phase", "Phase[]", "int"]
     assert reader.variable("now", types["now"], 2).value == "HOME"
-    assert reader.plain((types["now"], 1)) == "LIFT"
+    assert str(reader.plain((types["now"], 1))) == "LIFT"
+    home, search = (reader.plain((types["now"], number)) for number in (2, 0))
+    assert home > search  # type: ignore[operator]
+    assert not home <= search  # type: ignore[operator]
     assert reader.plain((types["number"], 1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("held == Phase.HOME", True),
+        ("held == Phase.LIFT || now == Phase.LIFT", True),
+        ("now < held && Phase.SEARCH < now", True),
+        ("all[1] == Phase.SEARCH", True),
+        ("number == 2", True),
+    ],
+)
+def test_an_expression_of_a_debugger_has_members(text: str, value: object) -> None:
+    machine, block = running()
+    table = SimpleNamespace(program=machine.program)
+    moment = SimpleNamespace(table=table, agents=machine.agents)
+    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
+    assert WatchExpression(text).value(WatchScope(cast(Moment, moment), frames)) == value
+
+
+def test_an_expression_of_a_debugger_refuses_other_types() -> None:
+    machine, block = running()
+    moment = SimpleNamespace(table=SimpleNamespace(program=machine.program), agents=machine.agents)
+    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
+    for text in ("held == 2", 'held == "HOME"'):
+        with pytest.raises(ValueUnknown):
+            WatchExpression(text).value(WatchScope(cast(Moment, moment), frames))
 
 
 def test_a_test_of_a_mission_has_names() -> None:

@@ -53,8 +53,8 @@ def _checked(body: BodyContext, raw: syntax.Call, constraint: tree.Expr) -> tree
     if query is None:
         _report_computed(body, constraint)
         return constraint
-    if "$" in query.text:
-        return with_parameters(body, raw, query) or constraint
+    if "$" in query.text and (given := with_parameters(body, raw, query)) is not None:
+        return given
     is_joined = len(query.pieces) > 1
     if is_joined and all(piece.span.text.startswith('"') for _, piece in query.pieces):
         return constraint  # A sum of literals is checked when it is asked, as in programs of 0.4.

@@ -35,7 +35,7 @@ _SORTS: Mapping[Type, PlaceholderSort] = {
 
 
 def with_parameters(body: BodyContext, raw: syntax.Call, query: QueryText) -> tree.Expr | None:
-    """The argument of a query whose text has placeholders; None if it has none, or has mistakes."""
+    """The argument of a query whose text has placeholders; None if it has none."""
     types = body.symbols.capabilities
     assert types is not None
     read = types.placeholders(query.text)
@@ -45,7 +45,9 @@ def with_parameters(body: BodyContext, raw: syntax.Call, query: QueryText) -> tr
     for one in read.quoted:
         if is_variable(body, one.path):
             body.report(messages.QUOTED_PARAMETER, query.place(one.start, one.end), name=one.path)
-    if not read.placeholders or read.mistakes:
+    if read.mistakes:
+        return unknown(raw.span)
+    if not read.placeholders:
         return None
     values = {one.path: _value(body, one.path, query.place(one.start, one.end)) for one in read.placeholders}
     sorts = {path: _sort(body, value) for path, value in values.items()}
@@ -59,13 +61,13 @@ def _compiled(
     values: Mapping[str, tree.Expr],
     sorts: Mapping[str, PlaceholderSort],
     types: CapabilityTypes,
-) -> tree.Expr | None:
+) -> tree.Expr:
     compiled = types.compile_query(query.text, sorts)
     for problem in compiled.mistakes:
         place = query.place(problem.start, problem.end)
         body.report(messages.CONSTRAINT, place, hint=problem.hint, problem=problem.message)
     if compiled.mistakes or "nothing" in sorts.values():
-        return None
+        return unknown(raw.span)
     span = query.pieces[0][1].span.to(query.pieces[-1][1].span)
     parts: list[str | tree.Expr] = [compiled.text + _SEPARATOR]
     for value in compiled.values:

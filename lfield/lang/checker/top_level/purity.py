@@ -34,6 +34,9 @@ def check_purity(symbols: Symbols, function: Function) -> None:
     """Report what is not pure in the checked body of a function."""
     name = function.head.name
     changes = _Changes(function.head)
+    for statement in all_statements(function.head.body):
+        if isinstance(statement, tree.WaitUntil):
+            symbols.report(messages.IMPURE, statement.span, function=name, what=_THREADS)
     for expr in _expressions(function.head.body):
         if (what := _effect(expr)) is not None:
             symbols.report(messages.IMPURE, _place(expr), function=name, what=what)

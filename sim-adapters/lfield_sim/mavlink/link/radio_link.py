@@ -27,6 +27,7 @@ LINK_FAULTS = (
     Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
     Fault("wind_from", 0.0, "direction that it comes from, rad clockwise from north", -math.tau, math.tau),
     Fault("gusts", 0.0, "m/s that gusts add at most", 0.0, 40.0),
+    Fault("ground", 1.0, "share of its speed that the ground permits a rover", 0.1, 1.0),
     Fault("north", 0.0, "its position in m north of the common starting point", -1e4, 1e4),
     Fault("east", 0.0, "m east of it", -1e4, 1e4),
     Fault("warm_up", 0.0, "seconds after a start until it is healthy", 0.0, 600.0),

@@ -1,4 +1,4 @@
-"""Converts portal arguments, results and exceptions between blocks and Python, for tests of missions.
+"""Converts portal arguments, results and exceptions between blocks and Python.
 
     L                       Python
     int, real, boolean      int, float, bool
@@ -30,7 +30,6 @@ from lfield.bytecode.program import (
     FieldRecord,
     Program,
 )
-from lfield.testing.mission.double_answers import LObject
 from lfield.vm.inspection import traceback
 from lfield.vm.inspection.block_view import entry_types, is_map_class, map_entries
 from lfield.vm.memory import layout
@@ -38,6 +37,7 @@ from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
 from lfield.vm.memory.word_codec import bits_of_real, real_from_bits
+from lfield.vm.person_calls.l_object import LObject
 
 #: Initial size of a new block, in words.
 INITIAL_BLOCK_SIZE = 512
@@ -70,8 +70,14 @@ def type_text(program: Program, kind: int) -> str:
 
 def thrown_of(block: Block, program: Program, place: int) -> str:
     """The exception at a place, as `Kind: message`; only the class for the program's own classes."""
-    kind, message, _ = traceback.describe(block, program, place)
+    kind, message = thrown_parts(block, program, place)
     return f"{kind}: {message}" if message else kind
+
+
+def thrown_parts(block: Block, program: Program, place: int) -> tuple[str, str]:
+    """The class of the exception at a place, and its message; '' for the program's own classes."""
+    kind, message, _ = traceback.describe(block, program, place)
+    return kind, message
 
 
 class _Reader:

@@ -1,0 +1,45 @@
+"""The referee of a plane with a ball: kick-off when both teams are ready, time and score. Pure.
+
+A request is a line, and so is its answer:
+
+    ?              its state: names and numbers
+    ready SIDE     a team that plays to the north or south is ready; `ok` after the kick-off, else `wait`
+"""
+
+from __future__ import annotations
+
+from lfield_arena.field import Field
+
+SIDES = ("north", "south")
+#: Its number on the plane; robots have numbers from 1 on.
+REFEREE = 0
+
+
+class Referee:
+    """The referee of one field. Until the kick-off no robot moves, and no time counts."""
+
+    def __init__(self, field: Field) -> None:
+        self._field = field
+
+    def place(self) -> tuple[float, float, float]:
+        """Where it stands: beside the pitch."""
+        return 0.0, -2.0, 0.0
+
+    def step(self, seconds: float) -> None:
+        """It does not move."""
+
+    def answer(self, line: str) -> str:
+        """The answer to a request."""
+        command, *rest = line.split() or [""]
+        if command == "?":
+            return self._state()
+        if command == "ready" and rest and rest[0] in SIDES:
+            self._field.ready.add(rest[0])
+            return "ok" if self._field.plays else "wait"
+        # Faults of its fake.
+        return "ok" if command == "wrong" else "what?"
+
+    def _state(self) -> str:
+        goals = self._field.ball.goals if self._field.ball is not None else [0, 0]
+        state = {"now": self._field.now, "north_goals": goals[0], "south_goals": goals[1]}
+        return " ".join(f"{name} {float(value):.6f}" for name, value in state.items())

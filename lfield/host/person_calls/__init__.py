@@ -1,0 +1,1 @@
+"""Portal calls of persons to the resources of a host."""

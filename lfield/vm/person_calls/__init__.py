@@ -1,0 +1,1 @@
+"""Portal calls of persons: values of L in Python, and calls without a coordinator."""

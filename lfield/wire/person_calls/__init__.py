@@ -1,0 +1,1 @@
+"""Messages of persons who call portals."""

@@ -1,0 +1,82 @@
+"""The programs of the page about `lfield.client`, as processes beside real hosts."""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+
+import pytest
+from client_pages import program_of_page
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Crane {
+    init(string[] arg) { }
+    portal hoist(real height) emit real { return height; }
+    portal sink(real height) emit real { return height; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Lift[] all = findLift();
+        Crane[] cranes = findCrane();
+        for (int n = 0; n < 4; n = n + 1) cranes[n % 2].hoist(1.0);
+        sleep(PAUSE);
+    }
+}
+"""
+DEPLOYMENT = "//Crane:near@alpha\n//Crane:far@bravo\n//Boss:boss@alpha\n"
+CAPABILITIES = """
+registry: 1
+providers:
+  Crane:
+    attributes: {payload: 50.0}
+    serves: {Lift: {portals: {lift: hoist, lower: sink}}}
+"""
+
+
+def run_program(lfield, name: str, *words: object, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    file = lfield.write(name, program_of_page(name))
+    return subprocess.run(
+        [sys.executable, file, *map(str, words)],
+        cwd=lfield.folder,
+        env={**lfield.environment, **env},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_a_query_prints_offers_and_reasons(lfield, alone) -> None:
+    lfield.write("mission.capabilities.yaml", CAPABILITIES)
+    mission = lfield.mission(PROGRAM.replace("PAUSE", "600.0"), DEPLOYMENT)
+    team = lfield.start("up", "--all", "--sim", mission, env=alone)
+    team.wait_for("link to .* established")
+    ended = run_program(lfield, "offers.py", mission, "Lift where payload >= 20.0", env=alone)
+    assert ended.returncode == 0, ended.stderr
+    assert {tuple(line.split()[:2]) for line in ended.stdout.splitlines()} == {
+        ("near", "alpha"),
+        ("far", "bravo"),
+    }
+    ended = run_program(lfield, "offers.py", mission, "Lift where payload >= 99.0", env=alone)
+    assert ended.returncode == 0, ended.stderr
+    assert [line.partition(":")[0] for line in ended.stdout.splitlines()] == ["near", "far"]
+
+
+def test_events_are_written_until_the_mission_is_done(lfield, alone) -> None:
+    lfield.write("mission.capabilities.yaml", CAPABILITIES)
+    mission = lfield.mission(PROGRAM.replace("PAUSE", "5.0"), DEPLOYMENT)
+    team = lfield.start("up", "--all", "--sim", mission, env=alone)
+    team.wait_for("listening")
+    ended = run_program(lfield, "hops.py", mission, "hops.csv", env=alone)
+    assert ended.returncode == 0, ended.stderr
+    with (lfield.folder / "hops.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["agent"], row["to"]) for row in rows] == [
+        ("boss", "bravo"),
+        ("boss", "alpha"),
+        ("boss", "bravo"),
+    ]
+    assert all(float(row["seconds"]) > 0 for row in rows)

@@ -1,0 +1,74 @@
+"""Loops of resources in editors: layout, outline, hover, completion, renaming."""
+
+from __future__ import annotations
+
+import pytest
+from sample_mission import FOLDER, MemoryFiles
+
+from lfield.editor.installed import InstalledEnvironment
+from lfield.editor.layout.formatter import format_program
+from lfield.editor.workspace import Workspace
+from lfield.text.source_text import Source
+
+MISSION = FOLDER / "mission.L"
+PROGRAM = """resource Cart {
+    boolean near;
+    init(string[] arg) { }
+
+    // Stops before people.
+    loop stop at 20.0 priority 2 when (near) {
+        int steps = stop.overruns();
+        near = steps > 3;
+    }
+    loop patrol every 5.0 { if (!stop.running()) near = true; }
+    portal state() emit boolean { return stop.running(); }
+}
+coordinator Boss { init(string[] arg) { } }
+"""
+
+
+@pytest.fixture
+def workspace() -> Workspace:
+    made = Workspace(MemoryFiles({"mission.L": PROGRAM}), InstalledEnvironment())
+    made.put(MISSION, PROGRAM)
+    return made
+
+
+def test_the_head_of_a_loop_has_the_layout_of_other_heads() -> None:
+    text = "resource R{\nloop  a at(3+n)*2 priority - 2 when( b&&c ){at=-1;priority=n - 1;}\n"
+    text += "loop b every 0.1{\n}\nprivate int when (int at){return at;}\n}\n"
+    once = format_program(Source("p.L", text))
+    assert once == (
+        "resource R {\n    loop a at (3 + n) * 2 priority -2 when (b && c) { at = -1; priority = n - 1; }\n"
+        "    loop b every 0.1 {\n    }\n    private int when(int at) { return at; }\n}\n"
+    )
+    assert format_program(Source("p.L", once)) == once
+
+
+def test_loops_are_in_the_outline(workspace: Workspace) -> None:
+    cart, _ = workspace.outline(MISSION)
+    assert ("stop", "loop") in [(one.name, one.kind) for one in cart.children]
+
+
+@pytest.mark.parametrize("marked", ["loop st|op at", "!st|op.running", "return st|op"])
+def test_the_name_of_a_loop_has_its_comment(marked: str, workspace: Workspace) -> None:
+    at = PROGRAM.index(marked.replace("|", "")) + marked.index("|")
+    shown = workspace.hover(MISSION, at)
+    assert "loop Cart.stop" in shown
+    assert "Stops before people." in shown
+
+
+def test_a_loop_has_two_methods_and_its_fields_are_hidden(workspace: Workspace) -> None:
+    text = PROGRAM.replace("near = true;", "near = stop.|;")
+    workspace.put(MISSION, text.replace("|", ""))
+    assert {one.text for one in workspace.complete(MISSION, text.index("|"))} == {"running", "overruns"}
+    text = PROGRAM.replace("near = true;", "|;")
+    workspace.put(MISSION, text.replace("|", ""))
+    found = {one.text for one in workspace.complete(MISSION, text.index("|"))}
+    assert {"stop", "patrol", "near"} <= found
+    assert not {"stop_running", "stop_engaged", "stop_overruns"} & found
+
+
+def test_a_loop_is_renamed_everywhere(workspace: Workspace) -> None:
+    edits = workspace.rename(MISSION, PROGRAM.index("stop at"), "halt")
+    assert len(edits) == PROGRAM.count("stop")

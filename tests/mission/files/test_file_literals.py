@@ -1,0 +1,110 @@
+"""`fc.flyPlan("north-field.plan")`: the file is a part of the program, checked when the mission is built."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import ProgramError
+from lfield.mission import bundle
+from lfield.mission.loader import check_file, compile_file, load_mission
+
+PLAN = Path(__file__).parents[2] / "mavlink" / "files" / "north-field.plan"
+PROGRAM = """const string FIELD = "north-field.plan";
+resource Copter {{
+    Mavlink fc;
+    init(string[] arg) {{ }}
+    portal survey(string name) {{ fc.waitReady(60.0); fc.arm(); fc.flyPlan({argument}); }}
+}}
+coordinator Boss {{ init(string[] arg) {{ findCopter("lead").survey("x"); print("surveyed"); }} }}
+"""
+BINDING = "{{driver: mavlink, endpoint: 'udp:127.0.0.1:1', ttl: 1.0, limits: {{{limits}}}, {options}}}"
+
+
+@pytest.fixture
+def mission(tmp_path):
+    """Writes a mission whose call has this argument; gives the path of its deployment."""
+
+    def write(argument="FIELD", limits="radius: 120.0, altitude: 30.0", options="autopilot: ardupilot"):
+        (tmp_path / "north-field.plan").write_bytes(PLAN.read_bytes())
+        (tmp_path / "mission.L").write_text(PROGRAM.format(argument=argument))
+        (tmp_path / "mission.dL").write_text("//Copter:lead@alpha\n//Boss:one@alpha\n")
+        device = BINDING.format(limits=limits, options=options)
+        (tmp_path / "mission.devices.yaml").write_text(f"agents:\n  lead: {{devices: {{fc: {device}}}}}\n")
+        return tmp_path / "mission.dL"
+
+    return write
+
+
+def refused(deployment):
+    with pytest.raises(ProgramError) as caught:
+        load_mission(deployment)
+    return [(finding.code, finding.span.text) for finding in caught.value.diagnostics]
+
+
+@pytest.mark.parametrize("argument", ["FIELD", '"north-field.plan"', '"./north-field.plan"'])
+def test_the_file_is_a_constant_of_the_program(mission, argument, tmp_path):
+    deployment = mission(argument)
+    program = load_mission(deployment).program.core
+    (text,) = [each for each in program.constants if isinstance(each, str) and "fileType" in each]
+    assert text.startswith("north-field.plan\n")
+    assert "survey" not in text
+    assert list(check_file(deployment)) == []
+    # A bundle needs the file no more.
+    data = bundle.encode(load_mission(deployment))
+    (tmp_path / "north-field.plan").unlink()
+    assert text in bundle.decode(data).program.core.constants
+
+
+@pytest.mark.parametrize(
+    ("argument", "code"),
+    [
+        ("name", "M301"),
+        ('"south.plan"', "M302"),
+        ('"mission.dL"', "M302"),
+        ('"."', "M302"),
+        ('"a\\0b"', "M302"),
+    ],
+)
+def test_names_that_are_refused(mission, argument, code):
+    deployment = mission(argument)
+    assert refused(deployment) == [(code, argument)]
+    with pytest.raises(ProgramError):
+        compile_file(deployment.with_suffix(".L"))
+
+
+@pytest.mark.parametrize(
+    ("limits", "options", "codes"),
+    [
+        ("radius: 82.0", "autopilot: any", ["M104"] * 2),
+        ("altitude: 10.0", "autopilot: any", [*["M104"] * 11, "M111"]),
+        ("", "autopilot: px4", ["M102"]),
+    ],
+)
+def test_the_plan_is_checked_against_the_binding(mission, limits, options, codes):
+    assert refused(mission("FIELD", limits, options)) == [(code, "FIELD") for code in codes]
+
+
+def test_a_plan_of_another_kind_of_vehicle(mission):
+    deployment = mission()
+    plan = deployment.with_name("north-field.plan")
+    plan.write_text(plan.read_text().replace('"vehicleType": 2', '"vehicleType": 10'))
+    assert refused(deployment) == [("M101", "FIELD")]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_it_is_flown_in_virtual_time(mission, lfield_mission, autopilot):
+    options = f"autopilot: {autopilot}, waivers: {{autonomous_motion: a test, device_watchdog: a test}}"
+    # PX4 returns 30 m above a rally point, which only the vehicle knows.
+    deployment = mission("FIELD", "radius: 120.0, altitude: 60.0", options)
+    if autopilot == "px4":
+        plan = deployment.with_name("north-field.plan")
+        plan.write_text(plan.read_text().replace('"firmwareType": 3', '"firmwareType": 12'))
+    team = lfield_mission(deployment)
+    team.run(until_done=True)
+    assert team.ended == {"one": "done"}
+    track = team.tracks["lead.fc"]
+    assert max(point.north for point in track) == pytest.approx(80.0, abs=3.0)
+    assert max(point.up for point in track) >= 19.0
+    assert track[-1].up < 0.1
