@@ -148,3 +148,19 @@ def test_a_slow_planner_is_waited_for(lfield_mission):
     team.run(until="rover can go")
     (planned,) = (call for call in team.calls if call.portal == "plan")
     assert 8.0 < planned.ended - planned.at < 10.0
+
+
+def test_sequencing_coordinators_are_activated_and_deactivated(lfield_mission):
+    team = lfield_mission("sequences.dL")
+    team.type_line("tower", "yes")
+    team.run(until_done=True)
+    assert team.ended == {"director": "done", "survey": "done", "homing": "done"}
+    assert [team.said(text) for text in ("survey leg", "landed", "homing is done")] == [2, 1, 1]
+
+
+def test_without_the_operator_nothing_begins(lfield_mission):
+    team = lfield_mission("sequences.dL")
+    team.run(until_done=True)
+    assert team.ended == {"director": "done"}
+    assert team.said("nothing begins") == 1
+    assert team.now > 30.0

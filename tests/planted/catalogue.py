@@ -45,6 +45,11 @@ class BugFinder:
 FINDERS = (
     BugFinder("tests/simulate/planted/test_planted.py", "test_a_planted_bug_is_found", PATCH),
     BugFinder("tests/simulate/services/test_planted_pushes.py", "test_a_planted_push_bug_is_found", PATCH),
+    BugFinder(
+        "tests/simulate/sequencing/test_planted_sequencing.py",
+        "test_a_planted_sequencing_bug_is_found",
+        PATCH,
+    ),
     BugFinder("tests/simulate/test_fleet.py", "test_a_sender_that_resumes_what_it_has_sent_is_found", PATCH),
     BugFinder(
         "tests/simulate/test_fleet_census.py",

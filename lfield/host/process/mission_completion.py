@@ -79,14 +79,15 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
 class _StartedByOthers:
     """The coordinators that others have started: the mission lasts until they have ended, too.
 
-    `homes` has the home of each coordinator that is waited for; those that run are added to it.
+    `homes` has the home of each coordinator that is waited for. Those that run or have run are added to it:
+    the outcome of the last run of each counts.
     """
 
     def __init__(self, host: Host, homes: dict[str, str]) -> None:
         self._host, self._homes = host, homes
 
     async def find_more(self) -> bool:
-        """Query the hosts, when all that are waited for have ended; whether others run.
+        """Query the hosts, when all that are waited for have ended; whether there are others.
 
         A home has made a start before the coordinator that asked for it has ended, so it reports it.
         """
@@ -98,8 +99,10 @@ class _StartedByOthers:
         rows = [row for rows in records.values() for row in rows if row.agent in waiting]
         ended = {(row.agent, row.generation) for row in rows if row.state == "EXITED"}
         running = {row.agent for row in rows if (row.agent, row.generation) not in ended}
-        self._homes.update({agent: team.homes[agent] for agent in running})
-        return bool(running)
+        # A host announces an end before it answers.
+        ended_now = {agent for agent, _ in self._host.mobility.ended_in_this_run if agent in waiting}
+        self._homes.update({agent: team.homes[agent] for agent in running | ended_now})
+        return bool(running | ended_now)
 
 
 class _PendingRestarts:

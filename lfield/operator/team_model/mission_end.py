@@ -194,8 +194,9 @@ class MissionEnd:
     def _has_others(self) -> bool:
         """Whether a coordinator is alive that another one has started: the mission lasts until it ends."""
         agents = self._agents()
+        # Starts of coordinators count from 1; resources have none.
         return any(
-            row.agent not in agents and self._end_of(row.agent) is None
+            row.generation > 0 and row.agent not in agents and self._end_of(row.agent) is None
             for known in self._hosts.values()
             for row in known.starts.values()
         )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from engine_fuzzer.engine_pair import EnginePair, TrialOver
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
-from lfield.testing.golden import GoldenWorld, team_for
+from lfield.testing.golden import GoldenWorld, startable_in, team_for
 from lfield.vm.agent import MachineTeam
 from lfield.vm.engine_interface import AgentLimits, Engines
 from lfield.vm.machine import Machine
@@ -56,9 +56,9 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
         return made[0]
 
     members = team_for(program, _DEPLOY.findall(text))
-    machine = desk.machine = Machine(
-        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=twin
-    )
+    view = MachineTeam([*members, *startable_in(text, program, len(members))], 0, 1)
+    machine = desk.machine = Machine(program, view, desk, clock, random.Random(1), engines=twin)
+    desk.sequencer.attach(machine)
     for line in ("7", "", "caf\u00e9 \N{ROBOT FACE}" * 40):
         machine.operator_input.enter(line, is_kept=True)
     for member in members:

@@ -96,6 +96,9 @@ _OF_WALKERS = (
     "all = findStore();|",
     # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
     'st = findStore("" + #);|string',
+    # One of them is startable.
+    *('start("third", 0.5);|', 'stop("third", 0.5);|', 's0 = awaitEnd("third", 0.5);|'),
+    *("start(#, 0.25);|string", 'print(b2s(running("third", 0.5)));|'),
 )
 _OF_STORES = (
     *("write(#);|int", "write(#);|real", "write(#);|string", "write(#);|boolean"),
@@ -145,7 +148,8 @@ class _ProgramGenerator:
         loops = [self._loop(number) for number in range(self.rng.choice((0, 0, 1, 2)))]
         return written(
             "",
-            "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n#\n#\n#\n",
+            "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n"
+            "// startable: Walker:third?3\n#\n#\n#\n",
             other,
             written("", _NODE, ProgramPiece("", list(node))),
             written("", _RESOURCE, init, ProgramPiece("", [*store, *portals]), ProgramPiece("", list(loops))),

@@ -15,6 +15,7 @@ from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, FleetOptions, copies
 from lfield.text import log_messages
 
+HOSTS = ("alpha", "bravo", "carol")
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -132,3 +133,27 @@ class SequencingTeam:
         assert len(self.starts) <= self.count("boss: asks"), self.last_lines()
         assert self.count("patrol begins") >= len(self.starts)
         assert "patrol" not in {agent for agent, _ in copies(self.fleet)}, self.last_lines()
+
+
+def run_story(folder: Path, seed: int, at_most: float = 600.0) -> None:
+    """A team whose hosts die and return, and whose links break; then all is well, and it gets on."""
+    home = HOSTS[seed % 3]
+    team = SequencingTeam(folder, seed, home, rounds=4)
+    fleet, rng = team.fleet, team.rng
+    fleet.run(1.0)
+    for _ in range(12):
+        fleet.run(rng.uniform(0.1, 4.0))
+        host, other = rng.sample(HOSTS, 2)
+        match rng.choice(("crash", "crash", "power", "cut")):
+            case "crash" if host in fleet.lives:
+                fleet.crash(host)
+            case "power" if host in fleet.lives:
+                fleet.power_off(host)
+            case "cut":
+                fleet.cut(host, other)
+        fleet.run(rng.uniform(0.1, 6.0))
+        fleet.heal(host, other)
+        if host not in fleet.lives:
+            fleet.boot(host)
+    fleet.heal_all()
+    team.finish(at_most)

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from sequencing_team import SequencingTeam
-
-HOSTS = ("alpha", "bravo", "carol")
+from sequencing_team import HOSTS, SequencingTeam, run_story
 
 
 @pytest.mark.parametrize("keeps", [True, False])
@@ -24,23 +22,4 @@ def test_without_faults_each_start_is_made_once(tmp_path: Path, home: str, keeps
 @pytest.mark.few(12)
 @pytest.mark.parametrize("seed", range(40))
 def test_hosts_that_die_and_links_that_break(tmp_path: Path, seed: int) -> None:
-    home = HOSTS[seed % 3]
-    team = SequencingTeam(tmp_path, seed, home, rounds=4)
-    fleet, rng = team.fleet, team.rng
-    fleet.run(1.0)
-    for _ in range(12):
-        fleet.run(rng.uniform(0.1, 4.0))
-        host, other = rng.sample(HOSTS, 2)
-        match rng.choice(("crash", "crash", "power", "cut")):
-            case "crash" if host in fleet.lives:
-                fleet.crash(host)
-            case "power" if host in fleet.lives:
-                fleet.power_off(host)
-            case "cut":
-                fleet.cut(host, other)
-        fleet.run(rng.uniform(0.1, 6.0))
-        fleet.heal(host, other)
-        if host not in fleet.lives:
-            fleet.boot(host)
-    fleet.heal_all()
-    team.finish()
+    run_story(tmp_path, seed)
