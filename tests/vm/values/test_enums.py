@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from lfield.testing.mission.value_conversion import EncodedValue, Mismatch, values_of
 from msgspec.structs import replace
 
 from lfield.bytecode.disassembler import disassemble
@@ -24,6 +23,7 @@ from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.threads import threads
+from lfield.vm.person_calls.value_conversion import EncodedValue, Mismatch, values_of
 
 TEXT = """
 enum Phase { SEARCH, LIFT, HOME }
