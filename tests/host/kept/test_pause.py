@@ -6,7 +6,7 @@ import asyncio
 
 from scripted_snapshots import states_of
 
-from lfield.cli.views.team_status_view import as_data
+from lfield.client.status_json import status_data
 from lfield.operator.client import pause
 from lfield.operator.observer_link import send_request
 
@@ -60,7 +60,7 @@ async def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_
     home, away = await begun(team)
     for host in ("home", "away"):
         assert (await said(team, host)).devices == {}
-    assert as_data(states_of({"away": away.host.status()}))["away"]["paused"]
+    assert status_data(states_of({"away": away.host.status()}))["away"]["paused"]
     before = away.log
     await asyncio.sleep(300.0)
     assert away.log == before

@@ -7,7 +7,8 @@ import io
 from rich.console import Console
 from scripted_snapshots import states_of
 
-from lfield.cli.views.team_status_view import as_data, team_tables
+from lfield.cli.views.team_status_view import team_tables
+from lfield.client.status_json import status_data
 from lfield.journal.records import ProgramRecord
 
 PROGRAM = """
@@ -86,7 +87,9 @@ async def test_a_coordinator_of_another_program_is_parked_and_explained(team, /)
     (parked,) = again.host.status().journal.parked
     assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
     assert f"parked: belongs to another mission ({digest.hex()[:16]})" in shown(again)
-    assert as_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
+    assert (
+        status_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
+    )
     pages = again.host.journal_writer.records
     (explained,) = (page for page in pages if isinstance(page, ProgramRecord))
     assert (explained.digest, explained.members) == (digest, ("guest", "post"))
@@ -97,7 +100,9 @@ async def test_a_revocation_list_that_is_not_kept_is_told(team, /):
     assert "failing" not in shown(home)
     home.host.options.admission.persist_error = "revocation list 3 is not kept: the disk is full"
     assert "home is failing: revocation list 3 is not kept: the disk is full" in shown(home)
-    assert as_data(states_of({"home": home.host.status()}))["home"]["unkept"].startswith("revocation list 3")
+    assert status_data(states_of({"home": home.host.status()}))["home"]["unkept"].startswith(
+        "revocation list 3"
+    )
 
 
 async def test_a_host_that_keeps_nothing_says_so(team, /):
