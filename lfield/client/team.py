@@ -28,6 +28,7 @@ from lfield.mission.mission import Mission
 from lfield.operator.client import (
     FULL_SNAPSHOT,
     PATIENT_SNAPSHOT,
+    RETRIED_SNAPSHOT,
     ask_all,
     emergency_stop,
     observer_transport,
@@ -47,14 +48,12 @@ from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
 from lfield.wire.observer_messages import EmergencyStopResult
-from lfield.wire.subscription_messages import MAX_RATE, EventBatch, Subscribe
+from lfield.wire.subscription_messages import MAX_RATE, EventBatch
 
 #: The default time limit of a portal call, in seconds.
 CALL_TIMEOUT = 60.0
 #: Seconds for a connection: hosts accept many clients one after the other.
 CONNECT_TIMEOUT = 8.0
-#: The state of each host, to find agents: asked again when a link ends, for example among many clients.
-RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
 #: Seconds without contact after which `events(until_done=True)` does not wait for a host.
 LOST_AFTER = 15.0
 #: Seconds for cancellations that are under way when a team is closed.

@@ -50,7 +50,6 @@ V = TypeVar("V")
 
 #: The answer of each host by name, or the error instead.
 HostAnswers = Mapping[str, T | LfieldError]
-
 #: Sends an order to a host over an open link; raises AddressError where there is none.
 OrderOnOpenLink = Callable[[str, OrderMessage], Awaitable[EmergencyStopResult]]
 
@@ -63,9 +62,10 @@ MAX_AT_ONCE, MAX_FOREIGN, MAX_LINES = 512, 128, 8
 #: The largest block, in bytes; an observer receives none.
 _MAX_BLOCK = 1 << 20
 
-
-#: Asks for the state of a host as of its newest event: a subscription that ends with its first batch.
+#: Asks for the state of a host as of its newest event: a subscription that ends with its first batch. The
+#: other one is repeated when a link ends, for example among many clients.
 SNAPSHOT = Request(Subscribe(once=True), EventBatch, 2.0)
+RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
 #: The same with all that each host knows of all agents; the other one of hosts that may be busy.
 FULL_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 2.0)
 PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0)
