@@ -124,7 +124,8 @@ class SimulatedOperator:
             self._start_task(partial(self._lift, hold))
 
     async def _lift(self, hold: Hold) -> None:
-        self._interrupt(self._pressing.pop(hold, {}))
+        for task in list(self._pressing.pop(hold, {})):
+            task.cancel()
         with _registered(self._lifting[hold]):
             await ask_all(self._transport, self._places, self._request(hold, lift=True))
         if hold == "stop":
