@@ -60,11 +60,9 @@ class SequencingService(Part):
         self._unwritten: deque[tuple[int, str, LogLine]] = deque()
         self._is_open, self._repeat_at = False, 0.0
         self.handles = {StopCoordinator: self._on_stop_order}
-        self.observes = {
-            LinkOpened: self._on_link_opened,
-            LinkClosed: self._on_link_closed,
-            RecordsDurable: self._on_durable,
-        }
+        self.observes = {LinkOpened: self._on_link_opened, LinkClosed: self._on_link_closed}
+        if self._runs:
+            self.observes[RecordsDurable] = self._on_durable
 
     @property
     def own_agents(self) -> Collection[str]:
