@@ -38,7 +38,6 @@ STATES = {
     "implemented differently": True,
     "differs": True,
     "not implemented": False,
-    "planned in 0.5": False,
 }
 
 
