@@ -207,11 +207,7 @@ def test_only_the_read_model_reads_the_snapshot_of_a_host() -> None:
 
 
 #: What may subscribe to a host: the clients of observers. Hosts ask one another with `Locate`.
-SUBSCRIBERS = {
-    "lfield/client/team.py",
-    "lfield/operator/client.py",
-    "lfield/operator/dashboard/event_stream/stream_cursor.py",
-}
+SUBSCRIBERS = {"lfield/operator/client.py", "lfield/operator/dashboard/event_stream/stream_cursor.py"}
 
 
 def test_only_the_clients_of_observers_subscribe_to_a_host() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from lfield import exit_status
 from lfield.cli.action_help import action_help
 from lfield.errors import UsageError
+from lfield.text.number_arguments import real_above_0
 
 if TYPE_CHECKING:
     from lfield.driver.plugins import InstalledPlugin
@@ -33,12 +34,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--firmware", choices=("ardupilot", "px4"), default="", help="software of its autopilot"
     )
     check.add_argument(
-        "--altitude", type=_metres, metavar="M", help="limit of the height above home in metres"
+        "--altitude",
+        type=real_above_0(1e6, "metres"),
+        metavar="M",
+        help="limit of the height above home in metres",
     )
     check.add_argument(
-        "--radius", type=_metres, metavar="M", help="limit of the distance from home in metres"
+        "--radius",
+        type=real_above_0(1e6, "metres"),
+        metavar="M",
+        help="limit of the distance from home in metres",
     )
-    check.add_argument("--speed", type=_metres, metavar="M/S", help="limit of the speed over ground in m/s")
+    check.add_argument(
+        "--speed", type=real_above_0(1e3), metavar="M/S", help="limit of the speed over ground in m/s"
+    )
     check.add_argument("--json", action="store_true", help="print the report as one JSON object")
     show = actions.add_parser("show", **action_help("draw a mission or area file as SVG"))
     _add_file(show)
@@ -177,22 +186,12 @@ def _as_data(name: str, report: PlanReport) -> dict[str, object]:
     }
 
 
-def _metres(text: str) -> float:
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise ValueError
-    return value
-
-
-_metres.__name__ = "number above 0"
-
-
 def _home(text: str) -> tuple[float, float, float]:
-    values = [float(part) for part in text.split(",")]
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
     latitude, longitude, altitude = (*values, 0.0)[:3] if 2 <= len(values) <= 3 else (math.nan,) * 3
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and math.isfinite(altitude)):
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"must be LATITUDE,LONGITUDE in degrees, not '{text}'")
     return latitude, longitude, altitude
-
-
-_home.__name__ = "position"

@@ -176,6 +176,8 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "start": None,
             "journal": None,
             "begun": [],
+            "startable": [],
+            "reads": [],
             "reserved": [],
             "moving": {"near.arm": "4 m up"},
             "directory": {
