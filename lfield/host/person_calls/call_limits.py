@@ -8,7 +8,7 @@ RUNNING_OF_ONE, RUNNING = 8, 64
 RATE_OF_ONE, RATE = 20.0, 100.0
 #: Seconds of calls that may be made at once.
 BURST = 2.0
-#: Callers that are counted separately; of more the longest idle one is forgotten.
+#: Callers that are counted separately; beyond that the one that is idle longest is removed.
 MAX_CALLERS = 256
 
 
