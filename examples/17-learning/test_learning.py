@@ -31,6 +31,7 @@ def test_the_mission_learns(lfield_mission):
     assert len(team.hops) == 180
 
 
+@pytest.mark.few(0)
 def test_what_is_shared_is_learnt_sooner_at_the_same_number_of_hops():
     (alone, alone_hops), (shared, shared_hops) = (learning.run(4, shares, 0) for shares in (False, True))
     assert sum(shared[:10]) > 1.3 * sum(alone[:10])

@@ -98,6 +98,7 @@ def stopped(lfield_mission, act, moment=MID):
     return team
 
 
+@pytest.mark.few(0)
 def test_every_formation_is_reached_without_a_collision(lfield_mission):
     team = marched(lfield_mission)
     assert [worst(team, formation) < OFF for formation in LEGS] == [True] * 3
@@ -205,7 +206,7 @@ def test_one_seed_is_one_march(lfield_mission):
     assert first.log == again.log
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("ground", [terrain_marches.mud, terrain_marches.hill, terrain_marches.valley])
 def test_they_march_over_terrain(ground):
     """Mud slows rovers and wind moves copters: the step takes longer, and the formation holds."""

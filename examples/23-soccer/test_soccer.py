@@ -123,6 +123,7 @@ def test_two_programs_meet_at_the_referee():
     assert min(red.hops, blue.hops) > 8
 
 
+@pytest.mark.few(0)
 def test_without_the_other_team_no_match_begins(lfield_mission):
     team = lfield_mission("red.dL")
     team.run(30.0)

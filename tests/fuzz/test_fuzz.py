@@ -44,7 +44,7 @@ def test_a_planted_fault_is_found(planted: type[ReferenceEngine]) -> None:
             return
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("fault", FAULTS, ids=str)
 def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
     assert finder(fault, _SOON) is not None
@@ -77,7 +77,7 @@ def test_the_engine_in_webassembly_does_the_same() -> None:
 @pytest.mark.timeout(1200)
 def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pytest.Config) -> None:
     @given(DICE, st.integers(0, 1000))
-    @settings(max_examples=2000 if pytestconfig.option.every_case else 40)
+    @settings(max_examples=2000 if pytestconfig.option.every_case else 15)
     def same(dice: random.Random, seed: int) -> None:
         text = random_program(dice).text()
         assert run_trial(compile_text(text), text, seed, Wasm).differences == ()

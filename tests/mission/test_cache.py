@@ -181,6 +181,7 @@ def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pyt
     assert (folder / f"{second.key}.made").exists()
 
 
+@pytest.mark.few(0)
 def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     file = tmp_path / "mission.lfm"

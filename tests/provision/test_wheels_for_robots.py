@@ -201,6 +201,7 @@ def test_without_a_package_index_the_remedy_is_to_prepare(cache, monkeypatch):
 # --- lfield's own wheel -------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_an_installed_lfield_makes_the_wheel_from_which_it_was_installed(tmp_path):
     made, installed, again = tmp_path / "made", tmp_path / "installed", tmp_path / "again"

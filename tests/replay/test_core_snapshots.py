@@ -173,6 +173,7 @@ def classes_in(core: object, known: dict[int, Any]) -> Counter[type]:
     return Counter(type(each) for each in found)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("program", [BUSY_PROGRAM, WAITING_PROGRAM], ids=["busy", "waiting"])
 def test_every_object_of_a_core_is_restored_with_its_class(program: str, tmp_path, monkeypatch) -> None:
     (tmp_path / "mission.L").write_text(program)

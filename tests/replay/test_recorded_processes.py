@@ -126,6 +126,7 @@ def test_a_killed_host_loses_at_most_a_second(tmp_path: Path) -> None:
     assert any("did not end in order" in problem for problem in found["problems"])
 
 
+@pytest.mark.few(0)
 def test_a_mission_goes_on_without_the_folder_of_its_recording(tmp_path: Path) -> None:
     (tmp_path / "records").write_text("no folder")
     running = start(tmp_path, 20, "--record", "records", "--until-done")
@@ -152,6 +153,7 @@ def test_a_recording_stays_within_its_limit_and_what_is_left_is_replayed(tmp_pat
     assert found.digests > 20
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("options", [(), ("--no-record",)])
 def test_on_hardware_a_recording_is_the_default(tmp_path: Path, options: tuple[str, ...]) -> None:
     """The device is simulated, but lfield does not know: the driver reaches it over a real wire."""

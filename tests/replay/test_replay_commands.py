@@ -61,6 +61,7 @@ def test_a_recording_is_replayed_without_a_difference(recorded: Path) -> None:
     assert found["missing"] == found["problems"] == []
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_another_program_is_compared_by_its_calls(recorded: Path, tmp_path: Path) -> None:
     same = write_mission(tmp_path, PROGRAM.replace("fc.arm();", 'print("a new line"); fc.arm();'))
@@ -154,7 +155,7 @@ def test_another_bundle_is_refused(command: str, recorded: Path, tmp_path: Path)
 
 
 @pytest.mark.process
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seconds", ["0.001", "0.05", "1.0", "20.0"])
 def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -> None:
     for place in ('sum = sum + findPost("two")', "fc.takeoff(height);", 'print("climbed'):

@@ -36,7 +36,7 @@ def drivers(monkeypatch, tmp_path):
         monkeypatch.syspath_prepend(folder)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("engine", ["reference", "wasm"])
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, engine, monkeypatch):
@@ -59,7 +59,7 @@ def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
         assert compare(host, at_checkpoints=False).first is None
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_program_of_an_example_makes_all_recorded_calls(name):
     """What `lfield test --from` compares is the whole flight."""

@@ -97,6 +97,7 @@ def test_links_are_cut_and_hosts_crash_and_no_start_ever_has_two_copies(mission:
     assert any(text.startswith("link to ") and text.endswith(" lost\n") for _, _, text in fleet.log)
 
 
+@pytest.mark.few(0)
 def test_a_sender_that_resumes_what_it_has_sent_is_found(
     mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:

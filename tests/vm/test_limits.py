@@ -96,7 +96,7 @@ coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
     assert [d.partition(":")[0] for d in died] == ([reason] if reason else [])
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 def test_a_coordinator_that_only_calls_portals_starves_nobody() -> None:
     desk, _ = run_text(
         GOOD

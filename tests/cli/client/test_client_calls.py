@@ -97,6 +97,7 @@ def test_a_cancelled_task_cancels_the_portal(team) -> None:
     team.wait_for(r"arm1.slow\(\) called by user .* ended: CancelledException")
 
 
+@pytest.mark.few(0)
 def test_a_thousand_clients_at_once_are_answered_or_refused_and_the_mission_runs(team) -> None:
     async def one(found) -> str:
         try:

@@ -101,6 +101,7 @@ def test_what_is_said_of_a_build(lfield, here) -> None:
     assert "i64.add" in wasm
 
 
+@pytest.mark.few(0)
 def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alone) -> None:
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     lfield("build", "mission.dL")

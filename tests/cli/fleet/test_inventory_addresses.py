@@ -131,6 +131,7 @@ def test_a_damaged_inventory_is_reported_with_its_position(team) -> None:
     assert any("inventory.yaml:2:23" in line for line in refused.err)
 
 
+@pytest.mark.few(0)
 def test_all_hosts_on_this_computer_ignore_the_inventory(team) -> None:
     team.inventory(alpha="'198.51.100.1'", bravo="'198.51.100.2'")
     everything = team.lfield.start("up", team.deployment, "--all")

@@ -60,6 +60,7 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
     ]
 
 
+@pytest.mark.few(0)
 def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_discarded(
     lfield, here, robots
 ) -> None:
@@ -143,6 +144,7 @@ def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfiel
     team.services["bravo"].wait_for("ended with status 130")
 
 
+@pytest.mark.few(0)
 def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
@@ -168,6 +170,7 @@ def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, h
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
 
 
+@pytest.mark.few(0)
 def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_with_the_old_bundle(
     lfield, here, robots
 ) -> None:

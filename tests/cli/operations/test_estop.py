@@ -300,6 +300,7 @@ def half_team(lfield, alone):
     lfield.end()
 
 
+@pytest.mark.few(0)
 def test_a_host_where_nothing_runs_has_nothing_to_lift(lfield, half_team) -> None:
     stopped = lfield("estop", *half_team, "--no-wait")
     assert lfield.status(stopped) == 3, stopped.said

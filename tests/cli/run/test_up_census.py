@@ -125,6 +125,7 @@ def test_a_cut_link_with_the_coordinator_alive_behind_it_is_no_loss(lfield, prox
         assert "walker lost: " not in hosts[host].said
 
 
+@pytest.mark.few(0)
 def test_a_child_of_all_that_was_reaped_is_proof(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&1000\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")

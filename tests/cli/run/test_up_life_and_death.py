@@ -277,6 +277,7 @@ def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
     assert any(line.startswith("alpha | alpha listening on 127.0.0.1:") for line in done.err)
 
 
+@pytest.mark.few(0)
 def test_all_refuses_a_map_that_it_cannot_keep(lfield):
     words = ("up", "--deploy", lfield.mission(POSTS, "//Post:near@alpha\n"), "--all", "--map")
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -357,6 +358,7 @@ def test_all_to_a_full_disk_goes_on(lfield):
     assert told == ["lfield: program output discarded from here on: No space left on device"]
 
 
+@pytest.mark.few(0)
 def test_the_log_of_all_hosts_as_json(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--json")

@@ -57,6 +57,7 @@ def test_what_is_signed_runs_and_ps_says_by_whom(lfield, here, made) -> None:
     assert abs(told["signed"] - time.time()) < 600.0
 
 
+@pytest.mark.few(0)
 def test_what_is_built_from_files_is_signed_by_whoever_runs_it(lfield, made) -> None:
     maps = made()
     words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
@@ -129,6 +130,7 @@ def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_a
     assert bravo.out == []
 
 
+@pytest.mark.few(0)
 def test_hosts_that_build_of_files_may_have_devices_of_their_own(lfield, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")

@@ -65,7 +65,7 @@ def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
     flown.is_down()
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
     flown = starved(8)
     with ExitStack() as stack:

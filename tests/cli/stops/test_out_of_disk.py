@@ -35,7 +35,7 @@ def flies(witness: MavlinkObserver) -> bool:
     return witness.armed and witness.mode == "GUIDED" and witness.height > 2.0
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_log_and_output_on_a_full_disk_end_no_flight_and_delay_no_stop(flight, number):
     with open("/dev/full", "wb") as full:

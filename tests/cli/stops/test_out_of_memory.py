@@ -146,7 +146,7 @@ def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(
     assert flown.host.wait() in (0, 70), flown.host.said
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("victims", ["host", "guard", "host of both"])
 def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, bounded, victims):
     group = bounded("memory")

@@ -31,6 +31,7 @@ def test_a_device_that_was_only_asked_is_not_called_unsafe(lfield, alone):
     assert "NOT SAFE" not in host.said
 
 
+@pytest.mark.few(0)
 def test_a_team_with_a_port_that_is_not_there_ends_with_69_and_names_it(lfield, alone):
     """The others are told to stop while they wait for the first word of theirs: nothing was commanded."""
     taken = lfield.ports.take(2)

@@ -188,6 +188,7 @@ def linked(look: dict) -> bool:
     return all(host["linked"] for host in look["hosts"])
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_who_may_observe_alone_looks_and_presses_nothing(team) -> None:
     page = Browsing(*team("anna", Right.OBSERVE))

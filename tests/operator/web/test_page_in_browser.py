@@ -545,6 +545,7 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.wait(lambda: "updated" not in browser.text("state"))
 
 
+@pytest.mark.few(0)
 def test_what_would_load_the_page_anew_is_off(browser, page_of):
     """A page that cannot reach its server must stay: it has what was known last, and STOP."""
     browser.open(page_of().link)

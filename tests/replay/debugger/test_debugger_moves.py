@@ -52,6 +52,7 @@ def test_a_step_over_stays_in_the_frame_and_back_again(debugger):
     assert _line(debugger) == LEG
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("move", [Debugger.step_line, Debugger.step_over])
 def test_steps_by_line_stop_at_the_same_places_in_both_directions(debugger, move):
     debugger.enter()
@@ -226,6 +227,7 @@ def test_a_search_for_what_no_mission_has_is_refused(debugger, target):
         target(debugger)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["event", "hop", "portal", "device"])
 def test_a_search_backward_finds_what_it_finds_forward(debugger, kind):
     targets = {

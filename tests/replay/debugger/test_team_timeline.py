@@ -42,6 +42,7 @@ def _transits(team: TeamTimeline) -> list[float]:
     ]
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("rate", [0.95, 1.0, 1.05])
 @pytest.mark.parametrize("ahead", [-5.0, 0.0, YEARS])
 def test_hops_are_in_order_and_short(first_flight, rate, ahead):

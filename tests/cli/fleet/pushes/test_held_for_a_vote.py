@@ -36,6 +36,7 @@ def vote_of_alpha(digest: str) -> BallotState:
     return asyncio.run(propose())
 
 
+@pytest.mark.few(0)
 def test_a_resume_does_not_end_the_hold_and_its_end_not_a_pause(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()

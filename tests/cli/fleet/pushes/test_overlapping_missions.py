@@ -33,6 +33,7 @@ def test_a_rollback_names_for_each_robot_the_command_that_returns_to_its_bundle(
     assert [states[host]["bundle"] == before["bundle"] for host in team.hosts] == [True, True, False]
 
 
+@pytest.mark.few(0)
 def test_a_rollback_names_a_push_where_the_mission_has_another_robot(lfield, here, robots) -> None:
     """Its bundle is not the previous one there."""
     team = robots("alpha", "bravo")

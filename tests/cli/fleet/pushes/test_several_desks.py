@@ -8,6 +8,7 @@ from robots import PADDING, TEAM, program, told
 pytestmark = pytest.mark.process
 
 
+@pytest.mark.few(0)
 def test_uploads_of_several_desks_do_not_remove_each_other(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()

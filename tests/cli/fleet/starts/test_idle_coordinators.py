@@ -25,6 +25,7 @@ def test_a_start_without_the_home_of_the_only_coordinator_says_that_nothing_runs
     assert here("start").status == 0
 
 
+@pytest.mark.few(0)
 def test_a_start_with_a_parked_coordinator_says_that_nothing_runs_and_how_to_end_it(
     lfield, here, robots
 ) -> None:

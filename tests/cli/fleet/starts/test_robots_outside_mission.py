@@ -10,6 +10,7 @@ from robots import TEAM, program, told
 pytestmark = pytest.mark.process
 
 
+@pytest.mark.few(0)
 def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()
