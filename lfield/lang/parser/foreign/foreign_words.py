@@ -18,6 +18,7 @@ _IF = "write if (...) ... else if (...) ... else ..."
 _YIELD = "write return with the value; yield() only runs other threads"
 _NO_WAIT = "leave it out: a call returns when it is complete; of a future write f.await()"
 _NO_MODIFIER = "units have no modifier; leave it out"
+_ASYNC = "write async before the call of a portal, without parentheses: async arm.work()"
 _CONST = "leave it out; a constant is at the top level: const int NAME = 1;"
 _EACH = "write for (int x : array) { ... }, with the type of the elements"
 _NODES = "L has no nodes and topics: write a resource with portals, and call these from a coordinator"
@@ -147,7 +148,8 @@ FOREIGN_FUNCTIONS = {
     "not": "write !(...)",
     "assert": 'write if (!(...)) throw new Exception("reason");',
     "await": _NO_WAIT,
-    **dict.fromkeys(("spawn", "launch", "go", "async", "gather"), _TOGETHER),
+    **dict.fromkeys(("spawn", "launch", "go", "gather"), _TOGETHER),
+    "async": _ASYNC,
     **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
     "open": "L reads no files: pass values as deployment arguments",
     **dict.fromkeys(
@@ -321,7 +323,7 @@ WORD_PREFIXES = {
     "not": "write !",
     "await": _NO_WAIT,
     "co_await": _NO_WAIT,
-    "async": _TOGETHER,
+    "async": _ASYNC,
     "spawn": _TOGETHER,
     "launch": _TOGETHER,
     "yield": _YIELD,
