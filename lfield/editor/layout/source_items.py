@@ -98,7 +98,11 @@ def _end_of_type(text: str, tokens: Sequence[Token], at: int) -> int:
     """The last token of `map<string, int>` or `future<real>` that begins at a token; 0 for any other name."""
     if tokens[at + 1].text != "<":
         return 0
-    if tokens[at].text == "map" and tokens[at + 2].text not in ("string", "int") and tokens[at + 3].text != ",":
+    if (
+        tokens[at].text == "map"
+        and tokens[at + 2].text not in ("string", "int")
+        and tokens[at + 3].text != ","
+    ):
         return 0
     depth, last = 0, at
     while depth or last == at:

@@ -69,7 +69,9 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
         return call_of_text(body, raw, "race", _REFUSES.sub(r"\1.failed()", text), owner, INT)
     argument = raw.arguments[0]
     if kind.value == VOID:
-        body.report(messages.RACE_ARGUMENT, argument.span, name="race", argument="no argument without results")
+        body.report(
+            messages.RACE_ARGUMENT, argument.span, name="race", argument="no argument without results"
+        )
         return unknown(raw.span)
     if len(raw.arguments) > 1 or not isinstance(argument, syntax.Name):
         body.report(
