@@ -29,7 +29,7 @@ from lfield.capability.condition_tree import (
 from lfield.lang import messages, syntax
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
-from lfield.lang.scanner import Token, TokenKind, scan
+from lfield.lang.scanner import KEYWORDS, Token, TokenKind, scan
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
 #: The longest text that is read, in characters.
@@ -248,9 +248,9 @@ def _check_path(raw: syntax.Expr) -> None:
             _check_path(owner)
         case syntax.Index(array=array, index=index) if _is_index(index):
             _check_path(array)
-            if not isinstance(index, syntax.Literal_):
+            if not isinstance(index, syntax.Literal_) or isinstance(index.value, bool | float | None):
                 _check_path(index)
-        case syntax.Name(name=name) if name.startswith("$"):
+        case syntax.Name(name=name) if name.startswith("$") and name[1:] not in KEYWORDS:
             return
         case _:
             message = "a parameter is a variable with its fields and elements"

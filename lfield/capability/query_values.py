@@ -1,7 +1,9 @@
 """Queries with parameters: the text of the query, known to the compiler, and the values of one call.
 
     payload >= $n0 && agent != $t1        the text; the letter is the sort of a value: number, text, boolean
-    n2.5;t5:bob"s                         the values; the length of a text is before it
+    n2.5 kg|t5 name|bob"s                 the values; behind each, or behind the length of a text, its name
+
+`|` stands for SEPARATOR.
 
 A program passes both in one string, with SEPARATOR between them. The values are bound to the parsed text.
 They are never parsed as a condition, so no text in them can change the query.
@@ -33,8 +35,9 @@ from lfield.text.source_text import Source, Span
 SEPARATOR = "\0"
 
 Bindable = bool | int | float | str
-_PLAIN = re.compile(r"([nb])([^;]*);")
-_TEXT = re.compile(r"t(\d{1,9}):")
+_PLAIN = re.compile(r"([nb])([^ ]*) ([^\0]*)\0")
+_TEXT = re.compile(r"t(\d{1,9}) ([^\0]*)\0")
+_PARAMETER = re.compile(r"\$[nbt](\d+)")
 _BOOLEANS = {"true": True, "false": False}
 
 
@@ -48,24 +51,37 @@ def split_values(constraint: str) -> tuple[str, list[Bindable] | None]:
 
 
 def _values(text: str, encoded: str) -> list[Bindable]:
-    found: list[Bindable] = []
+    found: list[tuple[str, str, str]] = []
     at = 0
     while at < len(encoded):
         if match := _PLAIN.match(encoded, at):
-            found.append(_plain(text, *match.groups()))
+            sort, written, name = match.groups()
             at = match.end()
         elif match := _TEXT.match(encoded, at):
-            end = match.end() + int(match[1])
-            if end > len(encoded):
-                raise ConstraintError(text, ["a value is incomplete"])
-            found.append(encoded[match.end() : end])
-            at = end
+            sort, name, start = "t", match[2], match.end()
+            at = start + int(match[1])
+            written = encoded[start:at]
         else:
+            at = len(encoded) + 1
+        if at > len(encoded):
             raise ConstraintError(text, ["its values are malformed"])
-    return found
+        found.append((sort, written, name))
+    try:
+        return [
+            written if sort == "t" else _plain(text, sort, written, name) for sort, written, name in found
+        ]
+    except ConstraintError as wrong:
+        names = [name for _, _, name in found]
+        raise ConstraintError(_with_names(text, names), wrong.problems) from None
 
 
-def _plain(text: str, sort: str, written: str) -> Bindable:
+def _with_names(text: str, names: Sequence[str]) -> str:
+    """The text of a query as it is written in the program."""
+    known = {str(number): f"${name}" for number, name in enumerate(names)}
+    return _PARAMETER.sub(lambda found: known.get(found[1], found[0]), text)
+
+
+def _plain(text: str, sort: str, written: str, name: str) -> Bindable:
     if sort == "b" and written in _BOOLEANS:
         return _BOOLEANS[written]
     try:
@@ -73,7 +89,7 @@ def _plain(text: str, sort: str, written: str) -> Bindable:
     except ValueError:
         raise ConstraintError(text, ["its values are malformed"]) from None
     if sort != "n" or not math.isfinite(value):
-        raise ConstraintError(text, [f"{written} is not a finite number"])
+        raise ConstraintError(text, [f"${name} is {written}, not a finite number"])
     return value
 
 

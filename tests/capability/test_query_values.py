@@ -37,11 +37,11 @@ def encoded(*values: object) -> str:
     found = ""
     for value in values:
         if isinstance(value, bool):
-            found += f"b{str(value).lower()};"
+            found += f"b{str(value).lower()} on\0"
         elif isinstance(value, str):
-            found += f"t{len(value)}:{value}"
+            found += f"t{len(value)} name\0{value}"
         else:
-            found += f"n{value!r};"
+            found += f"n{value!r} kg\0"
     return found
 
 
@@ -97,15 +97,16 @@ def test_places_move_with_the_values() -> None:
     "values",
     [
         "",
-        "n1;",
-        "n1;t1:",
-        "n1;t9:abc",
-        "n1;t1:ab1;",
-        "b1;t1:ab1;",
-        "t1:at1:abtrue;",
+        "n1 x\0",
+        "n1 x\0t1 y\0",
+        "n1 x\0t9 y\0abc",
+        "n1 x\0t1 y\0ab1 z\0",
+        "b1 x\0t1 y\0ab1 z\0",
+        "t1 x\0at1 y\0abtrue z\0",
         "x",
-        "n1",
-        "n1;n2;btrue;",
+        "n1 x",
+        "n1;",
+        "n1 x\0n2 y\0btrue z\0",
     ],
 )
 def test_values_that_do_not_fit_are_refused(values: str) -> None:
@@ -116,8 +117,10 @@ def test_values_that_do_not_fit_are_refused(values: str) -> None:
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e999"])
 def test_a_number_that_is_not_finite_is_refused(number: str) -> None:
-    with pytest.raises(ConstraintError, match="not a finite number"):
-        split_values(f"payload > $n0{SEPARATOR}n{number};")
+    text = f"agent == $t0 && payload > $n1{SEPARATOR}t1 who\0mn{number} at[$i].kg\0"
+    with pytest.raises(ConstraintError, match=r"\$at\[\$i\].kg is .*, not a finite number") as refused:
+        split_values(text)
+    assert refused.value.text == "agent == $who && payload > $at[$i].kg"
 
 
 @given(st.text())

@@ -79,6 +79,14 @@ STATEMENTS = {
         "if (a) {\n  /* one\n     two\n\n   three */\n  b();\n}",
         "if (a) {\n    /* one\n       two\n\n     three */\n    b();\n}",
     ),
+    "types have no spaces inside but behind commas": (
+        "map < string,map<Phase , int[ ]>> [ ] m = new map< Phase,real > ();\nfuture <void> f=async a.b();",
+        "map<string, map<Phase, int[]>>[] m = new map<Phase, real>();\nfuture<void> f = async a.b();",
+    ),
+    "a comment in a type does not end a statement": (
+        "map</* name */ string, int> m = null;",
+        "map < /* name */ string, int > m = null;",
+    ),
     "tabs and returns": ("\tif (a) {\r\n\t\tb();\t// c\r\n\t}", "if (a) {\n    b();    // c\n}"),
 }
 #: A word that makes a line too long for the rules about long lines.

@@ -61,9 +61,9 @@ agents:
 def rover(tmp_path, lfield_mission):
     """Makes a team of a rover and a boss, who does `body`, and `end` in any case."""
 
-    def made(body: str, end: str = "", **options: object) -> MissionTeam:
+    def made(body: str, end: str = "", witness: str = "", **options: object) -> MissionTeam:
         (tmp_path / "rover.L").write_text(PROGRAM.replace("//body", body).replace("//end", end))
-        (tmp_path / "rover.dL").write_text(DEPLOYMENT)
+        (tmp_path / "rover.dL").write_text(DEPLOYMENT + witness)
         (tmp_path / "rover.devices.yaml").write_text(DEVICES)
         return lfield_mission(tmp_path / "rover.dL", **options)
 
@@ -145,6 +145,23 @@ def test_loops_run_without_network_and_start_again_with_their_host(rover):
     team.boot("field")
     team.run(6.0)
     assert sum(line.text == "rover: tick 1" for line in team.log) == 2
+
+
+def test_a_lost_lease_stops_the_devices_of_its_coordinator_and_not_the_loops(rover):
+    """The coordinator has used the device, so a loop cannot move it either, until a release."""
+    team = rover("heartbeatInterval(2.0); rover.start(); sleep(60);", witness="//@base\n")
+    team.run(until="tick 12")
+    team.cut("field", "desk")
+    team.cut("field", "base")
+    team.run(until="in safe state 'hold': the lease of field has ended")
+    team.run(6.0)
+    assert stands(team)
+    assert team.said("tick 28") == 1
+    team.run(until="held in its safe state: the lease of field has ended")
+    assert team.said("loop drive of rover failed: DeviceException") == 2
+    team.heal("field", "desk")
+    team.run(6.0)
+    assert stands(team)
 
 
 @pytest.mark.few(0)

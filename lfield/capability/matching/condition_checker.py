@@ -181,7 +181,7 @@ class _Checker:
         sort = tree.sort if known is None else known.get(tree.path, "nothing")
         if not sort:
             return self.report(tree.span, "there is no parameter of this name")
-        if tree.unit and sort != "number":
+        if tree.unit and sort not in ("number", "nothing"):
             return self.report(tree.span, f"this is {_sort_text(sort)}, which has no unit")
         return ValueKind(cast(Sort, sort))
 

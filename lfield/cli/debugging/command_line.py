@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from lfield.cli.debugging import text_views
 from lfield.errors import UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
-from lfield.replay.debugger.expressions import ValueUnknown
+from lfield.replay.debugger.expressions import ValueUnknown, value_text
 from lfield.replay.debugger.frames import StackFrame
 from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.value_tree import Variable
@@ -204,7 +204,7 @@ class DebuggerCommands:
         except ValueUnknown as error:
             return [f"no value: {error}"]
         if variable is None or self.frame is None:
-            return [f"{text} = {value}"]
+            return [f"{text} = {value_text(value)}"]
         return self._tree(variable, 0)
 
     def _tree(self, variable: Variable, depth: int) -> list[str]:

@@ -96,8 +96,13 @@ def _pieces(text: str, tokens: Sequence[Token]) -> Iterator[tuple[int, int, Toke
 
 def _end_of_type(text: str, tokens: Sequence[Token], at: int) -> int:
     """The last token of `map<string, int>` or `future<real>` that begins at a token; 0 for any other name."""
-    is_map = tokens[at].text == "map"
-    if tokens[at + 1].text != "<" or (is_map and tokens[at + 2].text not in ("string", "int")):
+    if tokens[at + 1].text != "<":
+        return 0
+    if (
+        tokens[at].text == "map"
+        and tokens[at + 2].text not in ("string", "int")
+        and tokens[at + 3].text != ","
+    ):
         return 0
     depth, last = 0, at
     while depth or last == at:

@@ -12,6 +12,7 @@ from enum import Enum, auto
 
 from lfield.editor.layout.source_items import SourceItem
 from lfield.lang.parser.loop_members import LOOP, LOOP_WORDS, RATES
+from lfield.lang.parser.top_level import ENUM
 from lfield.lang.scanner import TokenKind
 
 #: Statements with parentheses, and a body that may be a single statement.
@@ -21,8 +22,6 @@ _CLAUSES = {"else": ("if",), "catch": ("try", "catch"), "finally": ("try", "catc
 #: The last tokens of an operand, besides names and literals.
 _OPERAND_ENDS = (")", "]", "this", "true", "false", "null")
 _OPERANDS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
-#: The end of a statement; outside of brackets, a comma is between two members of an enum.
-_ENDS = (";", ",")
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 #: What is before the brace of the elements of an array.
 _BEFORE_ELEMENTS = ("=", "(", "[", ",", "return", ":")
@@ -87,10 +86,11 @@ class _Head:
 class _Block:
     """A block that is open, with the unfinished statement in it, whose first token is `first`.
 
-    `next` is the role of its next token.
+    `next` is the role of its next token, `ends` the end of its statements: `,` between members of an enum.
     """
 
     level: int
+    ends: str = ";"
     heads: list[_Head] = field(default_factory=list)
     brackets: list[str] = field(default_factory=list)
     next: TokenRole = TokenRole.STATEMENT
@@ -201,11 +201,11 @@ class StatementStructure:
             placed.is_block = True
             if role is not TokenRole.STATEMENT:
                 placed.role = TokenRole.OPEN
-            self._blocks.append(_Block(placed.level + 1))
+            self._blocks.append(_Block(placed.level + 1, "," if self._text(at - 2) == ENUM else ";"))
         elif text in _PAIRS:
             block.brackets.append(text)
             placed.is_head = self._is_head(at, block)
-        elif text in _ENDS:
+        elif text == block.ends:
             block.finish(self._text(at + 1))
         elif role is not TokenRole.INNER:
             self._place_head(block, at, text, placed.level)

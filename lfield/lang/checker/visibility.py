@@ -23,6 +23,7 @@ Place = Literal["field", "constructor", "portal", "elsewhere"]
 _OF_FUNCTIONS = (
     "a function has numbers, text, arrays, maps, enums and objects: pass what it needs of the other"
 )
+_OF_FUTURES = "coordinators and coordinator specific classes have futures: pass the result, f.await()"
 _COORDINATOR_RULES: dict[tree.Usage, FindingKind] = {
     "resource": messages.RESOURCE_NAMES_COORDINATOR,
     "coordinator": messages.COORDINATOR_NAMES_COORDINATOR,
@@ -57,7 +58,8 @@ def check_visibility(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, spa
     """Whether `viewer` may name `target`; the broken rule is reported."""
     rule = _rule(viewer, target)
     if rule is not None:
-        hint = _OF_FUNCTIONS if viewer.function else None
+        is_future = target.name.startswith("future<")
+        hint = _OF_FUNCTIONS if viewer.function else _OF_FUTURES if is_future else None
         symbols.report(
             rule,
             span,

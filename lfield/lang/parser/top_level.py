@@ -42,7 +42,7 @@ def _at_constant(s: TokenStream) -> bool:
 def _at_enum(s: TokenStream) -> bool:
     if not s.at(ENUM) or s.ahead(2).text == "(":
         return False
-    return s.ahead(1).kind is _NAME or s.ahead(1).text in ("class", "{")
+    return s.ahead(1).kind is _NAME or s.ahead(1).text in ("class", "{", *PRIMITIVES)
 
 
 def _at_function(s: TokenStream) -> bool:

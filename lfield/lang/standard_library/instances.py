@@ -60,11 +60,12 @@ def enum_text(name: str, members: Sequence[str]) -> str:
     """The methods of an enum, with numbers for its members."""
     names = (f'if (number == {i}) return "{member}";' for i, member in enumerate(members))
     numbers = (f'if (name == "{member}") return {i};' for i, member in enumerate(members))
+    null = 'if (name == null) throw new NullException("of(null)");'
     unknown = f'throw new ConversionException("the enum {name} has no member " + name);'
     return (
         f"// The members of the enum {name}.\nclass Enums {{\n"
         f"    private string name(int number) {{\n{_lines(names)}        return i2s(number);\n    }}\n"
-        f"    private int of(string name) {{\n{_lines(numbers)}        {unknown}\n    }}\n}}\n"
+        f"    private int of(string name) {{\n{_lines((null, *numbers))}        {unknown}\n    }}\n}}\n"
     )
 
 

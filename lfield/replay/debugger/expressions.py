@@ -126,6 +126,13 @@ class WatchScope:
         return ValueReader(self._moment.agents[agent].block, self._moment.table.program)
 
 
+def value_text(value: object) -> str:
+    """A value without parts, as L writes it."""
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 class WatchExpression:
     """A parsed expression. Raises UsageError for a mistake in it."""
 

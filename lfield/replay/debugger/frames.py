@@ -136,7 +136,8 @@ def _places(moment: Moment, name: str, thread: int) -> list[tuple[str, int]]:
     place = block.w[place_of(block, thread) + THREAD_FRAME]
     found = []
     while place:
-        found.append((name, place))
+        if block.w[place] >> 8 & 0xFFFFFF not in moment.table.library:
+            found.append((name, place))
         place = block.w[place + FRAME_CALLER]
     return found
 
@@ -157,6 +158,8 @@ def _frames(moment: Moment, key: ThreadKey) -> Iterator[StackFrame]:
     block = agent.block
     added = 0 if key.agent == key.logical else PORTAL_DEPTH
     for at in stack(block, program, place_of(block, key.thread)):
+        if at.method in moment.table.library:
+            continue
         depth = block.w[at.frame + FRAME_DEPTH] + added
         line = SourceLine(at.file, at.line) if at.line else None
         name = program.method_name(at.method)

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from functools import cached_property
 from typing import NamedTuple
 
-from lfield.bytecode.program import Program
+from lfield.bytecode.program import LIBRARY_SOURCE, Program
 
 
 class SourceLine(NamedTuple):
@@ -20,16 +20,27 @@ class SourceLine(NamedTuple):
 
 
 class StatementTable:
-    """Instructions are identified by their position in the code of `program`."""
+    """Instructions are identified by their position in the code of `program`.
+
+    The library that is written in L has no statements: it says nothing to the author of a program.
+    """
 
     def __init__(self, program: Program) -> None:
         self.program = program
         lines: dict[int, SourceLine] = {}
-        for method, info in zip(program.core.methods, program.debug.methods, strict=False):
+        library = set()
+        for number, (method, info) in enumerate(
+            zip(program.core.methods, program.debug.methods, strict=False)
+        ):
             file = program.debug.sources[info.source].name
+            if file == LIBRARY_SOURCE:
+                library.add(number)
+                continue
             # The first instruction only enters the method; a portal starts after it.
             starts = [(max(pc, method.entry + 1), line) for pc, line in info.lines]
             lines.update((pc, SourceLine(file, line)) for pc, line in starts if pc < method.end)
+        #: The methods of the library, by index.
+        self.library = frozenset(library)
         #: The line of each statement, by its first instruction.
         self.lines = lines
         #: The first instructions of all statements.

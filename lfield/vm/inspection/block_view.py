@@ -252,6 +252,8 @@ class _Decoder:
             return members[word] if 0 <= word < len(members) else str(word)
         if not word:
             return "null"
+        if record.kind == TICKET:
+            return ", ".join(self.call(ticket) for ticket in tickets_of(self.block, word)) or "no call"
         if record.kind == STRING:
             text = self.block.string(word)
             return f'"{escape_line(truncate(text, SHOWN_CHARACTERS + 1))}"'

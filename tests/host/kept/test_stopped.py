@@ -32,6 +32,25 @@ coordinator Walker {
     }
 }
 """
+#: A loop flies, and only the portal releases.
+LOOPS = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) {
+        try { fc.release(); } catch (DeviceException refused) { }
+    }
+    loop tick at 1.0 { print("tick"); }
+    loop fly every 2.0 { fc.goTo(0, 0, -5.0 - random()); print("climbs"); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        while (true) {
+            try { sleep(0.5); findPost("p").climb(1); } catch (RestartException e) { }
+        }
+    }
+}
+"""
 WHY = "the emergency stop was pressed: person on the field"
 STILL = f"EMERGENCY STOP still active: {WHY}; end it with 'lfield estop --lift'"
 
@@ -63,8 +82,8 @@ class Person:
         life.process.loop.enter(lambda: life.host.on_message("", order, self))  # type: ignore[arg-type]
 
 
-def flying(folder: Path, *, keeps: bool = True) -> tuple[Fleet, Person]:
-    (folder / "mission.L").write_text(PROGRAM)
+def flying(folder: Path, program: str = PROGRAM, *, keeps: bool = True) -> tuple[Fleet, Person]:
+    (folder / "mission.L").write_text(program)
     (folder / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=keeps))
     fleet.run(8.0)
@@ -181,3 +200,20 @@ def test_a_host_without_a_journal_stands_still_while_it_is_paused(tmp_path: Path
     core.run = counted  # type: ignore[method-assign]
     fleet.run(5.0)
     assert latched(fleet) == "the mission is paused"
+
+
+def test_loops_run_during_a_stop_move_nothing_and_fly_again_after_the_release(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path, LOOPS)
+    person.stop()
+    for _ in range(2):
+        began = len(fleet.log)
+        fleet.run(15.0)
+        assert sum("p: tick" in text for _, _, text in fleet.log[began:]) >= 9
+        assert said(fleet, f"loop fly of p failed: DeviceException: fc: held in its safe state: {WHY}", began)
+        assert not climbs(fleet, began)
+        began = started_again(fleet)  # The stop is in the journal; loops begin again.
+        assert not climbs(fleet, began)
+    person.stop(lift=True)
+    began = len(fleet.log)
+    fleet.run(6.0)
+    assert climbs(fleet, began)

@@ -12,7 +12,7 @@ from lfield.cli.debugging.dap.dap_values import DapValues, Row
 from lfield.cli.debugging.dap.dap_wire import DapStream, Message, RequestQueue
 from lfield.errors import LfieldError, UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
-from lfield.replay.debugger.expressions import ValueUnknown
+from lfield.replay.debugger.expressions import ValueUnknown, value_text
 from lfield.replay.debugger.host_timeline import SearchCancelled
 from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.targets import AnyTarget, StatementTarget
@@ -297,7 +297,7 @@ class DapSession:
             return {"result": "\n".join(lines), "variablesReference": 0}
         value, variable = self._ready.evaluate(text, frame)
         if variable is None:
-            return {"result": str(value), "variablesReference": 0}
+            return {"result": value_text(value), "variablesReference": 0}
         frames = [frame] if frame is not None else self._ready.stack()
         row = self._known.variable_row(frames[0], variable)
         return {"result": row["value"], "type": row["type"], "variablesReference": row["variablesReference"]}

@@ -68,6 +68,11 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
     if not raw.arguments:
         return call_of_text(body, raw, "race", _REFUSES.sub(r"\1.failed()", text), owner, INT)
     argument = raw.arguments[0]
+    if kind.value == VOID:
+        body.report(
+            messages.RACE_ARGUMENT, argument.span, name="race", argument="no argument without results"
+        )
+        return unknown(raw.span)
     if len(raw.arguments) > 1 or not isinstance(argument, syntax.Name):
         body.report(
             messages.RACE_ARGUMENT,
@@ -77,13 +82,14 @@ def _race(body: BodyContext, raw: syntax.Call, owner: tree.Expr, kind: FutureTyp
         )
         return unknown(raw.span)
     name = argument.name
-    for method in body.methods(name):
+    methods = body.methods(name) or [one.head for one in body.symbols.functions.get(name, ())]
+    for method in methods:
         if [p.type for p in method.parameters] == [kind.value] and method.result == BOOLEAN:
             accepts = rf"(\1.failed() || !{name}(\1.await()))"
             return call_of_text(body, raw, "race", _REFUSES.sub(accepts, text), owner, INT)
     if not body.is_broken():
-        known = [method.signature for method in body.methods(name)]
-        found = f"'{name}' is {listed(known)}" if known else f"there is no method '{name}' here"
+        known = [method.signature for method in methods]
+        found = f"'{name}' is {listed(known)}" if known else f"there is no method or function '{name}' here"
         body.report(messages.RACE_METHOD, argument.span, found=found, of=kind.value, name=name)
     return unknown(raw.span)
 

@@ -7,6 +7,7 @@ in one string (lfield/capability/query_values.py), a sum of texts like any other
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -26,6 +27,8 @@ from lfield.text.source_text import Diagnostics, Source, Span
 
 #: Between the query and its values (capability/query_values.py).
 _SEPARATOR = "\0"
+#: A key of a map, or the sign before a name.
+_QUOTED_OR_SIGN = re.compile(r'("(?:[^"\\]|\\.)*")|\$')
 _SORTS: Mapping[Type, PlaceholderSort] = {
     INT: "number",
     REAL: "number",
@@ -87,7 +90,8 @@ def is_variable(body: BodyContext, name: str) -> bool:
 def _value(body: BodyContext, path: str, place: Span) -> tree.Expr:
     """The value of a path such as `$at[$i].north`; all of it has one place."""
     quiet = Diagnostics()
-    raw = expression(TokenStream(scan(Source("", path.replace("$", "")), quiet), quiet))
+    without_signs = _QUOTED_OR_SIGN.sub(lambda found: found[1] or "", path)
+    raw = expression(TokenStream(scan(Source("", without_signs), quiet), quiet))
     return _part(body, raw, place)
 
 
@@ -96,7 +100,7 @@ def _part(body: BodyContext, raw: syntax.Expr, place: Span) -> tree.Expr:
         case syntax.Name():
             return check_variable(body, replace(raw, span=place))
         case syntax.Literal_(value=value):
-            return tree.Literal_(place, INT if isinstance(value, int) else UNKNOWN, value)
+            return tree.Literal_(place, INT if isinstance(value, int) else STRING, value)
         case syntax.Member():
             return check_member(body, replace(raw, span=place, place=place), _part(body, raw.object, place))
         case syntax.Index():
@@ -132,17 +136,17 @@ def _encoded(
     body: BodyContext, raw: syntax.Call, value: tree.Expr, of: PlaceholderValue
 ) -> Iterator[str | tree.Expr]:
     """The parts of the string for one value."""
-    span = value.span
+    span, name = value.span, f" {of.path}{_SEPARATOR}"
     if value.type == BOOLEAN:
-        yield from ("b", tree.LibraryCall(span, STRING, "b2s", [value]), ";")
+        yield from ("b", tree.LibraryCall(span, STRING, "b2s", [value]), name)
     elif value.type in (INT, REAL):
         number = _converted(value, of)
         to_text = "i2s" if number.type == INT else "f2s"
-        yield from ("n", tree.LibraryCall(span, STRING, to_text, [number]), ";")
+        yield from ("n", tree.LibraryCall(span, STRING, to_text, [number]), name)
     else:
         text = member_name(body, raw, value) if isinstance(value.type, EnumType) else value
         length = tree.LibraryCall(span, INT, "str_len", [text])
-        yield from ("t", tree.LibraryCall(span, STRING, "i2s", [length]), ":", text)
+        yield from ("t", tree.LibraryCall(span, STRING, "i2s", [length]), name, text)
 
 
 def _converted(value: tree.Expr, of: PlaceholderValue) -> tree.Expr:

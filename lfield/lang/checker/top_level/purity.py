@@ -3,7 +3,8 @@
 A function has no unit, so it has no fields, devices and proxies. What remains is found in its checked body:
 output, the clock, random numbers, other threads, objects of classes (their methods may do any of these), and
 changes of an array or object that the caller has. The last is a flow-insensitive taint analysis of the
-parameters, and of every variable that may lead to a part of what they refer to.
+parameters, and of every variable that may lead to a part of what they refer to. A function creates no objects
+of classes, so what it catches may be its caller's.
 """
 
 from __future__ import annotations
@@ -79,10 +80,12 @@ class _Changes:
     """The variables of a function that may refer to what its caller has, or hold it in a part."""
 
     def __init__(self, head: tree.Method) -> None:
-        self._given = {local for local in head.parameters if _is_mutable(local.type)}
+        statements = [*all_statements(head.body)]
+        caught = [one.local for each in statements if isinstance(each, tree.Try) for one in each.catches]
+        self._given = {local for local in (*head.parameters, *caught) if _is_mutable(local.type)}
         self._holding: set[tree.Local] = set()
         expressions = [*_expressions(head.body)]
-        declared = [one for one in all_statements(head.body) if isinstance(one, tree.Declare)]
+        declared = [one for one in statements if isinstance(one, tree.Declare)]
         before = -1
         while before != (before := len(self._given) + len(self._holding)):
             for one in declared:
@@ -113,12 +116,13 @@ class _Changes:
             self._given.add(local)
         if self._is_holding(value):
             self._holding.add(local)
+        if local in self._holding:  # what is stored in the one later is in the other, too
+            self._holding.update(_arrays_in(value))
 
     def _put(self, target: tree.Expr, values: Iterable[tree.Expr]) -> None:
         """Values are stored in a part of something."""
-        local = _root(target)
-        if local is not None and any(self._is_given(one) or self._is_holding(one) for one in values):
-            self._holding.add(local)
+        if any(map(self._leads, values)):
+            self._holding.update(_arrays_in(target))
 
     def _is_given(self, expr: tree.Expr) -> bool:
         """Whether a value may be something that the caller has."""
@@ -177,18 +181,11 @@ def _is_of_library(method: tree.Method) -> bool:
     return method.span.source.name == LIBRARY_FILE
 
 
-def _root(expr: tree.Expr) -> tree.Local | None:
-    """The variable at the start of `a[i].next`; None if there is none."""
-    while True:
-        match expr:
-            case tree.LocalGet(local=local):
-                return local
-            case tree.FieldGet(object=inner) | tree.Element(array=inner):
-                expr = inner
-            case tree.Call(object=inner, method=tree.Method(name="get")):
-                expr = inner
-            case _:
-                return None
+def _arrays_in(expr: tree.Expr) -> Iterator[tree.Local]:
+    """The variables of an expression whose parts its value may share."""
+    for one in descendants(expr):
+        if isinstance(one, tree.LocalGet) and _is_mutable(one.local.type):
+            yield one.local
 
 
 def _is_mutable(kind: Type) -> bool:

@@ -9,7 +9,7 @@ from lfield.lang.language_library import FUNCTIONS
 
 _ONE_TYPE = "write the type: int x = 1;"
 _NO_LIST = "arrays grow: write int[], and a.append(...), a.insert(...), a.remove(...) or a.pop()"
-_NO_MAP = "write map<string, int>, with keys of type string or int"
+_NO_MAP = "write map<string, int>, with keys of type string, int or an enum"
 _NO_MODULES = "L has no modules: call library functions by their name alone, as in sleep(1.0) or print(...)"
 _TOGETHER = "write together { ... } around the portal calls that should run at the same time"
 _METHOD = "write private void name(...) { ... } inside a resource, a coordinator or a class"
@@ -18,6 +18,8 @@ _IF = "write if (...) ... else if (...) ... else ..."
 _YIELD = "write return with the value; yield() only runs other threads"
 _NO_WAIT = "leave it out: a call returns when it is complete; of a future write f.await()"
 _NO_MODIFIER = "units have no modifier; leave it out"
+_ASYNC = "write async before the call of a portal, without parentheses: async arm.work()"
+_CONST = "leave it out; a constant is at the top level: const int NAME = 1;"
 _EACH = "write for (int x : array) { ... }, with the type of the elements"
 _NODES = "L has no nodes and topics: write a resource with portals, and call these from a coordinator"
 _SLEEP = "write sleep(1.0), in seconds"
@@ -146,7 +148,8 @@ FOREIGN_FUNCTIONS = {
     "not": "write !(...)",
     "assert": 'write if (!(...)) throw new Exception("reason");',
     "await": _NO_WAIT,
-    **dict.fromkeys(("spawn", "launch", "go", "async", "gather"), _TOGETHER),
+    **dict.fromkeys(("spawn", "launch", "go", "gather"), _TOGETHER),
+    "async": _ASYNC,
     **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
     "open": "L reads no files: pass values as deployment arguments",
     **dict.fromkeys(
@@ -200,8 +203,8 @@ MAP_METHODS = {
 FOREIGN_MODIFIERS = {
     "static": "every method belongs to an object; leave it out",
     "final": "leave it out",
-    "const": "leave it out",
-    "constexpr": "leave it out",
+    "const": _CONST,
+    "constexpr": _CONST,
     "readonly": "leave it out",
     "protected": "write private or public",
     "abstract": "leave it out and give the method a body",
@@ -239,7 +242,8 @@ FOREIGN_STATEMENTS = {
     "foreach": _EACH,
     **dict.fromkeys(("elif", "elsif", "elseif", "elseIf"), "write else if"),
     **dict.fromkeys(("var", "let", "auto"), _ONE_TYPE),
-    **dict.fromkeys(("const", "constexpr", "final", "volatile", "mutable"), "leave it out"),
+    **dict.fromkeys(("const", "constexpr"), _CONST),
+    **dict.fromkeys(("final", "volatile", "mutable"), "leave it out"),
     "static": "declare a field of the resource, coordinator or class",
     **dict.fromkeys(("delete", "del", "free"), "objects are freed automatically; leave it out"),
     "pass": "leave it out: a block may be empty",
@@ -292,7 +296,7 @@ FOREIGN_UNITS = {
         ),
         "write const int NAME = 1; for a constant; variables are inside a resource, a coordinator or a class",
     ),
-    "const": "write const int NAME = 1;",
+    **dict.fromkeys(("const", "constexpr"), "write const int NAME = 1;"),
     **dict.fromkeys((*METHOD_WORDS, "async"), _METHOD),
     "pass": "leave it out: a program has no statements outside of methods",
     **dict.fromkeys(("node", "robot", "device", "actor", "server", "service"), "write resource Name { ... }"),
@@ -319,7 +323,7 @@ WORD_PREFIXES = {
     "not": "write !",
     "await": _NO_WAIT,
     "co_await": _NO_WAIT,
-    "async": _TOGETHER,
+    "async": _ASYNC,
     "spawn": _TOGETHER,
     "launch": _TOGETHER,
     "yield": _YIELD,
