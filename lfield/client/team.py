@@ -47,6 +47,7 @@ from lfield.operator.targets import TargetTeam, display_names, open_team, runnin
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
+from lfield.wire.fields import MAX_COUNT
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.subscription_messages import MAX_RATE, EventBatch
 
@@ -156,10 +157,12 @@ class ConnectedTeam:
 
         `since` 0: also the stored ones. `rate` is that of telemetry in Hz. With `until_done` it ends when all
         coordinators have ended. An object of the kind 'lost' counts events that were lost. Raises UsageError
-        for an unknown kind or host.
+        for an unknown kind or host, or a number out of range.
         """
         self._check(kinds, KINDS, "kind of events")
         self._check(hosts, self.hosts, "host")
+        if since is not None and not 0 <= since <= MAX_COUNT:
+            raise UsageError(f"events are numbered from 1: since {since} is not possible")
         if not 0.0 <= rate <= MAX_RATE:
             raise UsageError(f"the rate must be from 0 to {MAX_RATE:g} Hz")
         stream = self._events(since, kinds, hosts, rate, until_done)
