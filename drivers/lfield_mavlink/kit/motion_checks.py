@@ -111,7 +111,8 @@ async def plan(bench: Bench) -> str:
         await bench.call("flyPlan", _plan_of(goals, bench.query("altitude")))
         reached = bench.query("missionReached")
         _see(
-            reached == 1, f"flyPlan() returned, but item {reached} is the last that it has reached, of 0 and 1"
+            reached == 1,
+            f"flyPlan() returned, but item {reached} is the last that it has reached, of 0 and 1",
         )
         await bench.call("hold")
         await _stops(bench)
