@@ -14,6 +14,8 @@ from lfield.text.source_text import Span
 MAX_HEIGHT = 100
 #: Largest limit of a query.
 MAX_LIMIT = 1000
+#: The largest team that can be requested.
+MAX_TEAM = 1000
 
 
 @dataclass(frozen=True, slots=True)

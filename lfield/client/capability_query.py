@@ -6,9 +6,10 @@ import asyncio
 from collections.abc import Mapping
 from pathlib import Path
 
+from lfield.capability.condition_tree import MAX_TEAM
 from lfield.capability.matching.matcher import Matcher
 from lfield.client.query_json import KnownTeam, query_data
-from lfield.errors import AddressError, LfieldError
+from lfield.errors import AddressError, LfieldError, UsageError
 from lfield.mission.team import Team as MissionTeam
 from lfield.operator.client import unanswered
 from lfield.operator.query_parser import CapabilityQuery, parse_query
@@ -71,7 +72,12 @@ class TeamQueries:
     def answers(
         self, question: CapabilityQuery, known: KnownTeam, size: int | None = None
     ) -> list[PrimitiveAnswer]:
-        """The answers, one for each primitive; with a `size` also teams of so many agents."""
+        """The answers, one for each primitive; with a `size` also teams of so many agents.
+
+        Raises UsageError for a size that no team has.
+        """
+        if size is not None and not 1 <= size <= MAX_TEAM:
+            raise UsageError(f"a team has from 1 to {MAX_TEAM} members, not {size}")
         matcher = Matcher(self._context.registry, known.team, self._context.ways)
         return [primitive_answer(matcher, primitive, question, size) for primitive in question.primitives]
 

@@ -144,7 +144,8 @@ async def start_mission(desk: FleetDesk, plan: StartPlan) -> StartResult:
     """Start the hosts, and wait until they are up."""
     mission, before = plan.mission, plan.before
     hosts, continues, digest = list(before), _suspended(before), mission.digest
-    order = MissionCommand("start", digest, without=list(plan.without), order=secrets.token_bytes(ID_SIZE))
+    id, without = secrets.token_bytes(ID_SIZE), list(plan.without)
+    order = MissionCommand("start", digest, without=without, order=id, is_assistant=desk.is_assistant)
     results, failed = split_answers(await desk.order(hosts, order, CommandResult, START_TIMEOUT))
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
     if refusals or failed:

@@ -55,14 +55,15 @@ def hosts_to_stop(desk: FleetDesk, without: Sequence[str]) -> list[str]:
 
 async def stop_mission(desk: FleetDesk, hosts: Sequence[str], *, discards: bool = False) -> StopResult:
     """Stop the mission; with `discards` its coordinators end too, if all hosts have stopped in order."""
-    answers = await desk.order(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT)
+    order = MissionCommand("stop", is_assistant=desk.is_assistant)
+    answers = await desk.order(hosts, order, CommandResult, STOP_TIMEOUT)
     stopped, failed = split_answers(answers)
     troubles = [host for host, result in stopped.items() if result.trouble]
     checked = {host: result.checked for host, result in stopped.items() if result.checked}
     if discards and not failed and not troubles:
         # Only when every host has stopped: a coordinator on another one could continue. And this order says
         # that the vehicles of a host that was killed meanwhile have been checked.
-        order = MissionCommand("stop", discards=True)
+        order = MissionCommand("stop", discards=True, is_assistant=desk.is_assistant)
         stopped, failed = split_answers(await desk.order(hosts, order, CommandResult, STOP_TIMEOUT))
         troubles = [host for host, result in stopped.items() if result.trouble]
     return StopResult(stopped, failed, checked, troubles)

@@ -11,6 +11,8 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
+import msgspec
+
 from lfield.errors import (
     AddressError,
     CallOutcomeUnknown,
@@ -25,6 +27,7 @@ from lfield.net.transport import Transport
 from lfield.operator.observer_link import PresentedCrl, Request, ask_with_retries, send_request
 from lfield.text.suggestions import did_you_mean
 from lfield.vm.person_calls.value_codec import UnsendableValue, decode_values, encode_values
+from lfield.wire.fields import Label, Name
 from lfield.wire.messages import TOO_MANY_OBSERVERS
 from lfield.wire.order_messages import ID_SIZE
 from lfield.wire.person_calls.portal_call_messages import (
@@ -40,6 +43,10 @@ from lfield.wire.subscription_messages import EventBatch
 EXTRA, RETRY_DELAY = 30.0, 0.2
 #: Seconds for which a cancellation is repeated.
 CANCEL_TIMEOUT = 10.0
+
+
+#: The names of an agent and of a portal, as messages have them.
+_names = msgspec.msgpack.Decoder(tuple[Name, Label])
 
 
 class AgentPlace(NamedTuple):
@@ -80,6 +87,10 @@ class PortalCaller:
         """
         if not 0.0 < timeout <= MAX_LIMIT:
             raise UsageError(f"a time limit is above 0 and at most {MAX_LIMIT:g} s, not {timeout!r}")
+        try:
+            _names.decode(msgspec.msgpack.encode((agent, portal)))
+        except (msgspec.ValidationError, UnicodeEncodeError) as error:
+            raise PortalCallRefused("a portal", "no-portal", f"its name is not valid: {error}") from None
         try:
             data = encode_values(arguments, MAX_ARGUMENTS)
         except UnsendableValue as error:

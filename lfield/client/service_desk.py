@@ -28,11 +28,12 @@ TIMEOUT = 8.0
 
 @dataclass(frozen=True, slots=True)
 class FleetDesk:
-    """The inventory of a desk, and the keys of its user."""
+    """The inventory of a desk, and the keys of its user. `is_assistant`: an AI assistant acts for them."""
 
     inventory: Inventory
     keys: Keys
     crl: PresentedCrl | None
+    is_assistant: bool = False
 
     @property
     def hosts(self) -> list[str]:
@@ -185,7 +186,9 @@ def find_person_keys(path: Path | None) -> Keys | None:
     return None if folder is None else keystore.read_keys(folder, "person")
 
 
-def open_service_desk(inventory: Path | None, folder: Path | None) -> FleetDesk:
+def open_service_desk(
+    inventory: Path | None, folder: Path | None, *, is_assistant: bool = False
+) -> FleetDesk:
     """The desk of an inventory and a folder of keys, or of the default ones.
 
     Raises UsageError without an inventory, KeysError without keys.
@@ -199,4 +202,4 @@ def open_service_desk(inventory: Path | None, folder: Path | None) -> FleetDesk:
             "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
             "their directory"
         )
-    return FleetDesk(found, keys, presented_crl(keys))
+    return FleetDesk(found, keys, presented_crl(keys), is_assistant)

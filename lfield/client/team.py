@@ -47,6 +47,7 @@ from lfield.operator.targets import TargetTeam, display_names, open_team, runnin
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
+from lfield.wire.fields import MAX_COUNT
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.subscription_messages import MAX_RATE, EventBatch
 
@@ -151,18 +152,24 @@ class ConnectedTeam:
         hosts: Collection[str] = (),
         rate: float = 0.0,
         until_done: bool = False,
+        follow: bool = True,
     ) -> AsyncIterator[dict[str, object]]:
         """Events in order, as `lfield events --json`; of all kinds and hosts unless some are named.
 
         `since` 0: also the stored ones. `rate` is that of telemetry in Hz. With `until_done` it ends when all
-        coordinators have ended. An object of the kind 'lost' counts events that were lost. Raises UsageError
-        for an unknown kind or host.
+        coordinators have ended, without `follow` after the stored events, which it includes by default. An
+        object of the kind 'lost' counts events that were lost. Raises UsageError
+        for an unknown kind or host, or a number out of range.
         """
         self._check(kinds, KINDS, "kind of events")
         self._check(hosts, self.hosts, "host")
+        if since is not None and not 0 <= since <= MAX_COUNT:
+            raise UsageError(f"events are numbered from 1: since {since} is not possible")
         if not 0.0 <= rate <= MAX_RATE:
             raise UsageError(f"the rate must be from 0 to {MAX_RATE:g} Hz")
-        stream = self._events(since, kinds, hosts, rate, until_done)
+        stream = self._events(
+            0 if since is None and not follow else since, kinds, hosts, rate, until_done, follow
+        )
         self._streams.add(stream)
         return stream
 
@@ -173,6 +180,7 @@ class ConnectedTeam:
         hosts: Collection[str],
         rate: float,
         until_done: bool,
+        follow: bool,
     ) -> AsyncGenerator[dict[str, object], None]:
         names = display_names([self._target])
         end = (
@@ -192,12 +200,14 @@ class ConnectedTeam:
             ) as feed,
             background_tasks(*([feed.follow_end(end)] if end is not None else [])),
         ):
-            async for item in feed.events(follow=True, until=end.is_over if end is not None else _never):
+            async for item in feed.events(follow=follow, until=end.is_over if end is not None else _never):
                 if isinstance(item, FeedNotice):
                     if item.lost:
                         yield event_data(item)
                 elif (not kinds or item.event.kind in kinds) and (not hosts or item.host in hosts):
                     yield event_data(item)
+            for host in [] if follow else feed.unreached:
+                yield event_data(FeedNotice(host, "", {"events": None}))
 
     def _check(self, named: Collection[str], known: Collection[str], what: str) -> None:
         for name in named:
@@ -243,7 +253,10 @@ class ConnectedTeam:
         return (await stop_mission(desk, hosts_to_stop(desk, without), discards=discard)).as_data()
 
     async def _desk(self) -> FleetDesk:
-        return await asyncio.to_thread(open_service_desk, self._selection.inventory, self._selection.keys)
+        selection, is_assistant = self._selection, self._is_assistant
+        return await asyncio.to_thread(
+            open_service_desk, selection.inventory, selection.keys, is_assistant=is_assistant
+        )
 
     async def emergency_stop(self, reason: str = "") -> dict[str, object]:
         """Bring every device of every host into its safe state: by host and device, '' or why not."""
@@ -282,8 +295,8 @@ async def connect(
 
     Without arguments it is the mission that runs on this computer, else the hosts of the default inventory.
     `maps` are addresses `NAME=ADDR:PORT`, `keys` is the folder with the keys of this person. With
-    `is_assistant` hosts log its calls as those of an AI assistant. Raises UsageError, NoMissionRunning,
-    KeysError.
+    `is_assistant` hosts treat calls and starts as those of an AI assistant. Raises UsageError,
+    NoMissionRunning, KeysError.
     """
     path = Path(mission) if mission is not None else None
     selection = TeamSelection(path, run, maps, inventory, keys)

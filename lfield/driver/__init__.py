@@ -15,7 +15,14 @@ from lfield.driver.recording import WireLog
 from lfield.driver.settings import Setting, SettingChange, SettingsComparison, is_same_value
 from lfield.errors import DeviceError, MissionFileError
 from lfield.geodata.findings import FileFinding
-from lfield.geodata.mission_files import PlanPoint, PlanReport, PlanRequest, PlanZone, utf8_bytes
+from lfield.geodata.mission_files import (
+    PlanPoint,
+    PlanReport,
+    PlanRequest,
+    PlanZone,
+    ascii_number,
+    utf8_bytes,
+)
 from lfield.geodata.polygons import (
     LocalPlane,
     crosses,
@@ -60,6 +67,7 @@ __all__ = [
     "Span",
     "Vector",
     "WireLog",
+    "ascii_number",
     "crosses",
     "crossing_edges",
     "distance_to_way",

@@ -30,6 +30,7 @@ FILE_FINDINGS: Mapping[str, str] = {
     "M206": "the area has no extent",
     "M207": "the area is beyond the limits",
     "M208": "the shape has too many corners",
+    "M209": "a corner of the area is repeated",
     "M301": "a parameter that is a file needs its name as a literal or constant",
     "M302": "a file that a program names cannot be read",
     "M901": "home is far from the first item",

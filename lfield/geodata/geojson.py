@@ -32,9 +32,14 @@ def read_geojson(file: str, data: bytes) -> list[Shape]:
     if not isinstance(tree, dict) or tree.get("type") not in TYPES:
         raise MissionFileError(file, f"it is not GeoJSON: its type is none of {', '.join(TYPES)}")
     crs = tree.get("crs")
-    if crs is not None and not any(name in str(crs) for name in _WGS84):
+    if crs is not None and not _name(crs).endswith(_WGS84):
         raise MissionFileError(file, f"its coordinate system is {str(crs)[:80]}; lfield reads WGS 84 only")
     return list(_Reader(file).features(tree))
+
+
+def _name(crs: Any) -> str:
+    properties = crs.get("properties") if isinstance(crs, dict) else None
+    return str(properties.get("name")) if isinstance(properties, dict) else ""
 
 
 @dataclass(slots=True)

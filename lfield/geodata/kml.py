@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from lfield.errors import MissionFileError
+from lfield.geodata.mission_files import ascii_number
 from lfield.geodata.shapes import Shape, checked_position
 
 #: Elements that may be in each other.
@@ -104,7 +105,7 @@ class _KmlReader:
         for each in _COMMA.sub(",", text).split():
             parts = each.split(",")
             try:
-                numbers = [float(part) for part in parts]
+                numbers = [ascii_number(part) for part in parts]
                 if not 2 <= len(numbers) <= 3:
                     raise ValueError
                 geometry.corners.append(checked_position(numbers[1], numbers[0]))

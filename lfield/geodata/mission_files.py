@@ -85,6 +85,13 @@ class PlanReport:
         return not any(finding.is_error for finding in self.findings)
 
 
+def ascii_number(text: str) -> float:
+    """A number in ASCII; `float` alone also accepts `1_6` and digits of other scripts. Raises ValueError."""
+    if not text.isascii() or "_" in text:
+        raise ValueError(f"'{text[:40]}' is not a number")
+    return float(text)
+
+
 def utf8_bytes(file: str, data: bytes) -> bytes:
     """The bytes without a byte order mark. Raises MissionFileError for another encoding than UTF-8."""
     if data.startswith(_WIDE):

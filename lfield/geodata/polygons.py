@@ -88,7 +88,9 @@ def crossing_edges(corners: Sequence[Point]) -> tuple[int, int] | None:
     Neighbouring edges may share their corner, but must not lead back over each other.
     """
     count = len(corners)
-    ends = list(edges(corners))
+    spans = [sum(abs(b[axis] - a[axis]) for a, b in edges(corners)) for axis in (0, 1)]
+    # A sweep compares few pairs of edges that are short along its axis.
+    ends = list(edges(corners if spans[0] <= spans[1] else [(y, x) for x, y in corners]))
     order = sorted(range(count), key=lambda each: min(ends[each][0][0], ends[each][1][0]))
     active: list[int] = []
     for each in order:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from lfield.errors import MissionFileError
 from lfield.geodata.findings import FileFinding
@@ -67,10 +68,14 @@ def chosen_shape(file: str, shapes: Sequence[Shape], name: str = "") -> Shape:
     found = [shape for shape in usable if name in (shape.name, str(shape.number))] if name else usable
     if len(found) == 1:
         return found[0]
-    listed = ", ".join(f"'{shape.name or shape.number}'" for shape in usable[:20])
+    names = [shape.name for shape in usable]
+    keys = (each.name if names.count(each.name) == 1 and each.name else each.number for each in usable[:20])
+    listed = ", ".join(f"'{key}'" for key in keys)
     if not found:
         raise MissionFileError(file, f"it has no polygon or line '{name}'; it has {listed}")
-    raise MissionFileError(file, f"it has {len(found)} polygons and lines; choose one by name: {listed}")
+    raise MissionFileError(
+        file, f"it has {len(found)} polygons and lines; choose one by name or number: {listed}"
+    )
 
 
 def shape_findings(shape: Shape) -> list[FileFinding]:
@@ -81,7 +86,7 @@ def shape_findings(shape: Shape) -> list[FileFinding]:
     findings = list(_position_findings(shape))
     if shape.kind == "polygon":
         findings += _polygon_findings(shape, is_flat=not findings)
-    elif len(shape.corners) < 2:
+    elif len(set(shape.corners)) < 2:
         findings.append(FileFinding("M201", f"{shape.label} has {_points(shape)}; a line has at least 2"))
     if shape.has_heights:
         findings.append(FileFinding("M903", f"{shape.label} has heights, which an area does not use"))
@@ -118,6 +123,9 @@ def _polygon_findings(shape: Shape, *, is_flat: bool) -> list[FileFinding]:
         return [*findings, FileFinding("M201", f"{shape.label} has {_points(shape)}; an area has at least 3")]
     if not is_flat:
         return findings
+    if (number := _repeated_corner(shape.corners)) is not None:
+        text = f"{shape.label} has the corners {number} and {number + 1} at the same place; delete one"
+        return [*findings, FileFinding("M209", text)]
     points = plane_of(shape.corners).points(shape.corners)
     if (crossing := crossing_edges(points)) is not None:
         one, other = (each + 1 for each in crossing)
@@ -126,6 +134,11 @@ def _polygon_findings(shape: Shape, *, is_flat: bool) -> list[FileFinding]:
     elif area(points) < LEAST_AREA:
         findings.append(FileFinding("M206", f"{shape.label} has no extent: its corners are on one line"))
     return findings
+
+
+def _repeated_corner(corners: Sequence[Position]) -> int | None:
+    """The number of the first corner that equals the next one, from 1."""
+    return next((number for number, (one, two) in enumerate(pairwise(corners), 1) if one == two), None)
 
 
 def _points(shape: Shape) -> str:

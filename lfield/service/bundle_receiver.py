@@ -11,6 +11,7 @@ from lfield.authority.admission_policy import CertificateAdmission
 from lfield.authority.key_material import Keys
 from lfield.errors import BundleError, LfieldError, OutputFileError, SignatureError, WireError
 from lfield.mission import bundle
+from lfield.mission.access.access_rules import Access
 from lfield.mission.access.signed_bundle import accept_bundle
 from lfield.mission.mission import Mission
 from lfield.mission.relocation import companion_files
@@ -25,6 +26,7 @@ from lfield.wire.service_messages import (
     BundleInfo,
     BundleOffer,
     BundlePiece,
+    MissionCommand,
     PieceRequest,
     PieceStored,
     StageRequest,
@@ -156,6 +158,22 @@ class BundleReceiver:
         except LfieldError:
             return False
 
+    def start_refusal(self, digest: bytes, command: MissionCommand, person: str) -> str:
+        """Why a command may not start the active bundle `digest`; '' if it may. Raises BundleError."""
+        if command.digest not in (b"", digest):
+            other, active = short_digest(command.digest), short_digest(digest)
+            return (
+                f"bundle {other} is not active here, but {active}: 'lfield push' activates one on all hosts"
+            )
+        info = self.info(digest)
+        hosts = info.hosts if info is not None else []
+        if unknown := [host for host in command.without if hosts and host not in hosts]:
+            return f"its mission has no host {listed(unknown)}"
+        if not command.is_assistant:
+            return ""
+        data = self._files.read(digest)
+        return "its bundle was deleted" if data is None else access_of(data).assistant_refusal(person)
+
     def infos(self, most: int) -> list[BundleInfo]:
         """The newest stored bundles that are valid."""
         found = [self.info(digest) for digest in self._files.stored()[:most]]
@@ -215,6 +233,11 @@ def homes_of(mission: Mission) -> dict[str, str]:
     """The coordinators of a mission, each with the host on which it starts."""
     team = mission.team
     return {one.id: team.hosts[one.host] for one in team.initial_coordinators[:MAX_COORDINATORS]}
+
+
+def access_of(data: bytes) -> Access:
+    """The access rules in a verified bundle. Raises BundleError."""
+    return bundle.decode(data).access
 
 
 def vehicles_of(data: bytes, host: str) -> list[str]:

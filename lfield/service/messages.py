@@ -45,5 +45,6 @@ MISSED_END = _message(
     "service-missed-end", "the mission has ended on {host} while the host here did not run; it is stopped"
 )
 COMMAND = _message("service-command", "{action} requested by {operator}")
+COMMAND_REFUSED = _message("service-command-refused", "{action} of {operator} refused: {reason}", "warning")
 DISCARDED = _message("service-discarded", "coordinators {agents} discarded by {operator}", "warning")
 STATE_ERROR = _message("service-state-error", "state of the service not stored: {reason}", "error")

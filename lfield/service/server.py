@@ -31,8 +31,11 @@ MAX_HANDSHAKES, MAX_PEERS = 64, 64
 class RequestHandler(Protocol):
     """Answers requests (`service.Service`)."""
 
-    def answer(self, message: ServiceMessage, operator: str) -> Awaitable[ServiceMessage]:
-        """Raises LfieldError, whose text is sent to the peer before its link is closed."""
+    def answer(self, message: ServiceMessage, operator: str, person: str = "") -> Awaitable[ServiceMessage]:
+        """The answer to `operator`; `person` is the name in the certificate of a person, '' for others.
+
+        Raises LfieldError, whose text is sent to the peer before its link is closed.
+        """
 
     def note(self, line: LogLine) -> None:
         """Write a log line."""
@@ -137,8 +140,10 @@ class ServiceServer:
                 )
 
     async def _answer(self, link: Link, message: ServiceMessage) -> None:
+        who = link.who
+        person = who.name if who.kind == "person" else ""
         try:
-            answer: ServiceMessage | HandshakeRefused = await self._handler.answer(message, str(link.who))
+            answer: ServiceMessage | HandshakeRefused = await self._handler.answer(message, str(who), person)
         except LfieldError as error:
             answer = HandshakeRefused(truncate(str(error)))
         with suppress(AddressError):

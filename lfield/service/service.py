@@ -88,8 +88,8 @@ class Service:
         """Write a log line."""
         self._runner.note(line)
 
-    async def answer(self, message: ServiceMessage, operator: str) -> ServiceMessage:
-        """The answer to a request of `operator`, whose rights were checked. Raises WireError."""
+    async def answer(self, message: ServiceMessage, operator: str, person: str = "") -> ServiceMessage:
+        """See `RequestHandler`; the rights of the operator were checked. Raises WireError."""
         match message:
             case ServiceQuery():
                 return await self.status()
@@ -110,11 +110,14 @@ class Service:
                 await self.on_votes(message.id, message.votes)
                 return ballots.answer(self._activation, self._host, message.id)
             case MissionCommand():
-                self.note(messages.COMMAND.line(action=message.action, operator=operator))
+                who = f"assistant of {operator}" if message.is_assistant else operator
+                self.note(messages.COMMAND.line(action=message.action, operator=who))
                 # What ends the host from now on was not known to the operator.
                 unsafe = self._runner.record.unsafe
                 async with self._lock:
-                    return await self._on_command(message, operator, unsafe)
+                    if message.action == "stop":
+                        return await self._stop(message, who, unsafe)
+                    return await self._start(message, who, person)
         raise WireError(f"{type(message).__name__} is not a request to a service")
 
     async def status(self) -> ServiceStatus:
@@ -308,28 +311,23 @@ class Service:
 
     # --- commands -------------------------------------------------------------------------------------
 
-    async def _on_command(self, command: MissionCommand, operator: str, unsafe: str) -> CommandResult:
-        if command.action == "stop":
-            await self._runner.stop(f"stopped by {operator}", unsafe)
-            gone = await self._probe.discard() if command.discards else []
-            if command.discards:
-                self._runner.end_run()
-            if gone:
-                self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
-            checked = "" if self._runner.record.unsafe else unsafe
-            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED], checked)
+    async def _stop(self, command: MissionCommand, operator: str, unsafe: str) -> CommandResult:
+        await self._runner.stop(f"stopped by {operator}", unsafe)
+        gone = await self._probe.discard() if command.discards else []
+        if command.discards:
+            self._runner.end_run()
+        if gone:
+            self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
+        checked = "" if self._runner.record.unsafe else unsafe
+        return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED], checked)
+
+    async def _start(self, command: MissionCommand, operator: str, person: str) -> CommandResult:
         active = self._activation.active
-        refusal = self._start_refusal(active)
-        if not refusal and command.digest not in (b"", active):
-            refusal = (
-                f"bundle {short_digest(command.digest)} is not active here, but "
-                f"{short_digest(active)}: 'lfield push' activates one on all hosts"
-            )
-        if not refusal and (info := self._bundles.info(active)) is not None:
-            # Before the start: a refused start has started nothing.
-            unknown = [host for host in command.without if info.hosts and host not in info.hosts]
-            refusal = f"its mission has no host {listed(unknown)}" if unknown else ""
-        if not refusal:
+        # Before the start: a refused start has started nothing.
+        refusal = self._start_refusal(active) or self._bundles.start_refusal(active, command, person)
+        if refusal:
+            self.note(messages.COMMAND_REFUSED.line(action="start", operator=operator, reason=refusal))
+        else:
             await self._runner.start(active, command.order)
             if command.without:
                 refusal = await self._probe.start_without(command.without)

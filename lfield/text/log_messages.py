@@ -264,6 +264,8 @@ PORTAL_CALL_ENDED = _message("portal-call-ended", "{resource}.{portal}() called 
 PORTAL_CALL_REFUSED = _message(
     "portal-call-refused", "{resource}.{portal}() not called for {caller}: {reason}", "warning"
 )
+ASSISTANT_CALLED = _message("assistant-called", "tool {tool} called by {caller}: {arguments}")
+ASSISTANT_ANSWERED = _message("assistant-answered", "tool {tool} called by {caller} ended: {outcome}")
 AGENT_RESUMED = _message("agent-resumed", "{agent} resumed from the journal")
 AGENT_RESTARTED = _message(
     "agent-restarted",

@@ -35,10 +35,13 @@ MAX_NUMBERS = 1024
 #: The longest revocation list, in bytes.
 MAX_LIST = 64 << 10
 
+#: The largest count: it fits the signed 64 bits of other languages.
+MAX_COUNT = 2**63 - 1
+
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
 OptionalName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
-Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Count = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
 #: A hybrid timestamp of an event or a message (`lfield.hybrid_clock`), 0 for none.
 Timestamp = Annotated[int, Meta(ge=0, le=MAX_TIMESTAMP)]
 #: The difference of two times in milliseconds.

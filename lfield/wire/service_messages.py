@@ -246,7 +246,8 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
     `digest` is the bundle that must be active, b"" for any. `discards`: a stop also ends the coordinators
     that have not ended, so that the next start is another run. A start does not wait for the hosts `without`.
     `order` is the id of a start, the same on all hosts: a host that was restarted while the mission ended
-    knows by it that the end on another host is that of its run.
+    knows by it that the end on another host is that of its run. `is_assistant`: an AI assistant sends it
+    for the person.
     """
 
     action: Literal["start", "stop"]
@@ -254,6 +255,7 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
     discards: bool = False
     without: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
     order: OptionalOrderId = b""
+    is_assistant: bool = False
 
 
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):

@@ -108,6 +108,11 @@ def test_a_shape_is_chosen_by_name_or_number():
     with pytest.raises(MissionFileError):
         chosen_shape("f", [shapes[1]])
     assert chosen_shape("f", shapes[:2]).name == "p1"
+    same = read(kml(polygon(), polygon()).replace(b"p2", b"p1"))
+    with pytest.raises(MissionFileError) as caught:
+        chosen_shape("f", same, "p1")
+    assert caught.value.fault.endswith("'1', '2'")
+    assert chosen_shape("f", same, "2").number == 2
 
 
 def test_which_files_are_areas():
@@ -136,6 +141,7 @@ def test_which_files_are_areas():
         ([(0.0, -80.0), (-90.0, -80.0), (-180.0, -80.0), (90.0, -80.0)], "M204"),
         ([(0.0, 89.5), (1.0, 89.5), (1.0, 89.6)], "M204"),
         ([(8.0, 47.0), (8.0, 47.1), (8.0, 47.05)], "M202"),
+        ([(8.0, 47.0), (8.1, 47.0), (8.1, 47.0), (8.1, 47.1)], "M209"),
     ],
 )
 def test_areas_that_are_refused(corners, code):
@@ -154,7 +160,8 @@ def test_holes_heights_and_no_extent():
         f"{8.5 + east},{47.3 + north}" for east, north in ((0, 0), (1e-7, 0), (1e-7, 1e-7), (0, 0))
     )
     assert codes(kml(polygon(tiny))) == ["M206"]
-    assert codes(kml("<LineString><coordinates>8,47</coordinates></LineString>")) == ["M201"]
+    for once in ("8,47", "8,47 8,47"):
+        assert codes(kml(f"<LineString><coordinates>{once}</coordinates></LineString>")) == ["M201"]
     many = " ".join(f"{8 + each * 1e-6:.6f},47" for each in range(MAX_CORNERS + 1))
     assert codes(kml(f"<LineString><coordinates>{many}</coordinates></LineString>")) == ["M208"]
     assert codes(kml(polygon(many))) == ["M208"]
@@ -194,6 +201,8 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
         (kml(polygon("181,47 8,47 8,48")), "line 1"),
         (kml(polygon("8 47 8.1 47")), "line 1"),
         (kml(polygon("8,47,1,2")), "line 1"),
+        (kml(polygon("8_0,47 8,47 8,48")), "line 1"),
+        (kml(polygon("٨,47 8,47 8,48")), "line 1"),
         (kml("<Folder>" * 1000 + polygon() + "</Folder>" * 1000), "line 1"),
         (kml(polygon())[:-10], "line 1"),
         (b"\n<kml>\xff</kml>", "line 2"),
@@ -212,6 +221,7 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
         (b'{"type": "Polygon", "coordinates": ' + b"[" * 100_000, ""),
         (b'{"type": "Topology"}', ""),
         (b'{"type": "Point", "coordinates": [8, 47], "crs": {"properties": {"name": "EPSG:2056"}}}', ""),
+        (b'{"type": "Point", "coordinates": [8, 47], "crs": {"properties": {"name": "EPSG:43261"}}}', ""),
         (b'{"type": "Point"}'.decode().encode("utf-16"), ""),
         (b'{"type": "Point \xff"}', ""),
         (b"", ""),

@@ -13,11 +13,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lfield.driver import MissionFileError, utf8_bytes
+from lfield.driver import MissionFileError, ascii_number, utf8_bytes
 from lfield_mavlink.link.dialect import AUTOPILOT
 from lfield_mavlink.services.parameter_values import NAME_LENGTH
 
 _NAME = re.compile(rf"[A-Za-z][A-Za-z0-9_]{{0,{NAME_LENGTH - 1}}}")
+_HEXADECIMAL = re.compile("0[xX][0-9a-fA-F]+")
 _SEPARATOR = re.compile(r"[\s,=]+")
 _HEADER = re.compile(r"#\s*(Stack|Vehicle):\s*(.*)")
 #: Parts of the names of vehicles in QGroundControl's header, by kind; the first that is found counts.
@@ -110,7 +111,7 @@ def _read_line(found: ParameterFile, parts: Sequence[str]) -> None:
 
 def _number(text: str) -> float:
     try:
-        value = float(int(text, 16)) if text.lower().startswith("0x") else float(text)
+        value = float(int(text, 16)) if _HEXADECIMAL.fullmatch(text) else ascii_number(text)
     except (ValueError, OverflowError):
         raise ValueError(f"'{text[:40]}' is not a number") from None
     if not math.isfinite(value):

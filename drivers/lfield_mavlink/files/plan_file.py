@@ -30,7 +30,7 @@ MAV_TYPES: Mapping[str, int] = {kind: min(numbers) for kind, numbers in _TYPES.i
 MAX_ITEMS = 0xFFFF
 _FRAMES_WITHOUT_PLACE = frozenset({dialect.MAV_FRAME_MISSION})
 _JUMPS = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
-_INT32 = 0x7FFFFFFF
+_INT32, _FLOAT32 = 0x7FFFFFFF, 3.4e38
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,8 @@ class PlanFile:
     def mission(self, *, px4: bool) -> list[Item]:
         """The items for a vehicle: PX4 numbers them from 0 in jumps, ArduPilot from 1, after home.
 
-        PX4 has NaN for values that are not used, which ArduPilot refuses in most commands.
+        PX4 has NaN for values that are not used, which ArduPilot refuses in most commands, and for its own
+        position, for which ArduPilot has 0, 0.
         """
         first = self.items[0].number if self.items else 1
         shift = first - (0 if px4 else 1)
@@ -98,8 +99,8 @@ def mission_item(command: int, frame: int, values: Sequence[float]) -> Item:
     """
     if not (0 <= command <= 0xFFFF and 0 <= frame <= 0xFF):
         raise ValueError(f"command {command} in frame {frame} does not exist")
-    if any(math.isinf(value) for value in values):
-        raise ValueError("a parameter is infinite")
+    if any(abs(value) > _FLOAT32 for value in values):
+        raise ValueError("a parameter is infinite, or larger than MAVLink can transmit")
     scale = 1.0 if frame in _FRAMES_WITHOUT_PLACE else 1e7
     x, y = (_scaled(value, scale) for value in values[4:6])
     one, two, three, four = values[:4]
@@ -138,7 +139,8 @@ def _scaled(value: float, scale: float) -> int:
 
 def _without_nan(item: Item) -> Item:
     one, two, three, four = (0.0 if math.isnan(value) else value for value in item.parameters)
-    return replace(item, parameters=(one, two, three, four))
+    x, y = (0 if value == HERE else value for value in (item.x, item.y))
+    return replace(item, parameters=(one, two, three, four), x=x, y=y)
 
 
 def _renumbered(item: Item, shift: int) -> Item:

@@ -109,7 +109,7 @@ class PlanPath:
         """An estimate in seconds at the speeds of the file: without acceleration, wind and jumps."""
         plan = self._plan
         planned = plan.hover_speed if kind == "copter" else plan.cruise_speed
-        speed = planned or (HOVER if kind == "copter" else CRUISE)
+        speed = planned if planned and planned > 0.0 else HOVER if kind == "copter" else CRUISE
         legs = {leg.end.item: leg for leg in self._way()}
         seconds = 0.0
         for each in plan.items:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lfield.driver import MissionFileError, utf8_bytes
+from lfield.driver import MissionFileError, ascii_number, utf8_bytes
 from lfield_mavlink.files.plan_file import MAX_ITEMS, NumberedItem, PlanFile, mission_item, zones_and_points
 from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import dialect
@@ -71,14 +71,14 @@ def _row(fields: Sequence[str]) -> NumberedItem:
         raise ValueError(f"it has {len(fields)} fields instead of {_FIELDS}")
     try:
         index, _, frame, command = (_integer(text) for text in fields[:4])
-        values = [float(text) for text in fields[4:11]]
+        values = [ascii_number(text) for text in fields[4:11]]
     except (ValueError, OverflowError):
         raise ValueError(f"'{' '.join(fields)[:80]}' has a field that is not a number") from None
     return NumberedItem(index, mission_item(command, frame, values))
 
 
 def _integer(text: str) -> int:
-    value = float(text)
+    value = ascii_number(text)
     if value != int(value):
         raise ValueError
     return int(value)

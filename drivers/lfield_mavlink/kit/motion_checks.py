@@ -7,12 +7,19 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 
 from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
+from lfield_mavlink.files.plan_file import NumberedItem, PlanFile, mission_item
+from lfield_mavlink.files.plan_text import plan_text
+from lfield_mavlink.geodesy import Place
+from lfield_mavlink.kit.plan_checks import MISSION, restored
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import AUTONOMOUS
 from lfield_mavlink.parts.guidance import CANNOT_TURN, HEADING_TOLERANCE
+from lfield_mavlink.services.plan_items import WAYPOINT
 
 MOTION = Kit()
 
@@ -91,6 +98,33 @@ async def cancels(bench: Bench) -> str:
             await bench.until(lambda: abs(bench.query("climb")) < STANDS, 10.0, "it to stop climbing")
             _see(bench.query("altitude") < _height(bench), "its takeoff was cancelled but continued")
         return "; ".join(outcomes)
+
+
+@MOTION.check("a plan is flown to its end", moves=True)
+async def plan(bench: Bench) -> str:
+    """Two waypoints of a plan file, by the autopilot itself; flyPlan() returns at the last one."""
+    if bench.identity.startswith("PX4") and not bench.binding.waives(AUTONOMOUS):
+        raise NotTried(f"its binding does not waive {AUTONOMOUS}, which a plan of PX4 needs")
+    async with restored(bench, MISSION), _under_way(bench):
+        here = Place(*bench.query("globalPosition"))
+        goals = [here.shifted((north, 0.0, 0.0)) for north in (_far(bench), 0.0)]
+        await bench.call("flyPlan", _plan_of(goals, bench.query("altitude")))
+        reached = bench.query("missionReached")
+        _see(
+            reached == 1,
+            f"flyPlan() returned, but item {reached} is the last that it has reached, of 0 and 1",
+        )
+        await bench.call("hold")
+        await _stops(bench)
+        off = here.to(Place(*bench.query("globalPosition")))
+        return f"2 waypoints, {_far(bench):g} m away and back; {math.hypot(*off[:2]):.1f} m off at the end"
+
+
+def _plan_of(goals: Sequence[Place], height: float) -> str:
+    """A plan without a takeoff: the vehicle is under way."""
+    values = [(0.0, 0.0, 0.0, 0.0, goal.latitude, goal.longitude, height) for goal in goals]
+    items = [mission_item(WAYPOINT, dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT, each) for each in values]
+    return plan_text(PlanFile("kit.plan", tuple(NumberedItem(n, each) for n, each in enumerate(items, 1))))
 
 
 @MOTION.check("its speed limit is enforced", moves=True)

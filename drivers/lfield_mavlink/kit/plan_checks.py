@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 from lfield.driver import DeviceError
@@ -19,7 +20,7 @@ DEGREES, METRES = 1e-6, 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class _Plan:
+class StoredPlan:
     """A list of points {latitude, longitude, metres}: its name, and its instructions."""
 
     points: str
@@ -28,15 +29,15 @@ class _Plan:
     clear: str
 
 
-_MISSION = _Plan("waypoints", "missionWaypoints", "uploadMission", "clearMission")
-_RALLY = _Plan("rally points", "rallyPoints", "setRallyPoints", "clearRallyPoints")
+MISSION = StoredPlan("waypoints", "missionWaypoints", "uploadMission", "clearMission")
+_RALLY = StoredPlan("rally points", "rallyPoints", "setRallyPoints", "clearRallyPoints")
 
 
 @PLANS.check("a mission is uploaded, read back and cleared", moves=True)
 async def mission(bench: Bench) -> str:
     """Three waypoints around its position."""
     far, height = _within_limits(bench)
-    return await _tried(bench, _MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
+    return await _tried(bench, MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
 
 
 @PLANS.check("a fence is set, read back and cleared", moves=True)
@@ -86,23 +87,30 @@ def _within_limits(bench: Bench) -> tuple[float, float]:
     return min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
 
 
-async def _tried(bench: Bench, plan: _Plan, points: Sequence[tuple[float, float, float]]) -> str:
-    """Writes a plan, reads it back and clears it; then restores the vehicle's own in every case."""
-    before = await _kept(bench, plan)
+async def _tried(bench: Bench, plan: StoredPlan, points: Sequence[tuple[float, float, float]]) -> str:
+    """Writes a plan, reads it back and clears it."""
     values = [value for point in points for value in point]
-    try:
+    async with restored(bench, plan) as before:
         await bench.call(plan.write, values)
         _same(values, await bench.call(plan.read), plan.points)
         await bench.call(plan.clear)
         left = await bench.call(plan.read)
         if left:
             raise CheckFailed(f"{len(left) // 3} {plan.points} remained after {plan.clear}()")
-    finally:
-        await _give_back(bench, plan, before)
     return f"{len(points)} {plan.points}; now it holds {len(before) // 3}, as before"
 
 
-async def _kept(bench: Bench, plan: _Plan) -> list[float]:
+@asynccontextmanager
+async def restored(bench: Bench, plan: StoredPlan) -> AsyncIterator[list[float]]:
+    """The stored plan, which is restored at the end in every case. Raises NotTried."""
+    before = await _kept(bench, plan)
+    try:
+        yield before
+    finally:
+        await _give_back(bench, plan, before)
+
+
+async def _kept(bench: Bench, plan: StoredPlan) -> list[float]:
     """The stored plan, for restoring. Raises NotTried if it could not be restored.
 
     That is verified before the plan is changed: a limit of the binding may forbid the vehicle's plan.
@@ -118,7 +126,7 @@ async def _kept(bench: Bench, plan: _Plan) -> list[float]:
     return kept
 
 
-async def _give_back(bench: Bench, plan: _Plan, before: list[float]) -> None:
+async def _give_back(bench: Bench, plan: StoredPlan, before: list[float]) -> None:
     """Restores a plan. Raises CheckFailed, which takes precedence over an earlier failure."""
     try:
         if before:

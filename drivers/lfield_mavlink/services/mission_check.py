@@ -85,7 +85,9 @@ class MissionCheck:
             self._check_place(number, item)
         first = self._at.first_target
         jumps = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
-        if item.command in jumps and not first <= item.parameters[0] < len(self._items) + first:
+        target = item.parameters[0]
+        # NaN is in no range.
+        if item.command in jumps and not (first <= target < len(self._items) + first and target % 1 == 0):
             raise self._error_for(
                 number, item, f"there is no item {item.parameters[0]:g} as target of the jump"
             )
@@ -101,6 +103,8 @@ class MissionCheck:
         beyond = (item.x != HERE and abs(item.x) > 900_000_000) or (
             item.y != HERE and abs(item.y) > 1_800_000_000
         )
+        if (item.x == HERE) != (item.y == HERE):
+            raise self._error_for(number, item, "one of latitude and longitude is missing")
         if beyond or math.isinf(item.z):
             raise self._error_for(
                 number,

@@ -6,10 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
+from lfield.capability.condition_tree import MAX_TEAM
 from lfield.cli.mission_argument import add_running_mission, named_mission, selected_runs, selected_team
-
-#: The largest team that can be requested.
-MAX_TEAM = 1000
+from lfield.text.number_arguments import whole_between
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,16 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="also print how each score is computed, and why other agents do not match",
     )
     parser.add_argument(
-        "--team", metavar="N", type=_size, help="also print the best teams of N different agents"
+        "--team",
+        metavar="N",
+        type=whole_between(1, MAX_TEAM, "agents"),
+        help="also print the best teams of N different agents",
     )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
-
-
-def _size(text: str) -> int:
-    """The number of members of a team."""
-    if not text.isdecimal() or not 1 <= int(text[:9]) <= MAX_TEAM:
-        raise argparse.ArgumentTypeError(f"a team has from 1 to {MAX_TEAM} members, not '{text}'")
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ coordinators:
 calls:                             # the portals that persons may call; none without a line
   anna: {Copter: [where]}
   others: {copter3: [where]}       # every other person, and users of the host's own computer
-assistants: [anna]                 # the persons whose AI assistants may call portals
+assistants: [anna]                 # the persons whose AI assistants may start it and call portals
 ```
 
 Names are those of agents, types and capabilities, in that order for an ambiguous name. An unknown name is an

@@ -52,7 +52,9 @@ def test_calls_status_and_events(team) -> None:
             with pytest.raises(PortalCallRefused) as refused:
                 await found.call("arm1", "home")
             assert refused.value.as_data()["kind"] == "not-permitted"
-            for words, kind in ((("arm9", "home"), "no-portal"), (("arm1", "grab", "x"), "arguments")):
+            unknown = [("arm9", "home"), ("arm1", "w" * 5000), ("arm1", "\ud800"), ("", "where"), (None, 5)]
+            cases = [*((words, "no-portal") for words in unknown), (("arm1", "grab", "x"), "arguments")]
+            for words, kind in cases:
                 with pytest.raises(PortalCallRefused) as refused:
                     await found.call(*words)
                 assert refused.value.kind == kind
@@ -62,8 +64,12 @@ def test_calls_status_and_events(team) -> None:
             with pytest.raises(UsageError):
                 await found.call("arm1", "where", timeout=0.0)
             assert set(await found.status()) == {"alpha", "bravo"}
-            with pytest.raises(UsageError):
-                found.events(kinds=["nothing"])
+            for wrong in ({"kinds": ["nothing"]}, {"since": -1}, {"since": 2**63}, {"rate": -1.0}):
+                with pytest.raises(UsageError):
+                    found.events(**wrong)
+            for size in (-1, 0, 10**6):
+                with pytest.raises(UsageError):
+                    await found.query("Lift", size=size)
             with pytest.raises(ProgramError):
                 await found.query("Nothing")
             calls = [

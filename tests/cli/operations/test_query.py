@@ -411,7 +411,7 @@ _HAND = ["   4  arm1, hand+mast", "   5  arm2, hand+mast"]
 @pytest.mark.parametrize("size", ["0", "-1", "x", "1001"])
 def test_a_team_of_nobody_is_refused(ask, capsys, size):
     assert main(["query", "Lift", "--deploy", "mission.dL", f"--team={size}"]) == 64
-    assert "a team has from 1 to 1000 members" in capsys.readouterr().err
+    assert "a whole number of agents from 1 to 1000" in capsys.readouterr().err
 
 
 def test_an_order_and_a_limit(ask):

@@ -51,6 +51,7 @@ def test_a_plan_that_is_fine():
     # 10 m up, 51 m to item 2, 30 m to item 3, 40 m back.
     assert read.length == pytest.approx(10.0 + math.hypot(50.0, 10.0) + 30.0 + 40.0, abs=0.5)
     assert read.duration == pytest.approx(read.length / 5.0, rel=1e-6)
+    assert report(plan(*items, hoverSpeed=-1)).duration == read.duration
     assert read.highest == (20.0, 2)
     assert read.farthest == (pytest.approx(50.0, abs=0.1), 2)
     assert [point.item for point in read.path] == [1, 2, 3, 4]
@@ -72,6 +73,9 @@ def test_every_fault_is_reported_in_the_order_of_the_items():
         ("M108", 1), ("M104", 2), ("M107", 3), ("M104", 4), ("M103", 5),
         ("M104", 6), ("M104", 7), ("M104", 8),
     ]  # fmt: skip
+    half = simple(WAYPOINT)
+    half["params"][4] = None
+    assert found(plan(UP, half, simple(177, p=(1.5, 1.0, 0, 0), frame=2))) == [("M104", 2), ("M104", 3)]
     texts = [finding.text for finding in report(plan(*items)).findings]
     assert texts[1].startswith("waypoint 2 refused")
     assert "item 44" in texts[6]

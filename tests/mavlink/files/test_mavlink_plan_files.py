@@ -124,8 +124,12 @@ def test_jumps_lead_to_the_number_of_their_target():
 def test_positions_that_are_none():
     nowhere = simple(TAKEOFF)
     nowhere["params"][4:6] = [None, None]
-    item = read(plan(nowhere)).items[0].item
+    file = read(plan(nowhere))
+    item = file.items[0].item
     assert (item.x, item.y) == (HERE, HERE)
+    assert [(each.x, each.y) for each in file.mission(px4=True)] == [(HERE, HERE)]
+    # ArduPilot has 0, 0 for its own position, and refuses others that are not on the Earth.
+    assert [(each.x, each.y) for each in file.mission(px4=False)] == [(0, 0)]
     # In MAV_FRAME_MISSION parameters 5 and 6 are numbers.
     numbers = {**simple(203, frame=2), "params": [0, 0, 0, 0, 1, 2, 3]}
     item = read(plan(numbers)).items[0].item
@@ -184,6 +188,8 @@ _TAKEOFF = simple(TAKEOFF)
         ([_TAKEOFF, {**_TAKEOFF, "params": [0, 0, 0, 0, 47.0, 8.0]}], 2),
         ([_TAKEOFF, {**_TAKEOFF, "params": [0, 0, 0, 0, 1e9, 8.0, 10]}], 2),
         ([_TAKEOFF, {**_TAKEOFF, "params": ["a", 0, 0, 0, 47.0, 8.0, 10]}], 2),
+        ([_TAKEOFF, {**_TAKEOFF, "params": [1e39, 0, 0, 0, 47.0, 8.0, 10]}], 2),
+        ([_TAKEOFF, {**_TAKEOFF, "params": [0, 0, 0, 0, 47.0, 8.0, -1e300]}], 2),
     ],
 )
 def test_refused_with_the_number_of_the_item(items, number):
@@ -291,6 +297,8 @@ def test_a_fence_and_rally_points_as_waypoint_files():
         (rows(_UP).replace(b"\t1\n", b"\n"), "line 2"),
         (rows(_UP, _GO).replace(b"20.0", b"high"), "line 4"),
         (rows(_UP, _GO).replace(b"20.0", b"inf"), "line 4"),
+        (rows(_UP, _GO).replace(b"20.0", b"2_0"), "line 4"),
+        (rows(_UP, _GO).replace(b"\t16\t", b"\t1_6\t"), "line 2"),
         (rows(_UP, _GO).replace(b"\n2\t", b"\n5\t"), "line 4"),
         (rows(_UP, _GO).replace(b"\t16\t", b"\t16.5\t"), "line 2"),
         (rows(_UP, _GO).replace(b"\t22\t", b"\tinf\t"), "line 3"),

@@ -1,13 +1,18 @@
-"""Programs in Python and robots with services: start, portal calls and stop with the keys of persons."""
+"""Programs in Python, AI assistants and robots with services: start, portal calls and stop with the keys of
+persons."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from client_pages import program_of_page
+from client_pages import assistant_command, program_of_page
+from mcp.client.session import ClientSession
+from mcp.client.stdio import StdioServerParameters, stdio_client
 
 from lfield.authority.identity import Right
 from lfield.client import connect
@@ -80,3 +85,63 @@ def test_a_person_without_rights_is_refused_and_the_mission_continues(active, lf
     )
     assert {answer["code"] for answer in orders.values()} == {"handshake"}
     assert asyncio.run(operator()) == 1
+
+
+@pytest.fixture
+def assistant(lfield, alone):
+    """`assistant(*words)(*calls)`: by the client's own package, the results of tools of `lfield mcp`."""
+    command, arguments = assistant_command()
+    environment = {**lfield.environment, **alone}
+    environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
+
+    def serve(*words):
+        server = StdioServerParameters(
+            command=command, args=[*arguments, *map(str, words)], env=environment, cwd=lfield.folder
+        )
+
+        async def results(calls):
+            async with stdio_client(server) as (source, sink), ClientSession(source, sink) as session:
+                await session.initialize()
+                tools = (await session.list_tools()).tools
+                assert {tool.name: tool.annotations.read_only_hint for tool in tools} == READ_ONLY
+                answers = [await session.call_tool(name, given) for name, given in calls]
+            return [(answer.is_error, json.loads(answer.content[0].text)) for answer in answers]
+
+        return lambda *calls: asyncio.run(results(calls))
+
+    return serve
+
+
+READ_ONLY = {"status": True, "query": True, "explain": True, "events": True, "start": False, "call": False}
+COUNT = ("call", {"agent": "post", "portal": "count", "arguments": [2]})
+
+
+def test_rights_and_the_access_file_decide_what_an_assistant_may_start(active, assistant, lfield, here):
+    lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
+    (_, status), (_, started), *wrong = assistant("--keys", lfield.keys.folder / "eve")(
+        ("status", {}), ("start", {}), ("start", {"with": []}), ("query", {"query": 5}), ("fly", {}), COUNT
+    )
+    # No host runs.
+    assert {host["code"] for host in status.values()} == {"no-listener"}
+    assert started["started"] is False
+    assert {error["code"] for error in started["errors"].values()} == {"handshake"}
+    codes = [(is_error, data["code"]) for is_error, data in wrong]
+    assert codes == [(True, "usage"), (True, "usage"), (True, "usage"), (True, "no-listener")]
+    logged = (lfield.folder / "assistant.log").read_text()
+    assert "tool start called by assistant of eve (mcp): {}\n" in logged
+    assert "tool fly called by assistant of eve (mcp) ended: usage: " in logged
+
+    async def start() -> dict[str, object]:
+        async with connect(is_assistant=True) as team:
+            return await team.start()
+
+    waits = asyncio.run(start())["waits"]
+    assert all("'assistants'" in waits[host] for host in active.hosts)
+    active.services["alpha"].wait_for("start of assistant of operator refused")
+    lfield.write("mission.access.yaml", "calls:\n  others: {Post: [count]}\nassistants: [operator]\n")
+    assert here("push", "mission.dL").status == 0
+    (_, started), counted, (_, stored) = assistant()(("start", {}), COUNT, ("events", {"kinds": ["logged"]}))
+    assert started["started"] is True
+    assert counted == (False, {"value": 2})
+    called = {event["text"] for event in stored["events"] if event["code"] == "portal-called"}
+    assert called == {"post.count() called by assistant of person operator"}

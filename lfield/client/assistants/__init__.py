@@ -1,0 +1,1 @@
+"""A team as tools for AI assistants, by the Model Context Protocol."""

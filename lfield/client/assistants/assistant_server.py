@@ -1,0 +1,148 @@
+"""Serves the tools for AI assistants on stdin and stdout, by the package `mcp` (Model Context Protocol).
+
+Each call connects to the team anew: the mission may have started, ended or moved since the last one. Its
+errors are results, which the assistant reads; none ends the server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from mcp.server.lowlevel.server import Server
+from mcp.server.stdio import stdio_server
+from mcp_types import (
+    CallToolRequestParams,
+    CallToolResult,
+    ListToolsResult,
+    TextContent,
+    Tool,
+    ToolAnnotations,
+)
+
+from lfield import __version__
+from lfield.client.assistants.assistant_tools import TOOLS, as_json, find_tool
+from lfield.client.team import CLOSE_TIMEOUT, connect
+from lfield.client.team_selection import TeamSelection
+from lfield.errors import LfieldError, ProgramError
+from lfield.event_loop import spawn
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+from lfield.wire.fields import MAX_LABEL, truncate
+
+INSTRUCTIONS = (
+    "A team of robots that runs a mission in the language L. Hosts refuse 'start' and 'call' unless the "
+    "access file of the mission permits assistants. No tool stops the team: a person does."
+)
+
+
+class AssistantServer:
+    """The tools of one team for the assistant of `person`; `log` writes a line."""
+
+    def __init__(self, selection: TeamSelection, person: str, log: Callable[[LogLine], None]) -> None:
+        self._selection, self._person, self._log = selection, person, log
+        self._server = Server[dict[str, Any]](
+            "lfield",
+            version=__version__,
+            instructions=INSTRUCTIONS,
+            on_list_tools=self._list_tools,
+            on_call_tool=self._call_tool,
+        )
+        # Nothing but answers leaves this process.
+        self._server.middleware.clear()
+        self._calls: set[asyncio.Task[CallToolResult]] = set()
+
+    async def serve(self) -> None:
+        """Serve until stdin ends, or a signal ends the process; portals that still run are cancelled."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, lambda at: spawn(self._end_by(at)), number)
+        async with stdio_server() as (source, sink):
+            await self._server.run(source, sink, self._server.create_initialization_options())
+        await self._cancel_calls()
+
+    async def _end_by(self, number: int) -> None:
+        await self._cancel_calls()
+        # A thread waits for stdin: only the signal itself ends the process.
+        signal.signal(number, signal.SIG_DFL)
+        signal.raise_signal(number)
+
+    async def _cancel_calls(self) -> None:
+        for call in self._calls:
+            call.cancel()
+        if self._calls:
+            await asyncio.wait(self._calls, timeout=CLOSE_TIMEOUT)
+
+    async def _list_tools(self, *_: object) -> ListToolsResult:
+        return ListToolsResult(
+            tools=[
+                Tool(
+                    name=name,
+                    description=tool.description,
+                    input_schema=tool.schema,
+                    annotations=ToolAnnotations(
+                        read_only_hint=not tool.may_move, destructive_hint=tool.may_move
+                    ),
+                )
+                for name, tool in TOOLS.items()
+            ]
+        )
+
+    async def _call_tool(self, context: Any, params: CallToolRequestParams) -> CallToolResult:
+        client = context.session.client_params
+        program = f" ({client.client_info.name})" if client is not None else ""
+        caller = truncate(f"assistant of {self._person}{program}", MAX_LABEL)
+        call = asyncio.create_task(self._logged_result(caller, params))
+        self._calls.add(call)
+        call.add_done_callback(self._calls.discard)
+        try:
+            # The package cancels this task again and again; a portal call needs time to be cancelled.
+            await asyncio.wait([call])
+        except asyncio.CancelledError:
+            call.cancel()
+            raise
+        return call.result()
+
+    async def _logged_result(self, caller: str, params: CallToolRequestParams) -> CallToolResult:
+        arguments = params.arguments or {}
+        shown = truncate(as_json(arguments), MAX_LABEL)
+        name = truncate(params.name, MAX_LABEL)
+        self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
+        outcome = "cancelled"
+        try:
+            text = as_json(await self._result(params.name, arguments))
+            outcome, is_error = "answered", False
+        except LfieldError as error:
+            text, is_error = as_json(_error_data(error)), True
+            outcome = truncate(f"{error.code}: {error}", MAX_LABEL)
+        finally:
+            self._log(log_messages.ASSISTANT_ANSWERED.line(tool=name, caller=caller, outcome=outcome))
+        return CallToolResult(content=[TextContent(text=text)], is_error=is_error)
+
+    async def _result(self, name: str, arguments: Mapping[str, Any]) -> object:
+        tool = find_tool(name)
+        given = tool.parse(arguments)
+        where = self._selection
+        async with connect(
+            where.mission,
+            run=where.run,
+            maps=where.maps,
+            inventory=where.inventory,
+            keys=where.keys,
+            is_assistant=True,
+        ) as team:
+            return await tool.run(team, given)
+
+
+def _error_data(error: LfieldError) -> Mapping[str, object]:
+    found = error.as_data()
+    if isinstance(error, ProgramError):
+        found["error"] = "\n".join(each.render() for each in error.diagnostics)
+    return found
+
+
+def serve_assistant(selection: TeamSelection, person: str, log: Callable[[LogLine], None]) -> None:
+    """Serve until stdin ends."""
+    asyncio.run(AssistantServer(selection, person, log).serve())
