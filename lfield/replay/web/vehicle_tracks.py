@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from array import array
-from bisect import bisect_right
 from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
@@ -12,22 +9,16 @@ from lfield.host.status import telemetry_of
 from lfield.manifest import DeviceValue
 from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
 from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
-from lfield.operator.team_model.team_state import DeviceState, GeoPosition, LocalPosition, TelemetryReading
+from lfield.operator.team_model.team_state import DeviceState, TelemetryReading, TrackPoint
+from lfield.operator.team_model.vehicle_tracks import TrackHistory, point_of
 
-#: The least distance of two points in metres, or about that in degrees, and the most points that are kept.
-_DISTANCE, _DEGREES, _MOST_POINTS = 0.1, 1e-6, 20_000
-#: The most points of a line.
-MAX_POINTS = 400
-
-#: A position in the team's frame and on the Earth, as far as known.
-_Point = tuple[LocalPosition | None, GeoPosition | None]
+#: The most points of a vehicle that are kept.
+_MOST_POINTS = 20_000
 
 
 @dataclass(slots=True)
-class _Track:
-    times: array[float] = field(default_factory=lambda: array("d"))
-    points: list[_Point] = field(default_factory=list)
-    step: float = 1.0
+class _RecordedTrack:
+    track: TrackHistory = field(default_factory=lambda: TrackHistory(_MOST_POINTS))
     values: dict[str, DeviceValue] = field(default_factory=dict)
 
 
@@ -37,42 +28,23 @@ class VehicleTracks:
     def __init__(self, contents: TeamContents) -> None:
         self._contents = contents
         self._origin: Origin | None = contents.origin
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, _RecordedTrack] = {}
 
     def add(self, agent: str, device: str, quantity: str, time: float, value: DeviceValue) -> None:
         """Add a position that a device has reported."""
-        track = self._tracks.setdefault(agent, _Track())
-        if track.times and time < track.times[-1]:
+        recorded = self._tracks.setdefault(agent, _RecordedTrack())
+        if recorded.track.marks and time < recorded.track.marks[-1]:
             return
-        track.values[quantity] = value
-        readings = {name: TelemetryReading(known, 0.0) for name, known in telemetry_of(track.values).items()}
+        recorded.values[quantity] = value
+        telemetry = telemetry_of(recorded.values)
+        readings = {name: TelemetryReading(known, 0.0) for name, known in telemetry.items()}
         state = (DeviceState(device, agent, "", fresh=True, readings=readings),)
         if self._origin is None and (first := earth_of(state, self._contents)) is not None:
             self._origin = Origin(first.latitude, first.longitude, first.altitude or 0.0)
         vehicle = vehicle_of(TeamEntry(agent, "", ""), state, "", self._contents, self._origin)
-        point = vehicle.place, vehicle.earth
-        if vehicle.stated or (track.points and not _is_apart(track.points[-1], point, track.step)):
-            return
-        track.times.append(time)
-        track.points.append(point)
-        if len(track.points) > _MOST_POINTS:
-            del track.points[1:-1:2], track.times[1:-1:2]
-            track.step *= 2.0
+        if (point := point_of(vehicle)) is not None:
+            recorded.track.add(time, point)
 
-    def until(self, time: float) -> dict[str, list[_Point]]:
+    def until(self, time: float) -> dict[str, list[TrackPoint]]:
         """The track of each agent up to a time, at most `MAX_POINTS` points."""
-        found = {}
-        for agent, track in self._tracks.items():
-            stop = bisect_right(track.times, time)
-            step = max(1, -(-stop // MAX_POINTS))
-            found[agent] = track.points[:stop][::-1][::step][::-1]
-        return found
-
-
-def _is_apart(one: _Point, other: _Point, step: float) -> bool:
-    for before, after, least in ((one[0], other[0], _DISTANCE), (one[1], other[1], _DEGREES)):
-        if (before is None) is not (after is None):
-            return True
-        if before is not None and after is not None and math.dist(before[:2], after[:2]) >= step * least:
-            return True
-    return False
+        return {agent: recorded.track.until(time) for agent, recorded in self._tracks.items()}

@@ -8,7 +8,7 @@ from contextlib import closing
 import pytest
 
 from lfield.errors import InputFileError
-from lfield.operator.web.mbtiles import MbtilesSource
+from lfield.operator.web.tiles.mbtiles import MbtilesSource
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
