@@ -1,4 +1,4 @@
-"""Backgrounds from MBTiles files: the tile that was asked for, and a sentence for a file that is none."""
+"""Backgrounds of the map: the tile that was asked for, and a sentence for a file or address that is none."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import sqlite3
 from contextlib import closing
 
 import pytest
+from pmtiles.tile import Compression, TileType, zxy_to_tileid
+from pmtiles.writer import Writer
 
-from lfield.errors import InputFileError
+from lfield.errors import InputFileError, UsageError
+from lfield.operator.web.tiles.background import open_background
+from lfield.operator.web.tiles.map_tiles import MapTile
 from lfield.operator.web.tiles.mbtiles import MbtilesSource
 
 PNG = b"\x89PNG\r\n\x1a\n"
+#: A whole picture, of one transparent pixel.
+PICTURE = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
+    "0000000d49444154789c6360606060000000050001a5f645400000000049454e44ae426082"
+)
 
 
 def made(path, rows, metadata=(("attribution", "a survey"),)):
@@ -101,9 +110,70 @@ def test_of_many_zooms_those_count_that_a_map_has(tmp_path):
         assert (tiles.min_zoom, tiles.max_zoom) == (2, 9)
 
 
+def pmtiles(path, tiles, kind=TileType.PNG, metadata=None):
+    with path.open("wb") as file:
+        writer = Writer(file)
+        for (zoom, column, row), data in sorted(tiles.items(), key=lambda each: zxy_to_tileid(*each[0])):
+            writer.write_tile(zxy_to_tileid(zoom, column, row), data)
+        writer.finalize({"tile_type": kind, "tile_compression": Compression.NONE}, metadata or {})
+    return path
+
+
+def test_pmtiles_with_directories_of_several_levels(tmp_path):
+    tiles = {(6, x, y): PNG + bytes([x, y, x * y % 251]) for x in range(64) for y in range(64)}
+    path = pmtiles(tmp_path / "a.pmtiles", {(0, 0, 0): PNG, **tiles}, metadata={"attribution": "a survey"})
+    with closing(open_background(str(path))) as background:
+        assert (background.min_zoom, background.max_zoom) == (0, 6)
+        assert (background.credit, background.origin) == ("a survey", "")
+        assert background.tile(6, 63, 5) == MapTile(tiles[6, 63, 5], "image/png")
+        assert [background.tile(*at) for at in ((5, 0, 0), (6, 64, 0), (6, -1, 0), (25, 0, 0))] == [None] * 4
+
+
+def test_pmtiles_that_are_damaged_or_no_pictures(tmp_path):
+    path = pmtiles(tmp_path / "a.pmtiles", {(0, 0, 0): PNG, (1, 0, 0): b"<script>"})
+    with closing(open_background(str(path))) as background:
+        assert background.tile(1, 0, 0) is None
+    whole = path.read_bytes()
+    for changed in (whole[:7], whole[:60], b"PMTiles\2" + whole[8:], whole[:97] + b"\4" + whole[98:]):
+        path.write_bytes(changed)
+        with pytest.raises(InputFileError, match="not a PMTiles file"):
+            open_background(str(path))
+    with pytest.raises(InputFileError, match="vector tiles are not supported"):
+        open_background(str(pmtiles(tmp_path / "v.pmtiles", {(0, 0, 0): PNG}, TileType.MVT)))
+    # A damaged directory, and lengths that no file has: no tile.
+    for at, value in ((16, b"\0" * 8), (130, b"\xff" * 20), (16, b"\xff" * 8)):
+        path.write_bytes(whole[:at] + value + whole[at + len(value) :])
+        with closing(open_background(str(path))) as background:
+            assert background.tile(0, 0, 0) is None
+
+
+def test_an_address_is_requested_by_browsers():
+    background = open_background("https://tiles.example.org:8443/a/{z}/{x}/{y}.png?key=1")
+    assert (background.origin, background.tile(0, 0, 0)) == ("https://tiles.example.org:8443", None)
+    assert "tiles.example.org" in background.credit
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        *(
+            "ftp://a/{z}/{x}/{y}",
+            "https://a/{z}/{x}",
+            "https://a/{z}/{x}/{y}/{s}",
+            "https://{s}.a/{z}/{x}/{y}",
+        ),
+        *("https://me:secret@a/{z}/{x}/{y}", "https://a;script-src */{z}/{x}/{y}", "https:///{z}/{x}/{y}"),
+        *("https://[::1/{z}/{x}/{y}", "https://a 'unsafe'/{z}/{x}/{y}", "https://*/{z}/{x}/{y}"),
+    ],
+)
+def test_an_address_that_is_none_of_tiles_is_refused(address):
+    with pytest.raises(UsageError):
+        open_background(address)
+
+
 def test_a_folder_is_no_file(tmp_path):
-    with pytest.raises(InputFileError, match="not a file; expected an MBTiles file"):
-        MbtilesSource(tmp_path)
+    with pytest.raises(InputFileError, match="not a file; expected an MBTiles or PMTiles file"):
+        open_background(str(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -111,4 +181,4 @@ def test_a_folder_is_no_file(tmp_path):
 )
 def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
     with pytest.raises(InputFileError, match=r"(no such file|not a file|not an MBTiles file)"):
-        MbtilesSource(make(tmp_path))
+        open_background(str(make(tmp_path)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -9,8 +10,8 @@ from typing import Any, cast
 from lfield.errors import InputFileError, PluginError
 from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, picture
 
-_MAGIC = b"PMTiles"
-#: The most bytes of a tile or directory: the lengths are those of the file.
+_MAGIC, _GZIP = b"PMTiles", b"\x1f\x8b"
+#: The most bytes of a tile or decompressed directory: the lengths are those of the file.
 _MOST_BYTES = 16 << 20
 
 
@@ -67,7 +68,11 @@ class PmtilesSource:
         if length > _MOST_BYTES:
             raise ValueError("a part of the file is too long")
         self._file.seek(offset)
-        return self._file.read(length)
+        data = self._file.read(length)
+        # The library decompresses directories and metadata as a whole.
+        if data.startswith(_GZIP) and zlib.decompressobj(31).decompress(data, _MOST_BYTES)[_MOST_BYTES - 1 :]:
+            raise ValueError("a directory of the file is too long")
+        return data
 
 
 def _read(step: Callable[[], object]) -> object:

@@ -8,7 +8,7 @@ const NEAR = 8;
 // Least distance of two labels.
 const GAP = 2;
 
-const SLOTS = DISTANCES.flatMap((distance, n) => DIRECTIONS.slice(0, n ? DIRECTIONS.length : NEAR).map((degrees) => ({ distance, turn: (degrees * Math.PI) / 180 })));
+const SLOTS = DISTANCES.flatMap((distance, ring) => DIRECTIONS.slice(0, ring ? DIRECTIONS.length : NEAR).map((degrees) => ({ ring, distance, turn: (degrees * Math.PI) / 180 })));
 
 function overlaps(a, b) {
   return a.left < b.right + GAP && b.left < a.right + GAP && a.top < b.bottom + GAP && b.top < a.bottom + GAP;
@@ -29,15 +29,18 @@ function boxAt({ x, y, radius, width, height }, { distance, turn }) {
 
 // Labels in order of importance: {key, x, y, radius, width, height, near}; a `near` one is omitted rather than
 // distant. Obstacles are boxes, `size` is that of the map. `before` are the slots of the last call: a label stays in its
-// slot while that is free. Gives {key: {slot, left, top, line}}; a label without a free slot is omitted.
+// slot while that is free, and at most one distance farther than the nearest free one. Gives {key: {slot, left, top, line}}; a label without a free slot is omitted.
 export function placedLabels(labels, obstacles, size, before = {}) {
   const taken = [...obstacles];
   const placed = {};
   const fits = (box) => box.left >= 0 && box.top >= 0 && box.right <= size.x && box.bottom <= size.y && !taken.some((other) => overlaps(box, other));
   for (const label of labels) {
     const slots = [...SLOTS.keys()].slice(0, label.near ? NEAR : SLOTS.length);
-    const slot = [before[label.key], ...slots].find((n) => n < SLOTS.length && fits(boxAt(label, SLOTS[n])));
-    if (slot === undefined) continue;
+    const free = (n) => fits(boxAt(label, SLOTS[n]));
+    const nearest = slots.find(free);
+    if (nearest === undefined) continue;
+    const last = before[label.key] ?? nearest;
+    const slot = slots.includes(last) && SLOTS[last].ring <= SLOTS[nearest].ring + 1 && free(last) ? last : nearest;
     const box = boxAt(label, SLOTS[slot]);
     taken.push(box);
     placed[label.key] = { slot, left: box.left, top: box.top, line: slot < NEAR ? "" : lineTo(label, box) };

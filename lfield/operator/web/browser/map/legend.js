@@ -33,13 +33,13 @@ export default {
     entries() {
       const { look, shown, drawings } = this;
       const found = [];
-      const add = (kind, text) => found.push({ kind, text, sign: SIGNS[kind] });
+      const add = (kind, text, sign = SIGNS[kind]) => found.push({ kind, text, sign });
       if (shown.track) add("track", "track");
       for (const [kind, what] of Object.entries({ way: "plan", area: "area", inside: "fence, stay inside", outside: "fence, stay outside", rally: "rally points" })) {
         const named = files(drawings, kind);
         if (named) add(kind, `${what}: ${named}`);
       }
-      for (const text of limits(look.vehicles)) add("limit", text);
+      for (const text of limits(look.vehicles)) add("limit", text, shown.limit ? SIGNS.limit : "");
       if (shown.edge) add("edge", "fence of the autopilot");
       if (shown.home) add("home", "home");
       if (shown.mind) add("mind", "coordinator");

@@ -224,7 +224,8 @@ export default {
       return spot ? [spot[0], spot[1]] : null;
     },
     pixel(at) {
-      const point = this.map.latLngToContainerPoint(at);
+      // Leaflet's latLngToContainerPoint rounds to whole pixels, which makes small circles ragged.
+      const point = this.map.layerPointToContainerPoint(this.map.project(at).subtract(this.map.getPixelOrigin()));
       return { x: Math.round(point.x * 10) / 10, y: Math.round(point.y * 10) / 10 };
     },
     // The boxes of all signs and of the buttons, which no label hides.
