@@ -1,4 +1,7 @@
-"""What the map shows of files: those that a program names, and those that the operator names."""
+"""What the map shows of files: those that a program names, and those that the operator names.
+
+A program contains its plans as constants, and its areas as debug information.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ def program_drawings(program: Program) -> list[MapDrawing]:
         each.partition("\n") for each in program.core.constants if isinstance(each, str) and "\n" in each
     )
     files = [(source.name, source.text) for source in others]
-    files += [(name, body) for name, _, body in plans] if _takes_plans(program) else []
+    files += [(name, body) for name, _, body in plans] if _accepts_plans(program) else []
     found: list[MapDrawing] = []
     for name, text in files:
         try:
@@ -34,7 +37,7 @@ def program_drawings(program: Program) -> list[MapDrawing]:
     return found
 
 
-def _takes_plans(program: Program) -> bool:
+def _accepts_plans(program: Program) -> bool:
     """Whether a device of the program has an instruction that takes a plan."""
     types = discover().device_types
     known = [types[name] for name in {call.device for call in program.core.device_calls} if name in types]

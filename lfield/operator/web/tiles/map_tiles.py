@@ -1,4 +1,7 @@
-"""Tiles of a map as pictures, and what has them."""
+"""Tiles of a map as pictures of 256 pixels, and what has them: a file, or a server on a network.
+
+Columns are counted from the west and rows from the north, as browsers do (Web Mercator, XYZ).
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,15 @@ class MapTile:
 
 
 class MapBackground(Protocol):
-    """A source of tiles: `address` with {z}, {x}, {y} is where browsers request them, `origin` the server of
-    another address, '' for the page's own. `credit` is the attribution of the author."""
+    """A source of tiles."""
 
+    #: Where browsers request them, with {z}, {x} and {y}.
     address: str
+    #: The server of another address than that of the page, '' for the page's own.
     origin: str
     min_zoom: int
     max_zoom: int
+    #: The attribution of the author.
     credit: str
 
     def tile(self, zoom: int, column: int, row: int) -> MapTile | None:
@@ -38,7 +43,7 @@ class MapBackground(Protocol):
         """Close the file."""
 
 
-def picture(data: object) -> MapTile | None:
+def tile_of(data: object) -> MapTile | None:
     """The tile of some bytes; None if they are no supported picture."""
     if not isinstance(data, bytes):
         return None

@@ -11,7 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from lfield.errors import InputFileError
-from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, picture
+from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, tile_of
 
 _USABLE = "from tiles where typeof(zoom_level) = 'integer' and zoom_level between ? and ?"
 _ZOOMS = f"select min(zoom_level), max(zoom_level) {_USABLE}"
@@ -48,7 +48,7 @@ class MbtilesSource:
         if sample is None:
             zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
             raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
-        if picture(sample[0]) is None:
+        if tile_of(sample[0]) is None:
             raise _none(
                 path, "its tiles are not pictures (PNG, JPEG or WebP); vector tiles are not supported"
             )
@@ -65,7 +65,7 @@ class MbtilesSource:
         except sqlite3.Error:
             # A tile in a damaged part of the file is missing.
             return None
-        return None if line is None else picture(line[0])
+        return None if line is None else tile_of(line[0])
 
     def close(self) -> None:
         """Close the file."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from lfield.errors import InputFileError, PluginError
-from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, picture
+from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, tile_of
 
 _MAGIC, _GZIP = b"PMTiles", b"\x1f\x8b"
 #: The most bytes of a tile or decompressed directory: the lengths are those of the file.
@@ -58,7 +58,7 @@ class PmtilesSource:
         """A tile; None where the file has none, or is damaged."""
         if not is_in_grid(zoom, column, row):
             return None
-        return picture(_read(lambda: self._reader.get(zoom, column, row)))
+        return tile_of(_read(lambda: self._reader.get(zoom, column, row)))
 
     def close(self) -> None:
         """Close the file."""
