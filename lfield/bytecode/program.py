@@ -8,6 +8,7 @@ identity: the location of the sources does not change the behaviour of a robot.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -285,6 +286,10 @@ class Program:
         self.debug = debug
         #: SHA-256 of the encoded core: 32 bytes.
         self.digest = digest
+
+    def with_sources(self, more: Iterable[SourceText]) -> Program:
+        """The same program with further sources, which have no methods."""
+        return Program(self.core, Debug(self.debug.methods, (*self.debug.sources, *more)), self.digest)
 
     @cached_property
     def quads(self) -> tuple[Quad, ...]:

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from lfield.driver.driver_index import GROUP, DriverInfo, ManifestFile
 from lfield.driver.plugin import Plugin, load_plugin
-from lfield.errors import PluginError
+from lfield.errors import PluginError, UsageError
 from lfield.manifest import DeviceManifest
 
 
@@ -60,6 +60,14 @@ class Plugins:
 
     def for_type(self, device_type: str) -> InstalledPlugin | None:
         return next((found for found in self.by_driver.values() if device_type in found.manifests), None)
+
+    @property
+    def plan_reader(self) -> Plugin:
+        """The driver that reads mission files of ground stations. Raises UsageError without one."""
+        readers = [found.plugin for _, found in sorted(self.by_driver.items()) if found.plugin.plans]
+        if not readers:
+            raise UsageError("no installed driver reads mission files")
+        return readers[0]
 
     def find_source(self, path: str) -> Path | None:
         """The file of `include <driver/name.L>;`, or None when no installed driver ships it."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 from lfield.geodata.mission_files import PlanPoint, PlanReport, PlanZone, Position
-from lfield.geodata.polygons import LocalPlane
+from lfield.geodata.polygons import LocalPlane, circle
 from lfield.geodata.svg_canvas import COLOURS, LINE, MARGIN, TEXT, Canvas, document, grid, text_at, text_width
 
 _WAY, _EXCLUSION, _INCLUSION, _RALLY, _AREA = COLOURS[:5]
-#: Corners of the polygon that a circle is drawn as.
-_CIRCLE = 72
 #: Pixels: width of the sign of a legend entry.
 _SIGN = 28
 
@@ -71,9 +68,8 @@ class _PlanMap:
         """Metres north and east of the corners of a zone."""
         if len(zone.corners) != 1:
             return [self._place(corner) for corner in zone.corners]
-        north, east = self._place(zone.corners[0])
-        turns = [math.tau * step / _CIRCLE for step in range(_CIRCLE)]
-        return [(north + zone.radius * math.cos(at), east + zone.radius * math.sin(at)) for at in turns]
+        middle = self._plane.point(zone.corners[0])
+        return [(north, east) for east, north in circle(middle, zone.radius)]
 
     def _closed(self, places: Sequence[tuple[float, float]]) -> str:
         return (

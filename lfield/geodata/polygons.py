@@ -12,6 +12,8 @@ from itertools import pairwise
 
 #: Metres of a degree of latitude on a sphere of the equatorial radius (WGS 84).
 DEGREE = math.radians(6378137.0)
+#: Corners of the polygon that a circle is drawn as.
+CIRCLE_CORNERS = 72
 #: Latitude and longitude in degrees; metres east and north.
 Position = tuple[float, float]
 Point = tuple[float, float]
@@ -31,6 +33,12 @@ class LocalPlane:
         east = math.remainder(longitude - self._longitude, 360.0) * DEGREE * self._shrink
         return (east, (latitude - self._latitude) * DEGREE)
 
+    def position(self, point: Point) -> Position:
+        """Latitude and longitude of metres east and north."""
+        east, north = point
+        longitude = self._longitude + east / (DEGREE * self._shrink)
+        return (self._latitude + north / DEGREE, math.remainder(longitude, 360.0))
+
     def points(self, positions: Sequence[Position]) -> list[Point]:
         """The same for several positions."""
         return [self.point(position) for position in positions]
@@ -41,6 +49,12 @@ def plane_of(positions: Sequence[Position]) -> LocalPlane:
     latitudes = [latitude for latitude, _ in positions]
     longitudes = [longitude for _, longitude in positions]
     return LocalPlane((min(latitudes) + max(latitudes)) / 2.0, (min(longitudes) + max(longitudes)) / 2.0)
+
+
+def circle(middle: Point, radius: float) -> list[Point]:
+    """A circle as a polygon."""
+    turns = (math.tau * step / CIRCLE_CORNERS for step in range(CIRCLE_CORNERS))
+    return [(middle[0] + radius * math.sin(at), middle[1] + radius * math.cos(at)) for at in turns]
 
 
 def edges(corners: Sequence[Point]) -> Iterator[tuple[Point, Point]]:

@@ -291,8 +291,10 @@ def _compiled(
         raise ProgramError(checked.diagnostics)
     embedded = embed_files(checked.program, known)
     if literals is not None:
-        literals += embedded
+        literals += embedded.plans
     program = compile_program(checked.program)
+    if embedded.areas:
+        program = program.with_sources(embedded.areas)
     if mistakes := _registry_misfits(capabilities, program, known, doubled):
         raise ProgramError([*checked.diagnostics, *mistakes])
     return program

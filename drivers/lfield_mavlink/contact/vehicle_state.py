@@ -299,9 +299,10 @@ class VehicleState:
         self.home = home
         local = (message.x, message.y, message.z)
         self._local_home = local if all(map(math.isfinite, local)) else None
+        values: Values = {"home": [home.latitude, home.longitude, home.altitude]}
         # Publish the position relative to the new home at once, for a caller that has just armed it.
         position = self.position
-        return {} if position is None or now > self.placed_at + FRESH else _placed(position)
+        return values if position is None or now > self.placed_at + FRESH else {**values, **_placed(position)}
 
     def _on_origin(self, message: Any, _: float) -> Values:
         origin = Place.scaled(message.latitude, message.longitude, message.altitude)

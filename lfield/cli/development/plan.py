@@ -14,7 +14,6 @@ from lfield.errors import UsageError
 from lfield.text.number_arguments import real_above_0
 
 if TYPE_CHECKING:
-    from lfield.driver.plugins import InstalledPlugin
     from lfield.geodata.mission_files import PlanReport, PlanRequest
 
 #: Vehicles of the option --kind; what a driver does not know it refuses.
@@ -95,15 +94,7 @@ def run(args: argparse.Namespace) -> int:
 def _plan_report(args: argparse.Namespace, name: str, data: bytes, limits: dict[str, float]) -> PlanReport:
     from lfield.driver.plugins import discover
 
-    installed = [each for each in discover().by_driver.values() if each.plugin.plans]
-    return _reader(installed).plugin.read_plan(name, data, _request(args, limits))
-
-
-def _reader(installed: list[InstalledPlugin]) -> InstalledPlugin:
-    """The driver that reads mission files. Raises UsageError without one."""
-    if not installed:
-        raise UsageError("no installed driver reads mission files")
-    return min(installed, key=lambda each: each.name)
+    return discover().plan_reader.read_plan(name, data, _request(args, limits))
 
 
 def _request(args: argparse.Namespace, limits: dict[str, float]) -> PlanRequest:

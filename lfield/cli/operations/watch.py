@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from lfield.authority.web_ca.web_keys import WebKeys
     from lfield.mission.team import Team
     from lfield.operator.targets import TargetTeam
-    from lfield.operator.web.mbtiles import MbtilesSource
     from lfield.operator.web.page_site import PageSite
+    from lfield.operator.web.tiles.background import PageBackground
     from lfield.replay.web.replay_session import ReplaySession
 
 
@@ -54,7 +54,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="directory with the keys of the page, from 'lfield keys page ADDRESS'",
     )
     parser.add_argument(
-        "--tiles", metavar="FILE", type=Path, help="MBTiles file with raster tiles, as background of the map"
+        "--tiles",
+        metavar="FILE|ADDRESS",
+        help="background of the map: an MBTiles or PMTiles file with pictures, or the address of a tile "
+        "server with {z}, {x} and {y}",
+    )
+    parser.add_argument(
+        "--draw",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="mission and area files to draw on the map, besides those that the program names",
     )
     parser.add_argument(
         "--replay",
@@ -93,27 +104,33 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
+    from lfield.operator.dashboard.map_files import file_drawings
     from lfield.operator.targets import open_team, running_mission
-    from lfield.operator.web.mbtiles import MbtilesSource
+    from lfield.operator.web.tiles.background import PageBackground, open_background
 
     _check_replay_options(args)
     page_keys = _page_keys(args)
     _need_nicegui()
-    with closing(MbtilesSource(args.tiles)) if args.tiles else nullcontext() as tiles:
+    drawings = file_drawings(args.draw)
+    with closing(open_background(args.tiles)) if args.tiles else nullcontext() as tiles:
+        if args.listen is not None and tiles is not None and tiles.origin.startswith("http:"):
+            raise UsageError("browsers request no http tiles for a page with HTTPS: give an https address")
+        background = PageBackground(tiles, drawings)
         if args.replay is not None:
-            return _run_replay(args, tiles, page_keys)
+            return _run_replay(args, background, page_keys)
         path = named_mission(args) or running_mission(selected_runs(args))
         team = open_team(path)
         party = selected_team(args)
         try:
-            asyncio.run(_serve_page(args, path, team, party, tiles, page_keys))
+            asyncio.run(_serve_page(args, path, team, party, background, page_keys))
         except (KeyboardInterrupt, asyncio.CancelledError):
             print("stopped watching; the mission is unchanged")
             return exit_status.INTERRUPTED
     return exit_status.DONE
 
 
-def _run_replay(args: argparse.Namespace, tiles: MbtilesSource | None, page_keys: WebKeys | None) -> int:
+def _run_replay(args: argparse.Namespace, background: PageBackground, page_keys: WebKeys | None) -> int:
+    from lfield.operator.dashboard.map_files import program_drawings
     from lfield.replay.recording_files import load_team
     from lfield.replay.web.replay_session import ReplaySession
 
@@ -122,7 +139,10 @@ def _run_replay(args: argparse.Namespace, tiles: MbtilesSource | None, page_keys
     title = f"{recording.incarnations[0].folder.absolute().parent.name}, recorded"
     with ReplaySession(title, recording) as session:
         try:
-            asyncio.run(_serve_replay(args, title, session, tiles, page_keys))
+            drawings = [*program_drawings(recording.mission.program), *background.drawings]
+            asyncio.run(
+                _serve_replay(args, title, session, background._replace(drawings=drawings), page_keys)
+            )
         except (KeyboardInterrupt, asyncio.CancelledError):
             return exit_status.INTERRUPTED
     return exit_status.DONE
@@ -132,7 +152,7 @@ async def _serve_replay(
     args: argparse.Namespace,
     title: str,
     session: ReplaySession,
-    tiles: MbtilesSource | None,
+    background: PageBackground,
     page_keys: WebKeys | None,
 ) -> None:
     from lfield.clock import SystemClock
@@ -140,7 +160,7 @@ async def _serve_replay(
 
     site = await _site(args, page_keys)
     _cancel_on_ctrl_c()
-    served = ServedPage(title, session, None, SystemClock(), tiles, session)
+    served = ServedPage(title, session, None, SystemClock(), background, session)
     await serve(served, site, lambda link: _print_line(f"open this link: {link}"))
 
 
@@ -214,7 +234,7 @@ async def _serve_page(
     path: Path,
     team: Team,
     party: TargetTeam,
-    tiles: MbtilesSource | None,
+    background: PageBackground,
     page_keys: WebKeys | None,
 ) -> None:
     from lfield.clock import SystemClock
@@ -230,7 +250,7 @@ async def _serve_page(
         where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
         _print_line(f"{path} is not running on this computer: the page waits for {where}")
     async with watch_team(path, team, party, found, args.keys) as shown:
-        served = ServedPage(
-            f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles
-        )
+        title = f"{path.absolute().parent.name}/{path.stem}"
+        drawn = background._replace(drawings=[*shown.drawings, *background.drawings])
+        served = ServedPage(title, shown, shown.actions, SystemClock(), drawn)
         await serve(served, site, lambda link: _print_line(f"open this link: {link}"))

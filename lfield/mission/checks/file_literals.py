@@ -5,7 +5,8 @@ relative to the file of the call. The driver makes a compact text of it, which r
 program: so it is bundled, signed, recorded and replayed as every other constant. Once the bindings are known,
 the driver checks the plan against the limits and options of each device that may fly it.
 
-`mapArea("north.kml")` becomes an array of the corners in a map file in the same way.
+`mapArea("north.kml")` becomes an array of the corners in a map file in the same way. The polygons themselves
+become debug information of the program, so that a map can show them.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+from lfield.bytecode.program import SourceText
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import MissionFileError, PluginError, ProgramError
 from lfield.geodata.area_file import read_area_file
+from lfield.geodata.map_drawings import area_text
 from lfield.geodata.mission_files import PlanRequest
-from lfield.geodata.shapes import chosen_shape, shape_findings
+from lfield.geodata.shapes import Shape, chosen_shape, shape_findings
 from lfield.lang import tree
 from lfield.lang.language_library import AREA
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
@@ -40,8 +44,15 @@ class FileLiteral:
     span: Span
 
 
-def embed_files(program: tree.CheckedProgram, plugins: Plugins) -> list[FileLiteral]:
-    """Replaces the names of files by their contents; the plans among them. Raises ProgramError."""
+class EmbeddedFiles(NamedTuple):
+    """The plans that a program names, and the polygons of map files as GeoJSON, by path."""
+
+    plans: list[FileLiteral]
+    areas: list[SourceText]
+
+
+def embed_files(program: tree.CheckedProgram, plugins: Plugins) -> EmbeddedFiles:
+    """Replaces the names of files by their contents. Raises ProgramError."""
     embedding = _Embedding(plugins)
     waiting = [method for unit in program.units for method in unit.methods]
     done = set(map(id, waiting))
@@ -55,7 +66,8 @@ def embed_files(program: tree.CheckedProgram, plugins: Plugins) -> list[FileLite
                 waiting.append(node.method)
     if embedding.mistakes:
         raise ProgramError(embedding.mistakes)
-    return embedding.plans
+    areas = [SourceText(path, area_text(list(shapes.values()))) for path, shapes in embedding.areas.items()]
+    return EmbeddedFiles(embedding.plans, areas)
 
 
 def _expressions(method: tree.Method) -> Iterator[tree.Expr]:
@@ -70,6 +82,8 @@ class _Embedding:
 
     def __init__(self, plugins: Plugins) -> None:
         self.plans: list[FileLiteral] = []
+        #: The polygons by path and number in the file.
+        self.areas: dict[str, dict[int, Shape]] = {}
         self.mistakes: list[Diagnostic] = []
         self._plugins = plugins
 
@@ -108,6 +122,7 @@ class _Embedding:
             shape = chosen_shape(file, shapes, (names[1] or "") if len(names) > 1 else "")
             if shape.kind != "polygon":
                 raise MissionFileError(file, f"{shape.label} is no area")
+            self.areas.setdefault(str(_path(span, file)), {})[shape.number] = shape
             errors = [finding for finding in shape_findings(shape) if finding.is_error]
             self.mistakes += [Diagnostic(each.code, f"{file}: {each.text}", span) for each in errors]
             values = (value for corner in shape.corners for value in corner)
@@ -136,7 +151,11 @@ class _Embedding:
 
 def _read(span: Span, name: str) -> bytes:
     """A file relative to the file of a call. Raises OSError, ValueError."""
-    return read_within(Path(span.source.name).parent / name, MAX_TEXT)
+    return read_within(_path(span, name), MAX_TEXT)
+
+
+def _path(span: Span, name: str) -> Path:
+    return Path(span.source.name).parent / name
 
 
 def check_files(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from lfield.clock import Clock, SystemClock
 from lfield.errors import LfieldError
+from lfield.geodata.map_drawings import MapDrawing
 from lfield.mission import bundle
 from lfield.mission.access.access_rules import NO_RULES
 from lfield.mission.loader import load_mission
@@ -23,13 +24,14 @@ from lfield.operator.dashboard.event_feed import log_backlog
 from lfield.operator.dashboard.event_stream.background_task import background_tasks
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
 from lfield.operator.dashboard.event_stream.host_locator import HostLocator
+from lfield.operator.dashboard.map_files import program_drawings
 from lfield.operator.dashboard.operator_actions import OperatorActions
 from lfield.operator.dashboard.order_service import OperatorContext, OrderService
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.targets import TargetTeam
 from lfield.operator.team_model.team_contents import TeamContents, team_contents
-from lfield.operator.team_model.team_state import Curve, TeamState
+from lfield.operator.team_model.team_state import Curve, TeamState, TrackUpdate
 from lfield.operator.team_model.team_view import TeamView
 from lfield.operator.team_query import QueryContext, read_context
 from lfield.wire.observer_messages import EmergencyStopResult
@@ -43,11 +45,15 @@ TICK = 1.0
 
 
 class TeamWatch:
-    """Implements `TeamStateSource`, `StreamHandler` and `OrderObserver`; `actions` sends orders."""
+    """Implements `TeamStateSource`, `StreamHandler` and `OrderObserver`; `actions` sends orders.
+
+    `drawings` are the plans and areas that the program names.
+    """
 
     actions: OperatorActions
 
-    def __init__(self, inventory: TeamContents, clock: Clock) -> None:
+    def __init__(self, inventory: TeamContents, clock: Clock, drawings: Sequence[MapDrawing] = ()) -> None:
+        self.drawings = drawings
         self.view = TeamView(inventory)
         self._clock = clock
 
@@ -57,6 +63,10 @@ class TeamWatch:
     def curves(self) -> tuple[Curve, ...]:
         """The curves of the last minutes."""
         return self.view.curves(self._clock.monotonic())
+
+    def tracks(self, after: int) -> TrackUpdate:
+        """The tracks of the vehicles after a point number."""
+        return self.view.tracks(after)
 
     def on_linked(self, host: str) -> None:
         """See `StreamHandler.on_linked`."""
@@ -127,7 +137,8 @@ async def watch_team(
     transport, brings = observer_transport(own, desk.known if desk is not None else None), presented_crl(own)
     reach = HostLocator(targets, find)
     mission = await asyncio.to_thread(read_mission, path)
-    shown = TeamWatch(team_contents(path.stem, team, mission), clock)
+    drawings = program_drawings(mission.program) if mission is not None else []
+    shown = TeamWatch(team_contents(path.stem, team, mission), clock, drawings)
     access = mission.access if mission is not None else NO_RULES
 
     def asked() -> QueryContext:

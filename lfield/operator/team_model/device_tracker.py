@@ -28,6 +28,8 @@ from lfield.wire.observer_messages import DeviceStatus
 
 #: The most devices of one host: a host may name any number.
 MAX_DEVICES = 4096
+#: Metres from home from which on a fence counts as none.
+NO_FENCE = 1e6
 
 DeviceEvent = DeviceLatched | SafeStateConfirmed | DeviceMoving | DeviceReleased | DeviceTelemetry
 
@@ -180,6 +182,8 @@ def vehicle_of(
     elif inventory.origin is not None and on_globe is None and place is not None:
         on_globe = frame_to_earth(place, inventory.origin)
     mode, armed = first("mode"), first("armed")
+    fence = number(first("fence"))
+    limits = [inventory.limits.get(device.name, {}) for device in state]
     ages = [device.silent for device in state if device.silent is not None]
     return VehicleState(
         agent=entry.agent,
@@ -199,6 +203,10 @@ def vehicle_of(
         link=min(ages, default=None),
         refusal=refusal,
         devices=state,
+        home=earth(first("home")),
+        radius=min((each["radius"] for each in limits if "radius" in each), default=None),
+        ceiling=min((each["altitude"] for each in limits if "altitude" in each), default=None),
+        fence=fence if fence is not None and 0.0 < fence < NO_FENCE else None,
     )
 
 
@@ -207,7 +215,7 @@ def _fits(what: str, reading: TelemetryReading) -> bool:
     match what:
         case "place":
             return local(reading) is not None
-        case "earth":
+        case "earth" | "home":
             return earth(reading) is not None
         case "mode":
             return isinstance(reading.value, str)

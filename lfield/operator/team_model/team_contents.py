@@ -37,6 +37,8 @@ class TeamContents:
     agents: Mapping[str, TeamEntry] = field(default_factory=dict)
     devices: Mapping[str, Instruments] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
+    #: The limits of bindings, by device.
+    limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def origin(self) -> Origin | None:
@@ -75,7 +77,8 @@ def team_contents(name: str, team: Team, mission: Mission | None = None) -> Team
         return TeamContents(name, team.hosts, agents)
     known = _instruments(mission.drivers)
     devices = {device.name: known[device.type] for device in mission.bindings.all if device.type in known}
-    return TeamContents(name, team.hosts, agents, devices, mission.bindings.frames)
+    limits = {device.name: device.limits for device in mission.bindings.all}
+    return TeamContents(name, team.hosts, agents, devices, mission.bindings.frames, limits)
 
 
 def _instruments(drivers: DriverLookup) -> Mapping[str, Instruments]:

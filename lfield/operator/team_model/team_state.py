@@ -151,7 +151,8 @@ class VehicleState:
     `place` and `earth` are its position, measured or derived with the origin of the team, and `measured`
     seconds old; None for an agent without a position. `stated`: never measured, but stated in the devices
     file. `height` is above the starting point (m), `battery` from 0 to 1, `heading` in radians. `link` is the
-    age of its newest telemetry (s).
+    age of its newest telemetry (s). `radius` and `ceiling` are the limits of its binding, metres from and
+    above its `home`; `fence` is the radius of the fence of its autopilot, None without one.
     """
 
     agent: str
@@ -171,6 +172,10 @@ class VehicleState:
     link: float | None = None
     refusal: str = ""
     devices: tuple[DeviceState, ...] = ()
+    home: GeoPosition | None = None
+    radius: float | None = None
+    ceiling: float | None = None
+    fence: float | None = None
 
     @property
     def latched(self) -> bool:
@@ -319,6 +324,28 @@ class Curve:
     points: tuple[tuple[float, float], ...]
 
 
+class TrackPoint(NamedTuple):
+    """A point of a track: metres north and east in the frame of the team, and degrees, as far as known."""
+
+    place: tuple[float, float] | None
+    earth: tuple[float, float] | None
+
+
+class AgentTrack(NamedTuple):
+    """Points of the track of a vehicle, oldest first."""
+
+    agent: str
+    points: list[TrackPoint]
+
+
+class TrackUpdate(NamedTuple):
+    """The points after a number, `newest` is that of the last one. `is_whole`: all of them."""
+
+    newest: int
+    is_whole: bool
+    tracks: list[AgentTrack]
+
+
 @dataclass(frozen=True, slots=True)
 class TeamState:
     """The state of a whole team. `revision` grows with every change except ages."""
@@ -353,3 +380,6 @@ class TeamStateSource(Protocol):
 
     def curves(self) -> tuple[Curve, ...]:
         """The curves of the last minutes."""
+
+    def tracks(self, after: int) -> TrackUpdate:
+        """The tracks of the vehicles after a point number."""

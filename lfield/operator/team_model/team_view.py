@@ -27,9 +27,11 @@ from lfield.operator.team_model.team_state import (
     OrderState,
     StopState,
     TeamState,
+    TrackUpdate,
     VehicleState,
     agent_of,
 )
+from lfield.operator.team_model.vehicle_tracks import TeamTracks
 from lfield.wire import events
 from lfield.wire.events import Event
 from lfield.wire.observer_messages import EmergencyStopResult, Status
@@ -49,6 +51,7 @@ class TeamView:
         self._hosts = {host: self._new_host(host) for host in inventory.hosts}
         self._agents = AgentTracker(inventory)
         self._log, self._curves, self._commands = LogBuffer(), CurveHistory(), CommandLog()
+        self._tracks = TeamTracks()
         self._origin = inventory.origin
 
     # --- in -------------------------------------------------------------------------------------------
@@ -110,7 +113,7 @@ class TeamView:
             host.on_answer(answer)
 
     def tick(self, now: float) -> None:
-        """Extend the curves; called about once a second."""
+        """Extend the curves and tracks; called about once a second."""
         self._curves.add(now, self.snapshot(now).vehicles, self._agents.hops_a_minute(now))
 
     def _host(self, name: str) -> HostModel:
@@ -166,6 +169,10 @@ class TeamView:
         """The curves of the plots."""
         return self._curves.snapshot(now)
 
+    def tracks(self, after: int) -> TrackUpdate:
+        """The tracks of the vehicles after a point number, as of the last snapshot."""
+        return self._tracks.since(after)
+
     def snapshot(self, now: float) -> TeamState:
         """The state at that time."""
         hosts = {name: host.state(now) for name, host in self._hosts.items()}
@@ -206,6 +213,7 @@ class TeamView:
             refusal = offers[agent].refusal if agent in offers else ""
             enrolled = self._agents.entry(agent)
             found[agent] = vehicle_of(enrolled, own, refusal, self.inventory, self._origin)
+        self._tracks.add(found.values())
         return found
 
     def _set_origin(self, devices: Mapping[str, tuple[DeviceState, ...]]) -> None:

@@ -30,7 +30,7 @@ class Instruments:
 
     `moves` is whether it has a safe state. `place` is north, east and perhaps down in metres, `earth` is
     latitude and longitude in degrees, perhaps metres above sea level; `heading` in radians, `battery` from 0
-    to 1.
+    to 1. `home` is as `earth`, `fence` the radius of the fence around it in metres.
     """
 
     moves: bool | None = None
@@ -42,6 +42,8 @@ class Instruments:
     battery: str = "battery"
     mode: str = "mode"
     armed: str = "armed"
+    home: str = "home"
+    fence: str = "fenceRadius"
 
 
 #: For a device without a known manifest: the usual quantities of vehicles.
@@ -68,6 +70,8 @@ def instruments_of(manifest: DeviceManifest) -> Instruments:
         battery=_named(telemetry, "real", "", DEFAULT_INSTRUMENTS.battery),
         mode=_named(telemetry, "string", "", DEFAULT_INSTRUMENTS.mode),
         armed=_named(telemetry, "boolean", "", DEFAULT_INSTRUMENTS.armed),
+        home=_named(telemetry, "real[]", "", DEFAULT_INSTRUMENTS.home),
+        fence=_named(telemetry, "real", "m", DEFAULT_INSTRUMENTS.fence),
     )
 
 

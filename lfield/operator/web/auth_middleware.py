@@ -14,17 +14,34 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-#: The page can contact its own server only. Vue compiles templates in the page, hence 'unsafe-eval'.
+#: The page can contact its own server only, and for pictures a tile server that the operator has named. Vue
+#: compiles templates in the page, hence 'unsafe-eval'.
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
-    "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
+    "img-src 'self' data:%s; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
     "form-action 'self'; frame-ancestors 'none'"
 )
-_HEADERS = [
-    (b"content-security-policy", _POLICY.encode()),
-    (b"referrer-policy", b"no-referrer"),
-    (b"x-content-type-options", b"nosniff"),
-]
+
+
+class SecurityHeaders:
+    """An ASGI application whose answers forbid other servers, except pictures of `tile_origin`."""
+
+    def __init__(self, app: App, tile_origin: str = "") -> None:
+        self._app = app
+        policy = _POLICY % (f" {tile_origin}" if tile_origin else "")
+        self._headers = [
+            (b"content-security-policy", policy.encode()),
+            (b"referrer-policy", b"no-referrer"),
+            (b"x-content-type-options", b"nosniff"),
+        ]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], *self._headers]
+            await send(message)
+
+        await self._app(scope, receive, sent)
 
 
 class AuthMiddleware:
@@ -61,7 +78,7 @@ class AuthMiddleware:
             await _refuse(scope, refusal, send)
         else:
             self._on_authenticated(scope["client"])
-            await self._app(scope, receive, _with_policy(send))
+            await self._app(scope, receive, send)
 
     def _request(self, scope: Scope) -> PageRequest:
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
@@ -106,15 +123,6 @@ def _token(scope: Scope) -> str | None:
     return found[0] if found else None
 
 
-def _with_policy(send: Send) -> Send:
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message["headers"] = [*message["headers"], *_HEADERS]
-        await send(message)
-
-    return sent
-
-
 async def _refuse(scope: Scope, why: str, send: Send) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008, "reason": "refused"})
@@ -126,6 +134,6 @@ async def _answer(
     send: Send, status: int, text: str, headers: list[tuple[bytes, bytes]] | None = None
 ) -> None:
     kind = [(b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store")]
-    start = {"type": "http.response.start", "status": status, "headers": [*kind, *_HEADERS, *(headers or [])]}
+    start = {"type": "http.response.start", "status": status, "headers": [*kind, *(headers or [])]}
     await send(start)
     await send({"type": "http.response.body", "body": text.encode()})

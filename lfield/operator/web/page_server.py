@@ -23,13 +23,13 @@ from lfield.clock import Clock
 from lfield.operator.dashboard.operator_actions import OperatorActions
 from lfield.operator.team_model.team_state import TeamStateSource
 from lfield.operator.web.answer_json import order_json, query_json
-from lfield.operator.web.auth_middleware import AuthMiddleware
+from lfield.operator.web.auth_middleware import AuthMiddleware, SecurityHeaders
 from lfield.operator.web.button_orders import REASON, buttons, refusal, stop_reason
-from lfield.operator.web.mbtiles import MbtilesSource
 from lfield.operator.web.page import page
 from lfield.operator.web.page_sessions import PageSessions
 from lfield.operator.web.page_site import PageSite
 from lfield.operator.web.page_snapshots import PageSnapshots, ReplayControl
+from lfield.operator.web.tiles.background import NO_BACKGROUND, PageBackground
 
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
@@ -39,7 +39,7 @@ _IDLE = 3600
 
 @dataclass(frozen=True, slots=True)
 class ServedPage:
-    """The inputs of a page: state of the team, permitted actions, clock, map background.
+    """The inputs of a page: state of the team, permitted actions, clock, and background of the map.
 
     A page of recordings has a `replay`, which is its source, and no actions: nothing can be sent.
     """
@@ -48,7 +48,7 @@ class ServedPage:
     source: TeamStateSource
     actions: OperatorActions | None
     clock: Clock
-    tiles: MbtilesSource | None = None
+    background: PageBackground = NO_BACKGROUND
     replay: ReplayControl | None = None
 
 
@@ -72,8 +72,9 @@ async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], 
         cache_control_directives="no-cache",
         gzip_middleware_factory=None,
     )
+    protected = AuthMiddleware(app, sessions, f"lfield-{site.port}", show_link, site.limiter.on_authenticated)
     config = uvicorn.Config(
-        AuthMiddleware(app, sessions, f"lfield-{site.port}", show_link, site.limiter.on_authenticated),
+        SecurityHeaders(protected, tiles.origin if (tiles := served.background.tiles) is not None else ""),
         log_config=None,
         # Forwarded-For headers are not trusted: the peer is the other end of the socket.
         proxy_headers=False,
@@ -121,10 +122,11 @@ class _Server(uvicorn.Server):
 
 
 def _add_routes(app: FastAPI, served: ServedPage) -> None:
-    tiles = served.tiles
-    about = (
-        None if tiles is None else {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
-    )
+    tiles = served.background.tiles
+    about = None
+    if tiles is not None:
+        about = {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
+        about["address"] = tiles.address
     actions, replay = served.actions, served.replay
     snapshots = PageSnapshots(
         served.source,
@@ -140,8 +142,12 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
         _add_replay(app, replay)
 
     @app.get("/look")
-    async def snapshot(after: int = 0, epoch: int = 0) -> Response:
-        return _json(snapshots.snapshot(after, epoch))
+    async def snapshot(after: int = 0, point: int = 0, epoch: int = 0) -> Response:
+        return _json(snapshots.snapshot(after, epoch, point))
+
+    @app.get("/drawings")
+    async def drawings() -> Response:
+        return _json(msgspec.json.encode(served.background.drawings))
 
     @app.get("/plots")
     async def plots() -> Response:

@@ -2,7 +2,7 @@
 
 `TeamState`, its parts and their units are in team_model/team_state.py; named tuples become arrays. Each
 snapshot is complete, so a page that was inactive needs only the newest. All browsers get the same bytes,
-except the lines of the log, of which each gets those that it does not have yet.
+except the lines of the log and the points of tracks, of which each gets those that it does not have yet.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from lfield.operator.team_model.team_state import (
     ShownLogLine,
     TeamState,
     TeamStateSource,
+    TrackUpdate,
     VehicleState,
 )
 from lfield.operator.web.button_orders import MAX_DELAY
@@ -74,6 +75,12 @@ def log_json(log: Sequence[ShownLogLine], after: int) -> bytes:
     return msgspec.json.encode([line._asdict() for line in log[first:]])
 
 
+def tracks_json(update: TrackUpdate) -> bytes:
+    """New points of tracks as JSON."""
+    tracks = [track._asdict() for track in update.tracks]
+    return msgspec.json.encode({"newest": update.newest, "is_whole": update.is_whole, "tracks": tracks})
+
+
 def plots_json(curves: Sequence[Curve]) -> bytes:
     """Curves for the plots as JSON, each with at most `MAX_POINTS` points."""
     return msgspec.json.encode([replace(curve, points=_thinned(curve.points)) for curve in curves])
@@ -126,8 +133,8 @@ class PageSnapshots:
     _epoch: int = 0
     _position: bytes = b"null"
 
-    def snapshot(self, after: int, epoch: int = 0) -> bytes:
-        """A snapshot with the log lines after that number: `{"at": s, "look": {...}, "log": [...], ...}`.
+    def snapshot(self, after: int, epoch: int = 0, point: int = 0) -> bytes:
+        """A snapshot with the log lines and track points after those numbers, `{"at": s, ...}`.
 
         `at` is the time of the snapshot by `now`, `replay` the position in recordings, null for a running
         team. A log of another `epoch` is sent again from its first line.
@@ -137,8 +144,9 @@ class PageSnapshots:
             self._state, self._at = self._newest_state(), now
             self._team = team_json(self._state, self.denied_orders(), self.tiles)
         log = log_json(self._state.log, after if epoch == self._epoch else 0)
-        parts = msgspec.json.encode(self._at), self._team, log, self._epoch, self._position
-        return b'{"at":%b,"look":%b,"log":%b,"epoch":%d,"replay":%b}' % parts
+        tracks = tracks_json(self.source.tracks(point))
+        parts = msgspec.json.encode(self._at), self._team, log, tracks, self._epoch, self._position
+        return b'{"at":%b,"look":%b,"log":%b,"tracks":%b,"epoch":%d,"replay":%b}' % parts
 
     def _newest_state(self) -> TeamState:
         if self.replay is None:

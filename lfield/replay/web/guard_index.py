@@ -8,21 +8,26 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lfield.driver.frame import Origin
 from lfield.errors import RecordingError
 from lfield.guard.recording.guard_segments import TelemetryValue, rings_in, telemetry_in
+from lfield.host.status import telemetry_of
 from lfield.manifest import DeviceValue
-from lfield.operator.team_model.team_contents import TeamContents
-from lfield.operator.team_model.team_state import agent_of
+from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
+from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
+from lfield.operator.team_model.team_state import DeviceState, TelemetryReading, TrackPoint, agent_of
+from lfield.operator.team_model.vehicle_tracks import TrackHistory, point_of
 from lfield.replay.debugger.team_timeline import TeamTimeline
 from lfield.replay.device_events import DeviceEvent, device_events, outside_events
 from lfield.replay.host_recording import OutsideEvent
 from lfield.replay.recording_files import TeamRecording
 from lfield.replay.web.recorded_events import EventIndex
-from lfield.replay.web.vehicle_tracks import VehicleTracks
 from lfield.wire.events import Event
 
 #: The meanings of quantities that the page shows; others are not kept.
-_SHOWN = ("place", "earth", "heading", "speed", "height", "battery", "mode", "armed")
+_SHOWN = ("place", "earth", "heading", "speed", "height", "battery", "mode", "armed", "home", "fence")
+#: The most points of the track of a vehicle that are kept.
+_MOST_POINTS = 20_000
 
 
 @dataclass(slots=True)
@@ -31,6 +36,40 @@ class _Trace:
 
     times: array[float] = field(default_factory=lambda: array("d"))
     values: list[DeviceValue] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _RecordedTrack:
+    track: TrackHistory = field(default_factory=lambda: TrackHistory(_MOST_POINTS))
+    values: dict[str, DeviceValue] = field(default_factory=dict)
+
+
+class VehicleTracks:
+    """The tracks of the agents of a team."""
+
+    def __init__(self, contents: TeamContents) -> None:
+        self._contents = contents
+        self._origin: Origin | None = contents.origin
+        self._tracks: dict[str, _RecordedTrack] = {}
+
+    def add(self, agent: str, device: str, quantity: str, time: float, value: DeviceValue) -> None:
+        """Add a position that a device has reported."""
+        recorded = self._tracks.setdefault(agent, _RecordedTrack())
+        if recorded.track.marks and time < recorded.track.marks[-1]:
+            return
+        recorded.values[quantity] = value
+        telemetry = telemetry_of(recorded.values)
+        readings = {name: TelemetryReading(known, 0.0) for name, known in telemetry.items()}
+        state = (DeviceState(device, agent, "", fresh=True, readings=readings),)
+        if self._origin is None and (first := earth_of(state, self._contents)) is not None:
+            self._origin = Origin(first.latitude, first.longitude, first.altitude or 0.0)
+        vehicle = vehicle_of(TeamEntry(agent, "", ""), state, "", self._contents, self._origin)
+        if (point := point_of(vehicle)) is not None:
+            recorded.track.add(time, point)
+
+    def until(self, time: float) -> dict[str, list[TrackPoint]]:
+        """The track of each agent up to a time, at most `MAX_POINTS` points."""
+        return {agent: recorded.track.until(time) for agent, recorded in self._tracks.items()}
 
 
 class GuardIndex:

@@ -17,7 +17,7 @@ import msgspec
 
 from lfield.errors import LfieldError
 from lfield.operator.team_model.team_contents import team_contents
-from lfield.operator.team_model.team_state import Curve, TeamState
+from lfield.operator.team_model.team_state import Curve, TeamState, TrackUpdate
 from lfield.operator.web.page_snapshots import ShownPosition
 from lfield.replay.debugger.debugger import Debugger
 from lfield.replay.debugger.team_timeline import TeamTimeline
@@ -93,6 +93,10 @@ class ReplaySession:
     def curves(self) -> tuple[Curve, ...]:
         """None: a replay has no plots."""
         return ()
+
+    def tracks(self, after: int) -> TrackUpdate:
+        """None: the tracks depend on the time, and are part of the position."""
+        return TrackUpdate(0, True, [])
 
     def request(self, body: object) -> str:
         """Give a command, which replaces one that waits; returns why it is refused, '' if it is not."""

@@ -36,8 +36,10 @@ from lfield.operator.team_model.team_state import (
     StopState,
     TeamState,
     TelemetryReading,
+    TrackUpdate,
     VehicleState,
 )
+from lfield.operator.team_model.vehicle_tracks import TeamTracks
 from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Degrees of latitude in a metre.
@@ -77,6 +79,7 @@ class Script:
         self.frozen = {}
         self.lines: list[ShownLogLine] = []
         self.revision = 0
+        self.ways = TeamTracks()
 
     # --- what changes it ----------------------------------------------------------------------------------
 
@@ -222,6 +225,9 @@ class Script:
             0.15 + self.now() - now,
             "",
             (device,),
+            GeoPosition(47.4, 8.5) if self.earth else None,
+            40.0 if self.earth else None,
+            10.0 if self.earth else None,
         )
 
     def snapshot(self) -> TeamState:
@@ -229,6 +235,7 @@ class Script:
         seconds = self.now() - self.began
         names = [self.host_of(number) for number in range(self.count)]
         vehicles = {self.agent_of(number): self.vehicle(number) for number in range(self.count)}
+        self.ways.add(vehicles.values())
         live = [name for name in names if name not in self.dead]
         hosts = {
             name: HostState(
@@ -326,6 +333,9 @@ class Script:
             {device.host: (device.name,) for device in devices if not device.fresh},
         )
 
+    def tracks(self, after: int) -> TrackUpdate:
+        return self.ways.since(after)
+
     def curves(self) -> tuple[Curve, ...]:
         """Of the last five minutes, as the product has them."""
         now, curves = self.now(), CurveHistory()
@@ -346,14 +356,16 @@ class Script:
 
 async def main() -> None:
     from lfield.authority.web_ca.web_keys import read_web_keys
-    from lfield.operator.web.mbtiles import MbtilesSource
+    from lfield.operator.dashboard.map_files import file_drawings
     from lfield.operator.web.page_server import ServedPage, serve
     from lfield.operator.web.page_site import local_site, network_site
+    from lfield.operator.web.tiles.background import PageBackground, open_background
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--earth", action="store_true")
-    parser.add_argument("--tiles", type=Path)
+    parser.add_argument("--tiles")
+    parser.add_argument("--draw", type=Path, nargs="*", default=[])
     parser.add_argument("--port", type=int, default=0)
     parser.add_argument("--listen")
     parser.add_argument("--page-keys", type=Path)
@@ -366,8 +378,8 @@ async def main() -> None:
             loop.call_soon_threadsafe(script.do, line.split())
 
     threading.Thread(target=read, daemon=True).start()
-    tiles = MbtilesSource(args.tiles) if args.tiles else None
-    served = ServedPage("first-flight", script, script, SystemClock(), tiles)
+    background = PageBackground(open_background(args.tiles) if args.tiles else None, file_drawings(args.draw))
+    served = ServedPage("first-flight", script, script, SystemClock(), background)
     if args.listen is None:
         site = await local_site(args.port, print)
     else:

@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 import pytest
 
-from lfield.operator.web.auth_middleware import AuthMiddleware, cookie_values
+from lfield.operator.web.auth_middleware import AuthMiddleware, SecurityHeaders, cookie_values
 from lfield.operator.web.page_sessions import (
     FOREIGN_ADDRESS,
     FOREIGN_PAGE,
@@ -182,14 +182,27 @@ def test_cookies_may_come_in_several_headers(door, gate):
     assert cookie_values(headers, "lfield-8000") == (own,)
 
 
-def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
+def policies(gate, door, app) -> list[dict[str, str]]:
+    """The directives of an answer of the page, and of a refusal."""
     cookie = entered(gate, door)
-    for answer in (knock(gate, "/", cookie=cookie), knock(gate, "/")):
-        policy = dict(answer[0]["headers"])[b"content-security-policy"].decode()
-        assert "default-src 'self'" in policy
-        assert "connect-src 'self'" in policy
-        assert "http:" not in policy
-        assert "*" not in policy
+    answers = knock(app, "/", cookie=cookie), knock(app, "/")
+    texts = [dict(answer[0]["headers"])[b"content-security-policy"].decode() for answer in answers]
+    return [dict(part.strip().split(" ", 1) for part in text.split(";")) for text in texts]
+
+
+def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
+    for policy in policies(gate, door, SecurityHeaders(gate)):
+        assert policy["default-src"] == policy["connect-src"] == "'self'"
+        assert policy["img-src"] == "'self' data:"
+        assert not any("http" in each or "*" in each for each in policy.values())
+
+
+def test_a_named_tile_server_may_be_asked_for_pictures_alone(gate, door):
+    plain, named = (
+        policies(gate, door, SecurityHeaders(gate, origin))[0]
+        for origin in ("", "https://tiles.example:8443")
+    )
+    assert named == {**plain, "img-src": "'self' data: https://tiles.example:8443"}
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_what_no_page_shows_is_not_sent():
 
 def test_fifty_vehicles_take_tens_of_kilobytes():
     time = Time()
-    assert len(looks_of(Script(50, now=time), time).snapshot(0)) < 64_000
+    assert len(looks_of(Script(50, now=time), time).snapshot(0)) < 68_000
 
 
 def test_lines_are_those_that_a_page_does_not_have():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sqlite3
 
 import pytest
 from real_browser import needs_browser
@@ -459,25 +458,6 @@ def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
     browser.says("place-wing", "no position")
     browser.thing("marker-lead")
     assert browser.all("marker-wing") == []
-
-
-@pytest.mark.few(0)
-def test_a_background_from_a_file(browser, page_of, tmp_path):
-    picture = bytes.fromhex(
-        "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
-        "0000000d49444154789c6360606060000000050001a5f645400000000049454e44ae426082"
-    )
-    database = sqlite3.connect(tmp_path / "field.mbtiles")
-    database.execute(
-        "create table tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)"
-    )
-    rows = [(zoom, x, y, picture) for zoom in range(4) for x in range(1 << zoom) for y in range(1 << zoom)]
-    database.executemany("insert into tiles values (?, ?, ?, ?)", rows)
-    database.commit()
-    page = page_of("--earth", "--tiles", tmp_path / "field.mbtiles")
-    browser.open(page.link)
-    browser.wait(lambda: browser.thing("map").parts("img.leaflet-tile-loaded", bool))
-    assert browser.asked_hosts() == {page.address.removeprefix("http://")}
 
 
 @pytest.mark.few(0)

@@ -1,6 +1,7 @@
 // Battery, height, link age and hops per minute of the last ten minutes, with ECharts. Nothing is requested while the
 // plots are closed.
 import { echarts } from "nicegui-echart";
+import { colourOf } from "./colours.js";
 import { rest, samples } from "./server.js";
 
 // Milliseconds between two requests.
@@ -13,12 +14,7 @@ const KINDS = {
   hops: { title: "Hops per minute", scale: 1, min: 0 },
 };
 
-const COLOURS = ["#2f6690", "#c8553d", "#588157", "#8d6a9f", "#b08968", "#3a7d7c", "#a3333d", "#5f6c7b"];
-
-// The n-th colour: first from the palette, then distinct hues.
-const colour = (n) => COLOURS[n] ?? `hsl(${Math.round(n * 137.508) % 360} 45% 47%)`;
-
-function options(kind, curves, inks) {
+function options(kind, curves) {
   const ink = getComputedStyle(document.documentElement).getPropertyValue("--faint");
   const line = getComputedStyle(document.documentElement).getPropertyValue("--line");
   const minutes = (value) => (value === 0 ? "now" : `${-value / 60} min`);
@@ -33,8 +29,8 @@ function options(kind, curves, inks) {
       type: "line",
       name: curve.of,
       showSymbol: curve.points.length === 1,
-      lineStyle: { width: 1.5, color: inks[curve.of] },
-      itemStyle: { color: inks[curve.of] },
+      lineStyle: { width: 1.5, color: colourOf(curve.of) },
+      itemStyle: { color: colourOf(curve.of) },
       // Points have ages; the time axis goes to the right.
       data: curve.points.map(([age, value]) => [-age, value * kind.scale]),
     })),
@@ -48,11 +44,12 @@ export default {
       <div class="charts">
         <figure v-for="(kind, what) in kinds" :key="what"><figcaption>{{ kind.title }}</figcaption><div :ref="what" class="chart" :data-testid="'plot-' + what"></div></figure>
       </div>
-      <p v-for="(names, of) in legends" :key="of" class="key" :data-testid="'key-' + of">{{ called[of] }}<span v-for="name in names" :key="name"><i :style="{background: inks[name]}"></i>{{ name }}</span></p>
+      <p v-for="(names, of) in legends" :key="of" class="key" :data-testid="'key-' + of">{{ called[of] }}<span v-for="name in names" :key="name"><i :style="{background: colourOf(name)}"></i>{{ name }}</span></p>
       <p v-if="trouble" class="bad">{{ trouble }}</p>
     </details>`,
-  data: () => ({ kinds: KINDS, called: { vehicles: "Vehicles: ", hops: "Hops of: " }, inks: {}, legends: {}, trouble: "" }),
+  data: () => ({ kinds: KINDS, called: { vehicles: "Vehicles: ", hops: "Hops of: " }, legends: {}, trouble: "" }),
   methods: {
+    colourOf,
     toggled(event) {
       this.open = event.target.open;
       if (this.open && !this.busy) this.forever();
@@ -76,11 +73,9 @@ export default {
         vehicles: names(curves.filter((curve) => curve.what !== "hops")),
         hops: names(curves.filter((curve) => curve.what === "hops")),
       };
-      // A name keeps its colour in all charts.
-      for (const name of Object.values(this.legends).flat()) this.inks[name] ??= colour(Object.keys(this.inks).length);
       for (const [what, kind] of Object.entries(KINDS)) {
         const chart = (this.charts[what] ??= echarts.init(this.$refs[what][0]));
-        chart.setOption(options(kind, curves.filter((curve) => curve.what === what), this.inks), { notMerge: true });
+        chart.setOption(options(kind, curves.filter((curve) => curve.what === what)), { notMerge: true });
       }
     },
     resized() {

@@ -35,6 +35,9 @@ export const ask = (text) => post("query", { text });
 // Moves a replay; of several requests the server executes the newest.
 export const move = (command) => post("replay", command);
 
+// Plans, areas and fences of files, which do not change.
+export const drawings = () => answerOf("drawings", {}, PATIENCE);
+
 export const samples = () => answerOf("plots", {}, PATIENCE);
 
 // Waits for some milliseconds, longer while the page is hidden; ends when the page becomes visible.
@@ -55,12 +58,14 @@ export function rest(milliseconds) {
 export function looks(take, fail) {
   let ended = false;
   let line = 0;
+  let point = 0;
   let epoch = 0;
 
   async function look() {
-    const answer = await answerOf(`look?after=${line}&epoch=${epoch}`, {}, PATIENCE);
+    const answer = await answerOf(`look?after=${line}&point=${point}&epoch=${epoch}`, {}, PATIENCE);
     line = answer.log.at(-1)?.serial ?? (answer.epoch === epoch ? line : 0);
     epoch = answer.epoch;
+    point = answer.tracks.newest;
     if (!ended) take(answer);
   }
 

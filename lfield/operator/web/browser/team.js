@@ -1,6 +1,6 @@
 // The whole page: STOP and the other buttons, state of the stop, map, vehicles, coordinators, hosts, log, queries,
 // plots. It draws the last snapshot and marks an old one.
-import { Halt, OperatorInput, Plots, Program, Replay, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, OperatorInput, Plots, Program, Replay, TeamLog, TeamMap, act, ask, drawings, geometry, looks, words } from "lfield-watch";
 
 // A snapshot older than this (ms) is marked as old.
 const OLD = 2000;
@@ -9,6 +9,9 @@ const QUESTIONS = {
   lift: "Lift the stop? Programs may then release their devices, and vehicles may move.",
   resume: "Resume the mission? Agents continue, and vehicles may move.",
 };
+
+// The most points of a track; of a longer one every second point is dropped.
+const MOST_POINTS = 600;
 
 // Orders that let vehicles move again: refused when late (button_orders.py).
 const RELEASES = ["lift", "resume"];
@@ -45,7 +48,7 @@ export default {
     <main v-if="look">
       <div class="column-of">
       <section class="place" aria-label="Map">
-        <team-map :look="look" :tiles="look.tiles" :tracks="replay ? replay.tracks : []" :selected="selected" @select="selected = $event"/>
+        <team-map :look="look" :tiles="look.tiles" :tracks="replay ? replay.tracks : tracks" :drawings="drawings" :selected="selected" @select="selected = $event"/>
       </section>
       <section class="panel log" aria-label="Log">
         <h2>Log</h2>
@@ -127,7 +130,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, replay: null, epoch: 0, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
+    look: null, replay: null, tracks: [], drawings: [], epoch: 0, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -214,18 +217,36 @@ export default {
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },
-    take({ at, look, log, epoch, replay }) {
+    take({ at, look, log, epoch, replay, tracks }) {
       // NiceGUI's own connection reloads the page when it times out; the last known state and STOP would be gone.
       // The page does not need that connection.
       window.socket?.disconnect();
       this.look = look;
       this.replay = replay;
+      this.extend(tracks);
       if (epoch !== this.epoch) [this.epoch, this.fresh] = [epoch, []];
       this.at = at;
       this.taken = this.now = performance.now();
       this.trouble = "";
       this.known();
       if (log.length) this.fresh = log;
+    },
+    // Adds the new points of all tracks.
+    extend({ is_whole, tracks }) {
+      if (is_whole) this.tracks = [];
+      for (const { agent, points } of tracks) {
+        const known = this.tracks.find((track) => track.agent === agent);
+        if (known) known.points = geometry.thinned([...known.points, ...points], MOST_POINTS);
+        else this.tracks.push({ agent, points });
+      }
+    },
+    // Requests the drawings until the server has answered.
+    async fetchDrawings() {
+      try {
+        this.drawings = await drawings();
+      } catch {
+        this.again = setTimeout(this.fetchDrawings, 5000);
+      }
     },
     async press(order) {
       const press = { since: performance.now(), after: this.newest([...PAIRS.flat()]) };
@@ -292,10 +313,12 @@ export default {
       this.now = performance.now();
       this.trouble = `No connection to the server of this page; last known values: ${error.message}`;
     });
+    this.fetchDrawings();
     this.tick = setInterval(() => (this.now = performance.now()), 500);
   },
   unmounted() {
     this.end?.();
     clearInterval(this.tick);
+    clearTimeout(this.again);
   },
 };

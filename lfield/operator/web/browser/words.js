@@ -2,8 +2,13 @@
 
 export const NOT_KNOWN = "–";
 
+// A number with one digit; a small negative one is 0.0, never -0.0.
+export function tenths(value) {
+  return (Math.round(value * 10) / 10 + 0).toFixed(1);
+}
+
 export function metres(value) {
-  return value === null ? NOT_KNOWN : `${value.toFixed(1)} m`;
+  return value === null ? NOT_KNOWN : `${tenths(value)} m`;
 }
 
 export function share(value) {
@@ -50,13 +55,13 @@ export function geographic(vehicles) {
 
 export function place({ place, earth }, inDegrees) {
   if (earth && (inDegrees || !place)) return `${earth[0].toFixed(6)}°, ${earth[1].toFixed(6)}°`;
-  if (place) return `${place[1].toFixed(1)}, ${place[0].toFixed(1)}`;
+  if (place) return `${tenths(place[1])}, ${tenths(place[0])}`;
   return "no position";
 }
 
 // The position in the frame of the team.
 export function local({ place }) {
-  return place ? `${place[1].toFixed(1)} m east, ${place[0].toFixed(1)} m north in the frame of the team` : "";
+  return place ? `${tenths(place[1])} m east, ${tenths(place[0])} m north in the frame of the team` : "";
 }
 
 // A latitude or longitude: "47.40005° N".

@@ -8,38 +8,23 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.errors import InputFileError
-
-#: First bytes of the supported pictures, and their media types.
-_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
-#: Largest zoom: at 24 a pixel is 9 mm.
-MAX_ZOOM = 24
+from lfield.operator.web.tiles.map_tiles import MAX_ZOOM, OWN_ADDRESS, MapTile, is_in_grid, tile_of
 
 _USABLE = "from tiles where typeof(zoom_level) = 'integer' and zoom_level between ? and ?"
 _ZOOMS = f"select min(zoom_level), max(zoom_level) {_USABLE}"
 _SAMPLE = f"select tile_data {_USABLE} limit 1"
 
 
-@dataclass(frozen=True, slots=True)
-class MapTile:
-    """A picture and its media type."""
-
-    data: bytes
-    kind: str
-
-
 class MbtilesSource:
-    """The tiles of one file: `min_zoom`, `max_zoom`, and `credit`, the attribution of its author."""
+    """A `MapBackground`: the tiles of one file."""
 
     def __init__(self, path: Path) -> None:
         """Raises InputFileError for a file that cannot be read, or has no pictures for a map."""
         self._path = path
-        if not path.is_file():
-            why = "not a file" if path.exists() else "there is no such file"
-            raise InputFileError(str(path), f"{why}; expected an MBTiles file")
+        self.address, self.origin = OWN_ADDRESS, ""
         try:
             self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
         except sqlite3.Error as error:
@@ -63,7 +48,7 @@ class MbtilesSource:
         if sample is None:
             zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
             raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
-        if not isinstance(sample[0], bytes) or _kind(sample[0]) is None:
+        if tile_of(sample[0]) is None:
             raise _none(
                 path, "its tiles are not pictures (PNG, JPEG or WebP); vector tiles are not supported"
             )
@@ -71,7 +56,7 @@ class MbtilesSource:
 
     def tile(self, zoom: int, column: int, row: int) -> MapTile | None:
         """The tile, its row counted from the north as browsers do; None where the file has none."""
-        if not 0 <= zoom <= MAX_ZOOM or not (0 <= column < 1 << zoom and 0 <= row < 1 << zoom):
+        if not is_in_grid(zoom, column, row):
             return None
         question = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
         try:
@@ -80,10 +65,7 @@ class MbtilesSource:
         except sqlite3.Error:
             # A tile in a damaged part of the file is missing.
             return None
-        if line is None or not isinstance(line[0], bytes):
-            return None
-        kind = _kind(line[0])
-        return MapTile(line[0], kind) if kind else None
+        return None if line is None else tile_of(line[0])
 
     def close(self) -> None:
         """Close the file."""
@@ -95,10 +77,6 @@ class MbtilesSource:
         except sqlite3.Error:
             return ""
         return str(found[0]) if found else ""
-
-
-def _kind(data: bytes) -> str | None:
-    return next((kind for start, kind in _KINDS.items() if data.startswith(start)), None)
 
 
 def _none(path: Path, why: str) -> InputFileError:
