@@ -1,4 +1,4 @@
-"""The Dynamixel driver: DYNAMIXEL and Feetech servos, and groups of them, on a half-duplex bus. See README.md."""
+"""The Dynamixel driver: DYNAMIXEL and Feetech servos, and groups of them, on a bus. See README.md."""
 
 from lfield.driver import Plugin
 

@@ -141,8 +141,8 @@ class MovingMembers(Members):
             least, greatest = servo.reach
             if servo.mode == "position" and not least - 1e-3 <= angle <= greatest + 1e-3:
                 raise self.error(
-                    f"{what} refused: servo {servo.joint.label} only moves from {least:.3f} to {greatest:.3f} "
-                    f"rad (its position limits), not to {angle:g}"
+                    f"{what} refused: servo {servo.joint.label} only moves from {least:.3f} to "
+                    f"{greatest:.3f} rad (its position limits), not to {angle:g}"
                 )
 
     def check_ready(self, what: str, modes: Collection[str]) -> None:
