@@ -284,7 +284,7 @@ class Members(Device):
 
     async def hold_answering(self) -> None:
         """Commands the members that answer to hold. A silent one may be two servos with one id."""
-        observed = await self.observe(urgency=SAFETY, alone=False)
+        observed = await self.observe(urgency=SAFETY)
         places = {s: at for s, at in self._places(observed).items() if s.node.number in observed}
         await self.send({servo: _stay(servo, place) for servo, place in places.items()})
 

@@ -126,8 +126,11 @@ class Servo:
         number = await self._model_number()
         model = models().get((self.node.protocol, number))
         if model is None:
-            known = ", ".join(sorted(m.name for m in models().values()))
-            raise self.error(f"is of the model number {number}, which is not in the tables (known: {known})")
+            known = ", ".join(sorted(m.name for m in models().values() if m.protocol == self.node.protocol))
+            raise self.error(
+                f"is of the model number {number}, which is not in the tables (known: {known}); "
+                "check 'protocol' in its binding"
+            )
         if expected not in ("", model.name):
             raise self.error(f"is a {model.name}, but its binding says {expected}")
         self.model, self.top_speed = model, model.fastest * model.velocity
@@ -176,17 +179,17 @@ class Servo:
         return self.item(STATUS_RETURN_LEVEL).address < self.model.ram
 
     async def answer_all(self) -> None:
-        """Makes it answer writes too; these may be unanswered. Confirmed; raises DeviceError."""
-        await self.write_unanswered(STATUS_RETURN_LEVEL, self.model.answers)
-        if await self.read_item(STATUS_RETURN_LEVEL) != self.model.answers:
-            raise self.error("refuses to answer writes: switch its torque off first")
+        """Makes it answer writes too. Confirmed; raises DeviceError."""
+        await self.set_return_level(self.model.answers)
 
-    async def write_unanswered(self, name: str, counts: int) -> None:
-        """Writes an item without waiting for an answer."""
-        for item_name, value in (("lock", 0), (name, counts), ("lock", 1)):
-            if item_name == name or self.model.has(item_name):
-                item = self.item(item_name)
+    async def set_return_level(self, level: int) -> None:
+        """Sets its status return level; these writes may be unanswered. Confirmed; raises DeviceError."""
+        for name, value in (("lock", 0), (STATUS_RETURN_LEVEL, level), ("lock", 1)):
+            if self.model.has(name):
+                item = self.item(name)
                 await self.chain.write_unconfirmed(self.node, item.address, item.encode(value))
+        if await self.read_item(STATUS_RETURN_LEVEL) != level:
+            raise self.error(f"refuses {level} as its status return level: switch its torque off first")
 
     # -- the control table ------------------------------------------------------------------------------
 

@@ -54,9 +54,7 @@ async def write_setting(servos: Mapping[int, Servo], name: str, value: int) -> N
     """Writes one setting by its name, and confirms it. Raises DeviceError."""
     item, _, number = name.partition(" of servo ")
     servo = servos[int(number)]
-    if item != STATUS_RETURN_LEVEL:
-        await servo.write_eeprom(**{item: value})
-    elif value == servo.model.answers:
-        await servo.answer_all()
+    if item == STATUS_RETURN_LEVEL:
+        await servo.set_return_level(value)
     else:
-        await servo.write_unanswered(item, value)
+        await servo.write_eeprom(**{item: value})

@@ -52,6 +52,10 @@ class AxMotion(ServoMotion):
         """Whether it moves to a goal."""
         return bool(self.table["torque_enable"]) and not self.wheel and self.clock < self.profile.duration
 
+    def single_turn(self) -> None:
+        """It has one turn."""
+        self.resting = False
+
     def reset_goals(self) -> None:
         """The goals after power-up."""
         self.table.put("moving_speed", 0)
