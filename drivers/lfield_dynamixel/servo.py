@@ -265,13 +265,10 @@ class Servo:
     # -- motion -----------------------------------------------------------------------------------------
 
     async def stiffen(self) -> None:
-        """Switches the torque on, confirmed; first sets its goal to its position.
-
-        An AX that has shut down has a torque limit of 0; this restores it.
-        """
+        """Switches the torque on, confirmed; first sets its goal to its position."""
         await self.write_hold_goal(await self.present())
         if self.model.has("torque_limit"):
-            await self.write_item("torque_limit", await self.read_item("max_torque"))
+            await self.restore_torque_limit()
         await self.write_item("torque_enable", 1)
 
     async def switch(self, mode: str) -> None:
@@ -279,9 +276,16 @@ class Servo:
         self.item("operating_mode")
         if mode not in self.model.modes:
             raise self.error(f"has no mode '{mode}'; there are: {', '.join(self.model.modes)}")
-        if mode != self.mode:
-            await self.write_eeprom(operating_mode=self.model.modes[mode])
-            self.mode = mode
+        modes = self.model.modes
+        if modes[mode] != modes.get(self.mode):
+            await self.write_eeprom(operating_mode=modes[mode])
+        if mode != self.mode and self.model.has("torque_limit"):
+            await self.restore_torque_limit()
+        self.mode = mode
+
+    async def restore_torque_limit(self) -> None:
+        """Sets its torque limit to its maximum: an AX that has shut down has 0."""
+        await self.write_item("torque_limit", await self.read_item("max_torque"))
 
     async def limit_force(self, current: float) -> None:
         """Limits the force of its later motions, in A of its motor. Raises DeviceError."""

@@ -127,6 +127,13 @@ class StsMotion(ServoMotion):
         self.pace += max(-change, min(change, goal - self.pace))
         return self.pace / COUNTS
 
+    def is_settled(self) -> bool:
+        """Whether nothing moves without a further write. Little torque may follow slowly, long after the
+        profile.
+        """
+        follows = self._turns_on or abs(self.trajectory - self.place) < 1.0
+        return super().is_settled() and follows
+
     def publish(self, time: float) -> None:
         """Writes the present-value registers."""
         motor, put = self.motor, self.table.put
