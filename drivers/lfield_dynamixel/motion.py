@@ -32,7 +32,11 @@ class MovingMembers(Members):
         if on:
             for servo in self.servos.values():
                 self._check_healthy(servo)
-            await self.for_each(self.servos.values(), Servo.stiffen)
+            try:
+                await self.for_each(self.servos.values(), Servo.stiffen)
+            except DeviceError:
+                await self.check_shut_down("torque")
+                raise
         else:
             await self.release_torque(COMMAND)
         await self.read_conditions()
@@ -159,8 +163,10 @@ class MovingMembers(Members):
                     "the cable of its master; bind the master"
                 )
             self._check_healthy(servo)
-            if not self.conditions[servo.node.number].torque:
-                raise self.error(f"{what}: the torque of servo {label} is off; call torque(true) first")
+            now = self.conditions[servo.node.number]
+            if not now.torque:
+                why = f" ({now.faults})" if now.faults else ""
+                raise self.error(f"{what}: the torque of servo {label} is off{why}; call torque(true) first")
             self._check_strong(what, servo)
 
     def _check_healthy(self, servo: Servo) -> None:

@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 #: Metres, as in mission.dL: height and distance of the shoulder, upper arm, forearm, hand.
 HEIGHT, DISTANCE, UPPER, LOWER, HAND = 0.1166, 0.0304, 0.116, 0.135, 0.1594
 #: Pixels per metre; size of both views in metres, and of what is left of and below their origin.
-METRE, WIDE, TALL, LEFT, BELOW = 900.0, 0.36, 0.32, 0.04, 0.02
+METRE, WIDE, TALL, LEFT, BELOW = 900.0, 0.4, 0.32, 0.04, 0.02
 #: Colours that are distinguishable with colour blindness (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#009e73", "#cc79a7", "#d55e00")
 
