@@ -106,6 +106,7 @@ FOREIGN = {
     "tests/can/foreign/test_foreign_drives.py": "drives made of canopen's node",
     "tests/can/fake/test_can_fake_odrive.py": "frames as ODrive's scripts send them",
     "tests/dynamixel/fake/test_dynamixel_fake_sdk.py": "the Dynamixel SDK",
+    "tests/dynamixel/fake/test_dynamixel_fake_feetech.py": "Feetech's SDK",
 }
 
 

@@ -1,4 +1,4 @@
-"""The Dynamixel driver: servos and groups of servos on a half-duplex bus. See README.md in this folder."""
+"""The Dynamixel driver: DYNAMIXEL and Feetech servos, and groups of them, on a bus. See README.md."""
 
 from lfield.driver import Plugin
 
@@ -11,4 +11,6 @@ PLUGIN = Plugin(
     manifests=("servo.yaml", "group.yaml"),
     kit="lfield_dynamixel.kit:KIT",
     endpoint="lfield.driver.serial:parse_serial_endpoint",
+    conflicts="lfield_dynamixel.joints.mounting:conflicts_of",
+    files="lfield_dynamixel.joints.calibration:mistakes_in",
 )

@@ -11,22 +11,31 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-#: The direction bit of a sign-magnitude value (protocol 1.0).
-_DIRECTION = 1 << 10
-
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One value of a control table; `sign` is '', 'signed' or 'direction'."""
+    """One value of a control table.
+
+    `sign` is '', 'signed' (two's complement), or the bit that is the sign of a magnitude: 'bit 10'.
+    """
 
     address: int
     size: int
     sign: str = ""
 
+    @property
+    def _sign_bit(self) -> int:
+        """The value of its sign bit; 0 for none, or two's complement."""
+        return 1 << int(self.sign.removeprefix("bit ")) if self.sign.startswith("bit ") else 0
+
     def encode(self, counts: int) -> bytes:
         """The bytes of a value. Raises ValueError when it does not fit."""
+        bit = self._sign_bit
         try:
-            return counts.to_bytes(self.size, "little", signed=self.sign == "signed")
+            if bit and abs(counts) >= bit:
+                raise OverflowError
+            raw = -counts | bit if bit and counts < 0 else counts
+            return raw.to_bytes(self.size, "little", signed=self.sign == "signed")
         except OverflowError:
             raise ValueError(f"{counts} does not fit into {self.size} bytes") from None
 
@@ -34,18 +43,19 @@ class Item:
         """The value in a range of the table that starts at the address `start`."""
         raw = data[self.address - start : self.address - start + self.size]
         value = int.from_bytes(raw, "little", signed=self.sign == "signed")
-        if self.sign == "direction" and value & _DIRECTION:
-            return -(value & (_DIRECTION - 1))
-        return value
+        bit = self._sign_bit
+        return -(value & (bit - 1)) if value & bit else value
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
     """A model with its control table. Units per count: rad, rad/s, rad/s2, A, V, s.
 
-    `centre` is the position at 0 rad, `fastest` the greatest velocity of a profile, both in counts. `current`
-    is 0.0 for a model without current measurement, `watchdog` for one without a watchdog; `torque` is
-    approximately N m per A, or None if the manual has no figures.
+    `centre` is the position at 0 rad, `fastest` and `hardest` are the greatest velocity and acceleration of a
+    profile, all in counts. `homing` is the sign with which the homing offset is added to the position,
+    `answers` the status return level at which a servo answers everything, `modes` the values of the operating
+    mode. `current` is 0.0 for a model without current measurement, `watchdog` for one without a watchdog.
+    `stall` is the stall current in A and `torque` approximately N m per A, None if the manual has no figures.
     """
 
     name: str
@@ -61,9 +71,14 @@ class Model:
     velocity: float
     fastest: int
     acceleration: float
+    hardest: int
     voltage: float
+    homing: int
+    answers: int
+    modes: dict[str, int]
     watchdog: float
     current: float
+    stall: float | None
     torque: float | None
 
     def has(self, name: str) -> bool:
@@ -77,6 +92,11 @@ class Model:
     def to_angle(self, counts: int) -> float:
         """The angle in radians of a position in counts."""
         return (counts - self.centre) * self.position
+
+
+def model_number_address(protocol: int) -> int:
+    """The address of the model number, which all models of a protocol share."""
+    return next(m.items["model_number"].address for m in models().values() if m.protocol == protocol)
 
 
 @cache
@@ -111,8 +131,13 @@ def _model(name: str, facts: dict[str, Any], table: dict[str, Any]) -> Model:
         velocity=units["velocity"],
         fastest=units["fastest"],
         acceleration=units.get("acceleration", 0.0),
+        hardest=units.get("hardest", units["fastest"]),
         voltage=units["voltage"],
+        homing=units.get("homing", 1),
+        answers=units.get("answers", 2),
+        modes=table.get("modes", {}),
         watchdog=units.get("watchdog", 0.0),
         current=current,
+        stall=stall[1] if stall else None,
         torque=stall[0] / stall[1] if stall else None,
     )

@@ -11,6 +11,7 @@ from functools import partial
 
 from lfield.driver import WATCHDOG
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
+from lfield_dynamixel.joints.mounting import joints_of
 
 KIT = Kit()
 
@@ -110,8 +111,8 @@ async def limits(bench: Bench) -> str:
     """Beyond the bounds of the binding; for a group, also a goal for another number of members."""
     await _get_ready(bench)
     start = _angles(bench)
-    for edge, beyond in (("lowest", -1.0), ("highest", 1.0)):
-        goal = [bench.binding.option(edge) + beyond] * len(start)
+    joints = joints_of(bench.binding).values()
+    for goal in ([joint.lowest - 1.0 for joint in joints], [joint.highest + 1.0 for joint in joints]):
         reason = await refused(bench, "moveTo", goal if _is_group(bench) else goal[0])
     if _is_group(bench):
         reason = await refused(bench, "moveTo", [*start, 0.0])

@@ -13,16 +13,10 @@ from lfield_dynamixel import log_messages
 from lfield_dynamixel.bus.half_duplex_bus import COMMAND, POLL, SAFETY
 from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.bus.servo_chain import FEWEST_ROUNDS, Chain, Node
-from lfield_dynamixel.servo import (
-    RETURN_ALL,
-    STATUS_RETURN_LEVEL,
-    WATCHDOG_FIRED,
-    Condition,
-    Present,
-    Servo,
-    condition,
-    present,
-)
+from lfield_dynamixel.joints.calibration import OPTION
+from lfield_dynamixel.joints.mounting import ids_of, joints_of
+from lfield_dynamixel.servo import WATCHDOG_FIRED, Condition, Present, Servo, condition
+from lfield_dynamixel.stored_settings import settings_of, write_setting
 
 #: Polls per reading of the conditions.
 CONDITIONS_EVERY = 10
@@ -69,13 +63,13 @@ class Members(Device):
     # -- opening ----------------------------------------------------------------------------------------
 
     async def _open(self) -> str:
-        protocol, numbers = self.binding.option("protocol"), self.numbers
-        if not numbers:
+        protocol, joints = self.binding.option("protocol"), joints_of(self.binding)
+        if not joints:
             raise self.error("its binding names no servo: write 'ids: [1, 2, 3]'")
-        servos = [Servo(self.chain, Node(number, protocol)) for number in numbers]
+        servos = [Servo(self.chain, Node(number, protocol), joint) for number, joint in joints.items()]
         model = self.binding.option("model")
         identities = await self.for_each(servos, lambda servo: servo.open(model))
-        self.servos = dict(zip(numbers, servos, strict=True))
+        self.servos = dict(zip(joints, servos, strict=True))
         self.publish_readings(await self.observe())
         await self.read_conditions()
         self.opened = True
@@ -92,8 +86,7 @@ class Members(Device):
     @property
     def numbers(self) -> list[int]:
         """The ids in the binding."""
-        options = self.binding.options
-        return list(self.binding.option("ids")) if "ids" in options else [self.binding.option("id")]
+        return ids_of(self.binding)
 
     async def _set_watchdog(self, longest: float) -> float | None:
         self._watchdog = longest
@@ -101,24 +94,10 @@ class Members(Device):
         return None if None in times else max(time for time in times if time is not None)
 
     async def _settings(self) -> Sequence[Setting]:
-        """The status return level of servos that store it; a write without an answer cannot be confirmed."""
-        return [
-            Setting(name, await servo.read_item(STATUS_RETURN_LEVEL), RETURN_ALL, "it answers writes")
-            for name, servo in self._settings_owners().items()
-        ]
+        return await settings_of(self.servos.values(), self.binding.option(OPTION))
 
     async def _write_setting(self, name: str, value: float) -> None:
-        servo = self._settings_owners()[name]
-        if value == RETURN_ALL:
-            await servo.answer_all()
-            return
-        item = servo.item(STATUS_RETURN_LEVEL)
-        await self.chain.write(servo.node, item.address, item.encode(int(value)))
-
-    def _settings_owners(self) -> dict[str, Servo]:
-        """The members that store their status return level, by the name of that setting."""
-        keepers = [servo for servo in self.servos.values() if servo.keeps_answers]
-        return {f"{STATUS_RETURN_LEVEL} of servo {servo.node.number}": servo for servo in keepers}
+        await write_setting(self.servos, name, int(value))
 
     def _in_use(self) -> str:
         return "its torque is on" if any(now.torque for now in self.conditions.values()) else ""
@@ -133,8 +112,8 @@ class Members(Device):
         await self.read_conditions()
 
     async def _reboot(self, servo: Servo) -> None:
-        if servo.node.protocol == 1:
-            raise servo.error("does not support reboot (protocol 1.0): switch its power off and on")
+        if servo.node.protocol != 2:
+            raise servo.error("does not support reboot (only protocol 2.0 does): switch its power off and on")
         await self.chain.reboot(servo.node)
         for _ in range(30):
             await asyncio.sleep(0.1)
@@ -160,13 +139,13 @@ class Members(Device):
         if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in observed.values()):
             await self.read_conditions()
         if self._polls % ID_CHECK_EVERY == 0 and (there := self._there()):
-            await self._check_for_double(there[self._polls // ID_CHECK_EVERY % len(there)])
+            await self.check_for_double(there[self._polls // ID_CHECK_EVERY % len(there)])
 
     async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Readings:
         """The readings of members that answer. Silent ones are tried only now and then."""
         asked = await self._present_members(urgency) if alone else list(self.servos.values())
         answers = await self._read(asked, "present", urgency, alone=alone)
-        observed = {n: present(self.servos[n].model, status) for n, status in answers.items()}
+        observed = {number: self.servos[number].reading(status) for number, status in answers.items()}
         now = self.clock.monotonic()
         self._readings.update({number: (now, value) for number, value in observed.items()})
         if alone:
@@ -199,13 +178,11 @@ class Members(Device):
                     self._on_missing(servo)
                     continue
                 del self._probe_at[number]
-                self.note(
-                    log_messages.SERVO_BACK.line(number=number, condition=await self._return_reason(servo))
-                )
+                await self._note_return(servo)
             found.append(servo)
         return found
 
-    async def _check_for_double(self, servo: Servo) -> None:
+    async def check_for_double(self, servo: Servo) -> None:
         """Stops all members when another servo has joined with the id of one."""
         if not await self._is_doubled(servo, POLL, fewest=1):
             return
@@ -231,10 +208,14 @@ class Members(Device):
         """A member does not answer; logged once."""
         number = servo.node.number
         if number not in self._probe_at:
-            self.note(log_messages.SERVO_SILENT.line(number=number))
+            self.note(log_messages.SERVO_SILENT.line(number=servo.joint.label))
         self._probe_at[number] = self.clock.monotonic() + PROBE
         self.conditions.pop(number, None)
         self._publish_conditions()
+
+    async def _note_return(self, servo: Servo) -> None:
+        reason = await self._return_reason(servo)
+        self.note(log_messages.SERVO_BACK.line(number=servo.joint.label, condition=reason))
 
     async def _return_reason(self, servo: Servo) -> str:
         """The condition of a servo after its silence. Without power it has lost its watchdog setting."""
@@ -259,13 +240,16 @@ class Members(Device):
         """Reads the conditions of answering members, and publishes them."""
         answers = await self._read(self._there(), "state", COMMAND)
         for number, status in answers.items():
-            new, old = condition(self.servos[number].model, status), self.conditions.get(number)
-            self.conditions[number] = new
+            servo, old = self.servos[number], self.conditions.get(number)
+            new = self.conditions[number] = condition(servo.model, status)
+            label = servo.joint.label
             if new.faults and (old is None or old.faults != new.faults):
-                torque = "on" if new.torque else "off"
-                self.note(log_messages.FAULT.line(number=number, fault=new.faults, torque=torque))
+                torque = "reduced" if new.weak else "on" if new.torque else "off"
+                self.note(log_messages.FAULT.line(number=label, fault=new.faults, torque=torque))
             if new.watchdog == WATCHDOG_FIRED and (old is None or old.watchdog != WATCHDOG_FIRED):
-                self.note(log_messages.WATCHDOG_FIRED.line(number=number))
+                self.note(log_messages.WATCHDOG_FIRED.line(number=label))
+            if servo.model.watchdog and new.watchdog == 0 and old is not None and old.watchdog:
+                await self._note_return(servo)  # a dip of its supply
         self._publish_conditions()
 
     def _publish_conditions(self) -> None:
@@ -275,7 +259,8 @@ class Members(Device):
         )
 
     def _fault(self, number: int, condition: Condition) -> str:
-        return condition.faults if len(self.servos) == 1 else f"servo {number}: {condition.faults}"
+        label = self.servos[number].joint.label
+        return condition.faults if len(self.servos) == 1 else f"servo {label}: {condition.faults}"
 
     # -- safe states ------------------------------------------------------------------------------------
 
@@ -296,6 +281,12 @@ class Members(Device):
             return
         observed = await self.observe(urgency=SAFETY, alone=False)
         await self.send({servo: _stay(servo, place) for servo, place in self._places(observed).items()})
+
+    async def hold_answering(self) -> None:
+        """Commands the members that answer to hold. A silent one may be two servos with one id."""
+        observed = await self.observe(urgency=SAFETY)
+        places = {s: at for s, at in self._places(observed).items() if s.node.number in observed}
+        await self.send({servo: _stay(servo, place) for servo, place in places.items()})
 
     def _moving(self) -> str:
         motions = {number: self._motion_of(number) for number in self.servos}

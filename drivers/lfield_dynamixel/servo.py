@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from lfield.driver import DeviceError
-from lfield_dynamixel.bus.error_text import fault_text, has_alert
+from lfield_dynamixel.bus.error_text import WEAKENING, fault_text, has_alert
 from lfield_dynamixel.bus.half_duplex_bus import COMMAND
 from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.bus.servo_chain import Chain, NoAnswer, Node
-from lfield_dynamixel.control_tables import Item, Model, models
+from lfield_dynamixel.control_tables import Item, Model, model_number_address, models
+from lfield_dynamixel.joints.mounting import Joint
 
 #: Relative rounding tolerance of a limit.
 ROUNDED = 1.0 + 1e-9
-#: The status return level, and the level at which it answers everything.
-STATUS_RETURN_LEVEL, RETURN_ALL = "status_return_level", 2
-#: Operating modes: the name in L and the register value (e-manual, address 11).
-MODES = {"current": 0, "velocity": 1, "position": 3, "extended": 4, "currentPosition": 5, "pwm": 16}
+#: The register of the status return level.
+STATUS_RETURN_LEVEL = "status_return_level"
+#: Operating modes in which a servo follows positions.
 POSITION_MODES = ("position", "extended", "currentPosition")
 
 #: Value of the watchdog register after it has expired: goals are read-only until it is set to 0.
@@ -29,6 +30,9 @@ WATCHDOG_LONGEST = 127
 #: any goal.
 _SLAVE, _TIME_BASED = 1 << 1, 1 << 2
 _LONGEST_PROFILE = 32737
+
+#: Parts per stall torque of the torque limit of a Feetech servo.
+_WHOLE_TORQUE = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +52,15 @@ class Present:
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """State that does not change by itself: torque on, hardware errors in words, watchdog in counts."""
+    """State that does not change by itself: torque on, hardware errors in words, watchdog in counts.
+
+    `weak`: it has torque, but a Feetech servo reduces it after an error, and may sag under its load.
+    """
 
     torque: bool
     faults: str
     watchdog: int
+    weak: bool = False
 
 
 def present(model: Model, status: Status) -> Present:
@@ -81,24 +89,27 @@ def condition(model: Model, status: Status) -> Condition:
     bits = items["hardware_error"].decode(status.data, start) if model.has("hardware_error") else status.error
     watchdog = items["bus_watchdog"].decode(status.data, start) if model.watchdog else 0
     torque = bool(items["torque_enable"].decode(status.data, start))
-    return Condition(torque, fault_text(model.protocol, bits), watchdog)
+    weak = torque and model.protocol == 0 and bool(bits & WEAKENING)
+    return Condition(torque, fault_text(model.protocol, bits), watchdog, weak)
 
 
 class Servo:
     """One servo on a chain. Call `open` first; everything else needs its model.
 
-    `mode` is its operating mode by name, `reach` the range of angles (rad) in position mode, `top_speed` its
-    own limit (rad/s). `is_slave`: it follows the cable of another servo and ignores goals. `pushing`: it
-    holds something by force, and must continue to hold it.
+    Angles, speeds and currents are those of its `joint`. `mode` is its operating mode by name, `reach` the
+    range of angles (rad) in position mode, `top_speed` its own limit (rad/s). `is_slave`: it follows the
+    cable of another servo and ignores goals. `pushing`: it holds something by force, and must continue to
+    hold it.
     """
 
     model: Model
 
-    def __init__(self, chain: Chain, node: Node) -> None:
-        self.chain, self.node = chain, node
+    def __init__(self, chain: Chain, node: Node, joint: Joint | None = None) -> None:
+        self.chain, self.node, self.joint = chain, node, joint or Joint(node.number)
         self.mode = "position"
         self.time_based = self.is_slave = False
         self.reach = (-math.inf, math.inf)
+        self._limits = (-(1 << 31), 1 << 31)
         self.top_speed = math.inf
         self.pushing = False
 
@@ -115,53 +126,70 @@ class Servo:
         number = await self._model_number()
         model = models().get((self.node.protocol, number))
         if model is None:
-            known = ", ".join(sorted(m.name for m in models().values()))
-            raise self.error(f"is of the model number {number}, which is not in the tables (known: {known})")
+            known = ", ".join(sorted(m.name for m in models().values() if m.protocol == self.node.protocol))
+            raise self.error(
+                f"is of the model number {number}, which is not in the tables (known: {known}); "
+                "check 'protocol' in its binding"
+            )
         if expected not in ("", model.name):
             raise self.error(f"is a {model.name}, but its binding says {expected}")
         self.model, self.top_speed = model, model.fastest * model.velocity
+        self.joint = self.joint.fitted(model)
         if conflict := await self.chain.id_conflict(self.node, *model.present):
             raise DeviceError(f"servo {self.node.number}", conflict)
-        firmware = await self.read_item("firmware_version")
+        versions = [name for name in ("firmware_version", "firmware_minor") if model.has(name)]
+        firmware = ".".join([str(await self.read_item(name)) for name in versions])
         await self.read_settings()
-        return f"{model.name} {self.node.number} (firmware {firmware}, {self.mode} mode)"
+        return f"{model.name} {self.joint.label} (firmware {firmware}, {self.mode} mode)"
 
     async def _model_number(self) -> int:
         """Reads the model number; a servo that answers pings only is configured to answer all."""
+        start = model_number_address(self.node.protocol)
         try:
-            status = await self.chain.read(self.node, 0, 2)
+            status = await self.chain.read(self.node, start, 2)
         except NoAnswer:
-            if self.node.protocol == 1:
+            if self.node.protocol != 2:
                 raise
             address, answer_all = models()[2, 1020].items["status_return_level"].address, b"\x02"
             await self.chain.write_unconfirmed(self.node, address, answer_all)
-            status = await self.chain.read(self.node, 0, 2)
+            status = await self.chain.read(self.node, start, 2)
         return int.from_bytes(status.data, "little")
 
     async def read_settings(self) -> None:
         """Reads what the driver relies on: mode, kind of profile, limits of position and speed."""
-        if not self.keeps_answers and await self.read_item(STATUS_RETURN_LEVEL) < RETURN_ALL:
+        modes = self.model.modes
+        if not self.keeps_answers and await self.read_item(STATUS_RETURN_LEVEL) < self.model.answers:
             await self.answer_all()
-        if self.model.has("operating_mode"):
+        if modes:
             value = await self.read_item("operating_mode")
-            self.mode = next((name for name, number in MODES.items() if number == value), f"mode {value}")
+            # Two modes may have one value: the present one is kept.
+            if modes.get(self.mode) != value:
+                self.mode = next((name for name, number in modes.items() if number == value), f"mode {value}")
+        if self.model.has("drive_mode"):
             drive_mode = await self.read_item("drive_mode")
             self.time_based, self.is_slave = bool(drive_mode & _TIME_BASED), bool(drive_mode & _SLAVE)
             self.top_speed = await self.read_item("velocity_limit") * self.model.velocity
         low, high = await self.read_item("min_position_limit"), await self.read_item("max_position_limit")
-        self.reach = self.model.to_angle(low), self.model.to_angle(high)
+        one, other = (self.joint.to_joint(self.model.to_angle(counts)) for counts in (low, high))
+        self._limits, self.reach = (low, high), (min(one, other), max(one, other))
 
     @property
     def keeps_answers(self) -> bool:
-        """Whether its status return level is in its EEPROM, as in an AX."""
+        """Whether its status return level is in its EEPROM, as in an AX or a Feetech servo."""
         return self.item(STATUS_RETURN_LEVEL).address < self.model.ram
 
     async def answer_all(self) -> None:
-        """Makes it answer writes too; this one may be unanswered. Confirmed; raises DeviceError."""
-        item = self.item(STATUS_RETURN_LEVEL)
-        await self.chain.write_unconfirmed(self.node, item.address, item.encode(RETURN_ALL))
-        if await self.read_item(STATUS_RETURN_LEVEL) != RETURN_ALL:
-            raise self.error("refuses to answer writes: switch its torque off first")
+        """Makes it answer writes too. Confirmed; raises DeviceError."""
+        await self.set_return_level(self.model.answers)
+
+    async def set_return_level(self, level: int) -> None:
+        """Sets its status return level; these writes may be unanswered. Confirmed; raises DeviceError."""
+        for name, value in (("lock", 0), (STATUS_RETURN_LEVEL, level), ("lock", 1)):
+            if self.model.has(name):
+                item = self.item(name)
+                await self.chain.write_unconfirmed(self.node, item.address, item.encode(value))
+        if await self.read_item(STATUS_RETURN_LEVEL) != level:
+            raise self.error(f"refuses {level} as its status return level: switch its torque off first")
 
     # -- the control table ------------------------------------------------------------------------------
 
@@ -192,8 +220,7 @@ class Servo:
         if was_on:
             await self.write_item("torque_enable", 0)
         try:
-            for name, counts in values.items():
-                await self.write_item(name, counts)
+            await self._write_unlocked(values)
             await self.read_settings()
         except DeviceError:
             if was_on:
@@ -203,11 +230,33 @@ class Servo:
         if was_on:
             await self.stiffen()
 
+    async def _write_unlocked(self, values: Mapping[str, int]) -> None:
+        """Writes items and confirms them. A locked Feetech servo would forget them without power."""
+        if self.model.has("lock"):
+            await self.write_item("lock", 0)
+        try:
+            for name, counts in values.items():
+                await self.write_item(name, counts)
+        finally:
+            if self.model.has("lock"):
+                await self.write_item("lock", 1)
+
     # -- measured values --------------------------------------------------------------------------------
 
     async def present(self, *, urgency: int = COMMAND) -> Present:
         """Its present measured values. Raises DeviceError."""
-        return present(self.model, await self.chain.read(self.node, *self.model.present, urgency=urgency))
+        return self.reading(await self.chain.read(self.node, *self.model.present, urgency=urgency))
+
+    def reading(self, status: Status) -> Present:
+        """The measured values of its joint in an answer."""
+        own, sign = present(self.model, status), self.joint.direction
+        return replace(
+            own,
+            position=self.joint.to_joint(own.position),
+            velocity=sign * own.velocity,
+            current=sign * own.current,
+            effort=sign * own.effort,
+        )
 
     async def condition(self, *, urgency: int = COMMAND) -> Condition:
         """Its present torque, hardware errors and watchdog. Raises DeviceError."""
@@ -216,26 +265,42 @@ class Servo:
     # -- motion -----------------------------------------------------------------------------------------
 
     async def stiffen(self) -> None:
-        """Switches the torque on, confirmed; first sets its goal to its position.
-
-        An AX that has shut down has a torque limit of 0; this restores it.
-        """
+        """Switches the torque on, confirmed; first sets its goal to its position."""
         await self.write_hold_goal(await self.present())
         if self.model.has("torque_limit"):
-            await self.write_item("torque_limit", await self.read_item("max_torque"))
+            await self.restore_torque_limit()
         await self.write_item("torque_enable", 1)
 
     async def switch(self, mode: str) -> None:
         """Changes the operating mode. The torque is off meanwhile and restored without motion."""
-        if mode not in MODES:
-            raise self.error(f"has no mode '{mode}'; there are: {', '.join(MODES)}")
-        if mode != self.mode:
-            await self.write_eeprom(operating_mode=MODES[mode])
+        self.item("operating_mode")
+        if mode not in self.model.modes:
+            raise self.error(f"has no mode '{mode}'; there are: {', '.join(self.model.modes)}")
+        modes = self.model.modes
+        if modes[mode] != modes.get(self.mode):
+            await self.write_eeprom(operating_mode=modes[mode])
+        if mode != self.mode and self.model.has("torque_limit"):
+            await self.restore_torque_limit()
+        self.mode = mode
+
+    async def restore_torque_limit(self) -> None:
+        """Sets its torque limit to its maximum: an AX that has shut down has 0."""
+        await self.write_item("torque_limit", await self.read_item("max_torque"))
+
+    async def limit_force(self, current: float) -> None:
+        """Limits the force of its later motions, in A of its motor. Raises DeviceError."""
+        if self.model.has("goal_current"):
+            await self.write_item("goal_current", round(current / self.model.current))
+        elif self.model.stall is not None:
+            share = min(current / self.model.stall, 1.0)
+            await self.write_item("torque_limit", max(round(share * _WHOLE_TORQUE), 1))
+        else:
+            raise self.error(f"is a {self.model.name}, whose stall current is not known")
 
     def hold_goal(self, reading: Present) -> tuple[str, int]:
         """The goal for holding: item and value in counts."""
         if self.mode in POSITION_MODES:
-            low, high = (self.model.to_counts(a) for a in self.reach)
+            low, high = self._limits
             return "goal_position", min(
                 max(reading.counts, low), high
             ) if self.mode == "position" else reading.counts
@@ -252,7 +317,7 @@ class Servo:
         """The position of an angle in counts; in position mode within its limits, which are rounded too."""
         if self.mode == "position":
             angle = min(max(angle, self.reach[0]), self.reach[1])
-        return self.model.to_counts(angle)
+        return self.model.to_counts(self.joint.to_servo(angle))
 
     def check_profile(self, distance: float, speed: float, acceleration: float) -> None:
         """Raises DeviceError for a motion longer than a profile can last: it would be faster."""
@@ -281,9 +346,9 @@ class Servo:
         else:
             values["profile_velocity"] = _counts(speed, model.velocity, model.fastest)
             if acceleration and model.acceleration:
-                values["profile_acceleration"] = _counts(acceleration, model.acceleration, model.fastest)
-        names = [n for n in ("profile_acceleration", "profile_velocity", "goal_position") if model.has(n)]
-        items = sorted((model.items[name].address, name) for name in names)
+                values["profile_acceleration"] = _counts(acceleration, model.acceleration, model.hardest)
+        names = ("profile_acceleration", "goal_time", "profile_velocity", "goal_position")
+        items = sorted((model.items[name].address, name) for name in names if model.has(name))
         return items[0][0], b"".join(model.items[n].encode(values.get(n, 0)) for _, n in items)
 
     # -- its own watchdog -------------------------------------------------------------------------------
@@ -313,13 +378,13 @@ class Servo:
     @property
     def cure(self) -> str:
         """The remedy after it has shut down."""
-        if self.node.protocol == 1:
+        if self.node.protocol != 2:
             return "torque(true) restores it when the cause is gone"
         return "reboot() restarts it"
 
     def error(self, reason: str) -> DeviceError:
         """An exception about this servo."""
-        return DeviceError(f"servo {self.node.number}", f"servo {self.node.number} {reason}")
+        return DeviceError(f"servo {self.node.number}", f"servo {self.joint.label} {reason}")
 
 
 def _counts(value: float, unit: float, greatest: int) -> int:

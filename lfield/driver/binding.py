@@ -17,7 +17,7 @@ SIMULATED = "sim:"
 MIN_ORPHAN_TIMEOUT = 5.0
 
 #: A value of an option in a devices file.
-OptionValue = bool | int | float | str | list[int | str]
+OptionValue = bool | int | float | str | list[int | float | str]
 
 
 class OrphanPolicy(msgspec.Struct, frozen=True):

@@ -69,8 +69,8 @@ from lfield.units import is_unit, suggestion
 #: manifests takes most of that.
 MAX_CACHED = 64
 
-#: L types of options; a path is relative to the folder of the devices file.
-OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
+#: L types of options; a path is relative to the folder of the devices file, and one number is a `real[]` too.
+OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "real[]", "string[]")
 
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 #: Keys of bindings need not be names in L.
@@ -244,7 +244,7 @@ def _default(node: YamlNode | None) -> OptionValue | None:
         return node.value
     items = node.items if isinstance(node, YamlList) else ()
     values = [item.value for item in items if isinstance(item, YamlScalar)]
-    return [v for v in values if isinstance(v, int | str)] if isinstance(node, YamlList) else None
+    return [v for v in values if v is not None] if isinstance(node, YamlList) else None
 
 
 def _limit(name: str, fields: YamlFields) -> Limit:

@@ -146,6 +146,21 @@ class YamlFields:
                 self._report_type(key, "a list of whole numbers", node)
         return tuple(values)
 
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """A list of numbers, or one number."""
+        node = self.node(key)
+        values = []
+        for item in (node,) if isinstance(node, YamlScalar) and node.value is not None else self.items(key):
+            if (
+                isinstance(item, YamlScalar)
+                and isinstance(item.value, int | float)
+                and not isinstance(item.value, bool)
+            ):
+                values.append(float(item.value))
+            else:
+                self._report_type(key, "a number, or a list of numbers", item)
+        return tuple(values)
+
     def items(self, key: str) -> tuple[YamlNode, ...]:
         """The nodes of a list."""
         node = self.node(key)

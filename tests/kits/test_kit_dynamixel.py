@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from kit_findings import failed
+from pathlib import Path
+
+from kit_findings import failed, not_run
+
+#: The calibration of the example's arm.
+SO101 = Path(__file__).parents[2] / "examples/07-so101-arm/so101.json"
 
 
 def servos(desk, *specs):
-    options = [word for spec in specs for word in ("--servo", spec)]
+    options = [word for spec in specs for word in (("--servo", spec) if spec[0] != "-" else (spec,))]
     return desk.fake("dynamixel", "--baud", "1000000", *options)
 
 
@@ -23,6 +28,21 @@ def test_a_servo_and_a_group_pass(desk, try_kit):
         assert "has expired (time-to-live 0.3 s)" in found[device, "a setpoint that is not renewed ends"].seen
         assert found[device, "torque off at the end"].seen == "torque off"
     assert found["group", "every member answers"].seen == "2 members"
+
+
+def test_feetech_servos_pass_as_they_were_calibrated(desk, try_kit):
+    chain = servos(desk, *(f"{id}:STS3215" for id in (1, 2, 3, 7)), f"--calibration={SO101}")
+    where = f'endpoint: "{chain.endpoint}", protocol: 0, ttl: 0.3, limits: {{speed: 4.0}}'
+    found = try_kit(
+        "dynamixel",
+        {
+            "servo": f"type: Dynamixel, id: 7, waivers: [device_watchdog], {where}",
+            "group": f"type: DynamixelGroup, ids: [1, 2, 3], calibration: {SO101}, "
+            f"waivers: [device_watchdog], {where}",
+        },
+    )
+    assert failed(found) == []
+    assert {check for _, check in not_run(found)} == {"its watchdog stops it, and release() frees it"}
 
 
 def test_servos_that_do_not_do_it_fail(desk, try_kit):

@@ -1,4 +1,4 @@
-"""Packets of DYNAMIXEL protocols 2.0 and 1.0: bytes in, bytes out.
+"""Packets of DYNAMIXEL protocols 2.0 and 1.0, and of Feetech's, which are those of 1.0: bytes in, bytes out.
 
 https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/. A packet of protocol 2.0 is `FF FF FD
 00 id length(2) instruction parameters... crc(2)`; `FF FF FD` in its body is stuffed with another FD. A packet
@@ -147,7 +147,7 @@ def split_fast(answer: Status, numbers: tuple[int, ...], size: int) -> dict[int,
 
 
 class Protocol1:
-    """Protocol 1.0, of AX and older MX servos."""
+    """Protocol 1.0, of AX and older MX servos, and of Feetech."""
 
     version = 1
     overhead = 6
@@ -192,7 +192,8 @@ class Reader1:
 
 #: Either protocol: both have `version`, `overhead`, `encode` and `reader`.
 AnyProtocol = type[Protocol1] | type[Protocol2]
-PROTOCOLS: dict[int, AnyProtocol] = {1: Protocol1, 2: Protocol2}
+#: By the number in a binding; 0 is Feetech's, as in the vendor's SDK.
+PROTOCOLS: dict[int, AnyProtocol] = {0: Protocol1, 1: Protocol1, 2: Protocol2}
 
 
 def harmless(protocol: AnyProtocol) -> bytes:

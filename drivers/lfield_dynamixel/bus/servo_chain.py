@@ -37,7 +37,7 @@ FAST_RETRY_READS = 200
 #: one, and at most.
 FEWEST_ROUNDS, PROOF, MOST_ROUNDS = 4, 3, 12
 
-_PING_BYTES = {1: 0, 2: 3}
+_PING_BYTES = {0: 0, 1: 0, 2: 3}
 
 
 class NoAnswer(DeviceError):
@@ -59,7 +59,7 @@ class ServoRefusal(DeviceError):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One servo on the bus, with its protocol (1 or 2)."""
+    """One servo on the bus, with its protocol (0 for Feetech's, 1 or 2)."""
 
     number: int
     protocol: int = 2
@@ -70,7 +70,7 @@ class Node:
         return PROTOCOLS[self.protocol]
 
     def place(self, *values: int) -> bytes:
-        """Addresses and lengths as parameters: two bytes each in protocol 2.0, one in 1.0."""
+        """Addresses and lengths as parameters: two bytes each in protocol 2.0, otherwise one."""
         width = 2 if self.protocol == 2 else 1
         return b"".join(value.to_bytes(width, "little") for value in values)
 
@@ -161,7 +161,7 @@ class Chain:
         """Reads the same range of several servos, by id. A missing servo has answered neither in the group
         nor (unless `alone` is False, which saves time) alone. Raises nothing.
         """
-        sure = [node for node in nodes if node.protocol == 2 and node.number not in self._doubted]
+        sure = [node for node in nodes if node.protocol != 1 and node.number not in self._doubted]
         found = await self._read_group(sure, start, size, urgency) if len(sure) > 1 else {}
         for node in nodes:
             if node.number in found or not (alone or len(nodes) == 1):
@@ -175,9 +175,10 @@ class Chain:
     async def _read_group(
         self, nodes: Sequence[Node], start: int, size: int, urgency: int
     ) -> dict[int, Status]:
-        """The answers to a fast sync read, or to a plain one if fast ones do not work."""
+        """The answers to a fast sync read of protocol 2.0, or to a plain one if fast ones do not work."""
         numbers = tuple(node.number for node in nodes)
-        fast = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_RETRY_READS
+        works = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_RETRY_READS
+        fast = nodes[0].protocol == 2 and works
         self._plain_reads = 0 if fast else self._plain_reads + 1
         instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
         codec = nodes[0].codec

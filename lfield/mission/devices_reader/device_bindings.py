@@ -188,6 +188,8 @@ class DeviceBindingsReader:
             return self._path(fields, option.name, driver)
         if option.type == "int[]":
             return list(fields.integers(option.name))
+        if option.type == "real[]":
+            return list(fields.numbers(option.name))
         if option.type == "string[]":
             return list(fields.texts(option.name))
         if option.type == "real":

@@ -66,7 +66,7 @@ def spec_of(binding: DeviceBinding) -> str:
     return text
 
 
-def _listed(value: OptionValue) -> list[int | str]:
+def _listed(value: OptionValue) -> Sequence[object]:
     return value if isinstance(value, list) else [str(value)]
 
 

@@ -13,7 +13,9 @@ from lfield_sim.faults import add_fault_option
 from lfield_sim.state_log import add_log_option
 
 #: Default models.
-DEFAULT_MODEL, DEFAULT_MODEL_1 = "XM430-W350", "AX-12A"
+DEFAULT_MODEL = "XM430-W350"
+#: Default models of protocols that it does not have.
+DEFAULT_MODELS = {0: "STS3215", 1: "AX-12A"}
 #: The baud rate of a bus under `lfield up --sim`.
 FAST_BAUD = 1_000_000
 
@@ -22,12 +24,13 @@ class DynamixelSim:
     """A simulated chain of servos (see `lfield.driver.sims.Sim`)."""
 
     name = "dynamixel"
-    help = "Dynamixel servos on a serial port (a pseudo-terminal)."
+    help = "Dynamixel and Feetech servos on a serial port (a pseudo-terminal)."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Adds the servos, their port and its speed."""
-        from lfield_sim.dynamixel.servo_model import BAUDS
+        from lfield_sim.dynamixel.servo_model import BAUDS, STS_BAUDS
 
+        bauds = sorted({*BAUDS, *STS_BAUDS})
         parser.add_argument(
             "--servo",
             action="append",
@@ -43,8 +46,8 @@ class DynamixelSim:
         )
         parser.add_argument(
             "--baud",
-            type=whole_between(min(BAUDS), max(BAUDS), "bauds"),
-            choices=BAUDS,
+            type=whole_between(bauds[0], bauds[-1], "bauds"),
+            choices=bauds,
             default=57_600,
             help="baud rate (default: 57600)",
         )
@@ -68,6 +71,13 @@ class DynamixelSim:
             metavar="N",
             help="seed of random faults (default: 1)",
         )
+        parser.add_argument(
+            "--calibration",
+            action="append",
+            default=[],
+            metavar="FILE",
+            help="calibration file of LeRobot that the servos were set to (repeatable)",
+        )
         parser.add_argument("--echo", action="store_true", help="the adapter echoes every transmitted byte")
         parser.add_argument(
             "--until-stdin-closes", action="store_true", help="exit when standard input closes"
@@ -88,6 +98,8 @@ class DynamixelSim:
         options = ["--baud", str(FAST_BAUD)]
         for id, (model, name) in sorted(servos.items()):
             options += ["--servo", f"{id}:{model}:{name}"]
+        for path in sorted({str(d.options["calibration"]) for d in devices if d.options.get("calibration")}):
+            options += ["--calibration", path]
         old = all(device.options.get("protocol") == 1 and device.options.get("model") for device in devices)
         return [*options, "--protocol", "1.0"] if old else options
 
@@ -106,8 +118,9 @@ class DynamixelSim:
 
 
 def _model(device: DeviceBinding) -> str:
-    """The model of a binding, or one with its protocol."""
-    default = DEFAULT_MODEL_1 if device.options.get("protocol") == 1 else DEFAULT_MODEL
+    """The model of a binding, or the default of its protocol."""
+    protocol = device.options.get("protocol", 2)
+    default = next((model for number, model in DEFAULT_MODELS.items() if number == protocol), DEFAULT_MODEL)
     return str(device.options.get("model") or default)
 
 

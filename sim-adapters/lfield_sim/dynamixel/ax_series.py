@@ -13,6 +13,7 @@ from lfield_sim.dynamixel.motion_profile import MotionProfile
 from lfield_sim.dynamixel.servo import ERRORS_1, Servo
 from lfield_sim.dynamixel.servo_model import Register, ServoModel
 from lfield_sim.dynamixel.servo_motion import ServoMotion, catch_up
+from lfield_sim.dynamixel.sts_series import StsServo
 
 #: Counts per radian, and the middle position.
 COUNTS, MIDDLE = 1023.0 / math.radians(300.0), 512
@@ -50,6 +51,10 @@ class AxMotion(ServoMotion):
     def under_way(self) -> bool:
         """Whether it moves to a goal."""
         return bool(self.table["torque_enable"]) and not self.wheel and self.clock < self.profile.duration
+
+    def single_turn(self) -> None:
+        """It has one turn."""
+        self.resting = False
 
     def reset_goals(self) -> None:
         """The goals after power-up."""
@@ -192,4 +197,4 @@ class AxServo(Servo):
 
 def make_servo(model: ServoModel, now: float = 0.0) -> Servo:
     """Creates a servo of that model."""
-    return AxServo(model, now) if model.protocol == 1 else Servo(model, now)
+    return {0: StsServo, 1: AxServo}.get(model.protocol, Servo)(model, now)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -35,9 +36,26 @@ def _servos(args: argparse.Namespace, default: str) -> tuple[list[Servo], Mappin
 
 def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
     servo = make_servo(model_named(model), asyncio.get_running_loop().time())
-    protocol = 1 if args.protocol == "1.0" else servo.model.protocol
+    protocol = 1 if args.protocol == "1.0" and servo.model.protocol == 2 else servo.model.protocol
     servo.start_with(number, args.baud, protocol, args.return_delay * 1e-6)
     return servo
+
+
+def _calibrate(servos: list[Servo], path: str) -> None:
+    """Sets the registers of servos as a calibration file of LeRobot says. Raises UsageError."""
+    try:
+        entries = json.loads(Path(path).read_text(encoding="utf-8")).values()
+        registers = {
+            entry["id"]: [
+                int(entry[key]) for key in ("drive_mode", "homing_offset", "range_min", "range_max")
+            ]
+            for entry in entries
+        }
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise UsageError(f"--calibration {path}: it is not a calibration of LeRobot: {error!r}") from None
+    for servo in servos:
+        if servo.id in registers:
+            servo.calibrate(*registers[servo.id])
 
 
 async def serve(args: argparse.Namespace, default: str) -> None:
@@ -45,6 +63,8 @@ async def serve(args: argparse.Namespace, default: str) -> None:
     AddressError.
     """
     servos, names = _servos(args, default)
+    for file in args.calibration:
+        _calibrate(servos, file)
     chain = ServoChain(servos, Faults(FAULTS, names), seed=args.seed)
     path = Path(args.listen or f"/dev/{next(iter(names.values()), '') or 'ttyDXL'}").absolute()
     log = StateLog(args.log, {str(servo.id): servo.facts for servo in chain.servos})

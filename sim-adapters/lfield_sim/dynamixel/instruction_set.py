@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 
 from lfield_sim.dynamixel.control_table import InstructionRefused, RefusalCode
 from lfield_sim.dynamixel.packets import BROADCAST, MAX_PACKET, Instruction, InstructionPacket
-from lfield_sim.dynamixel.servo import Servo
+from lfield_sim.dynamixel.servo import ANSWER_ALL, Servo
 
 #: Lowest Status Return Level at which an instruction is answered; others from 2.
 _LEVELS = {Instruction.PING: 0, Instruction.READ: 1}
 _READ_LEVEL = 1
+#: What a Feetech servo does not answer.
+_SILENT = (RefusalCode.CRC, RefusalCode.INSTRUCTION)
 #: Factory Reset of protocol 1.0, which has no option: everything.
 _RESET_ALL = 0xFF
 #: Bytes of a fast-read block in addition to its data: error, id, checksum.
@@ -87,7 +89,9 @@ def carry_out(packet: InstructionPacket, protocol: int, servos: Sequence[Servo])
                 _sync_write(cursor, servos)
             case Instruction.BULK_WRITE if protocol == 2:
                 _bulk_write(cursor, servos)
-            case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if protocol == 2:
+            case Instruction.SYNC_READ if protocol != 1:
+                return _group(packet, protocol, servos, _sync_list(cursor))
+            case Instruction.FAST_SYNC_READ if protocol == 2:
                 return _group(packet, protocol, servos, _sync_list(cursor))
             case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
                 return _group(packet, protocol, servos, _bulk_list(cursor))
@@ -101,7 +105,7 @@ def carry_out(packet: InstructionPacket, protocol: int, servos: Sequence[Servo])
 
 def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
     """One servo by its id, some by their secondary id, or all."""
-    answers = []
+    found = []
     for servo in sorted(servos, key=lambda servo: servo.id):
         mine = servo.id == packet.id
         if not mine and packet.id != BROADCAST and servo.secondary != packet.id:
@@ -109,11 +113,12 @@ def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> 
         is_broadcast_ping = (
             packet.id == BROADCAST and packet.instruction == Instruction.PING and packet.is_valid
         )
-        level, id, baud = servo.table["status_return_level"], servo.id, servo.baud
+        id, baud = servo.id, servo.baud
+        answers = servo.answers(_LEVELS.get(_known(packet.instruction), ANSWER_ALL))
         error, data = _execute(servo, packet, protocol, secondary=not mine and packet.id != BROADCAST)
-        if (mine or is_broadcast_ping) and level >= _LEVELS.get(_known(packet.instruction), 2):
-            answers.append(ServoAnswer(servo, id, baud, error, data))
-    return InstructionOutcome(answers)
+        if (mine or is_broadcast_ping) and answers and not (protocol == 0 and error in _SILENT):
+            found.append(ServoAnswer(servo, id, baud, error, data))
+    return InstructionOutcome(found)
 
 
 def _known(instruction: int) -> Instruction:
@@ -144,7 +149,7 @@ def _perform(servo: Servo, packet: InstructionPacket, protocol: int, secondary: 
         case Instruction.ACTION:
             servo.act()
         case Instruction.FACTORY_RESET:
-            _factory_reset(servo, packet, _RESET_ALL if protocol == 1 else cursor.byte())
+            _factory_reset(servo, packet, _RESET_ALL if protocol != 2 else cursor.byte())
         case Instruction.REBOOT if protocol == 2:
             servo.reboot()
         case Instruction.CLEAR if protocol == 2:
@@ -155,7 +160,7 @@ def _perform(servo: Servo, packet: InstructionPacket, protocol: int, secondary: 
 
 
 def _read(servo: Servo, address: int, length: int, protocol: int) -> bytes:
-    if protocol == 1 and length > _LONGEST_1:
+    if protocol != 2 and length > _LONGEST_1:
         raise InstructionRefused(RefusalCode.LENGTH)
     return servo.read(address, length)
 
@@ -228,7 +233,7 @@ def _group(
         return InstructionOutcome()
     answers = []
     for id, address, length in requests:
-        asked = [s for s in servos if s.id == id and s.table["status_return_level"] >= _READ_LEVEL]
+        asked = [s for s in servos if s.id == id and s.answers(_READ_LEVEL)]
         if not asked:
             break
         for servo in asked:

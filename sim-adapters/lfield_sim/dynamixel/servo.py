@@ -35,6 +35,8 @@ STARTUP_TORQUE, TORQUE_BY_GOAL = 0x01, 0x08
 NO_SECONDARY = 253
 
 GOALS = frozenset({"goal_pwm", "goal_current", "goal_velocity", "goal_position"})
+#: The status return level from which a servo answers instructions other than pings and reads.
+ANSWER_ALL = 2
 #: Parameters of the Clear instruction: multi-turn information, and four fixed bytes.
 CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
 #: What Factory Reset keeps, by option.
@@ -112,6 +114,21 @@ class Servo:
         """The secondary id, which is never answered."""
         number = self.table["secondary_id"]
         return number if number < NO_SECONDARY else None
+
+    def answers(self, level: int) -> bool:
+        """Whether it answers an instruction that needs this status return level."""
+        return self.table["status_return_level"] >= level
+
+    def calibrate(self, drive_mode: int, homing_offset: int, lowest: int, highest: int) -> None:
+        """Sets what a calibration has set; the shaft is in the middle of its range, in counts."""
+        for name, value in (
+            ("drive_mode", drive_mode),
+            ("homing_offset", homing_offset),
+            ("min_position_limit", lowest),
+            ("max_position_limit", highest),
+        ):
+            self.table.put(name, value)
+        self.motion.put_in((lowest + highest) / 2.0)
 
     @property
     def alert(self) -> int:

@@ -37,6 +37,7 @@ FAULTS = (
     Fault("hot", False, "heats up by 10 degrees a second"),
     Fault("sag", 0.0, "voltage drop of its supply", 0.0, 100.0),
     Fault("encoder", False, "its encoder fails"),
+    Fault("brownout", False, "a short dip of its supply: it restarts, with its torque off"),
     share("noise", "share of replies with random bytes before them"),
     Fault("echo", False, "the adapter echoes every transmitted byte"),
     Fault("unplug", False, "the adapter is unplugged; false plugs it in again"),
@@ -84,8 +85,9 @@ class ServoChain:
         self.faults = Faults(FAULTS, [str(servo.id) for servo in servos]) if faults is None else faults
         self._names = {id(servo): str(servo.id) for servo in self.servos}
         self._random = random.Random(seed)
-        self._codecs: dict[int, Codec] = {1: Codec1(), 2: Codec2()}
+        self._codecs: dict[int, Codec] = {0: Codec1(), 1: Codec1(), 2: Codec2()}
         self._baud: int | None = None
+        self._browned: set[int] = set()
         self._last_byte_at = self._free = 0.0
         self.faults.watch(self._break)
         self._break()
@@ -194,7 +196,7 @@ class ServoChain:
         """The packet of an answer; empty when it is lost."""
         if self._happens("lose", answer.servo):
             return b""
-        error = answer.error if protocol == 2 else _ERRORS_1[answer.error]
+        error = {0: 0, 1: _ERRORS_1[answer.error], 2: answer.error}[protocol]
         return self._codecs[protocol].status(self._id(answer), error | answer.servo.alert, answer.data)
 
     def _reply(self, answer: ServoAnswer, data: bytes) -> TimedReply:
@@ -231,3 +233,10 @@ class ServoChain:
             motor.sag = self._fault("sag", servo)
             servo.encoder_fault = bool(self._fault("encoder", servo))
             servo.motion.resting = False
+            self._dip(servo, bool(self._fault("brownout", servo)))
+
+    def _dip(self, servo: Servo, browned: bool) -> None:
+        """Restarts a servo when its supply dips."""
+        if browned and id(servo) not in self._browned:
+            servo.reboot()
+        (self._browned.add if browned else self._browned.discard)(id(servo))

@@ -5,6 +5,7 @@ Sources: the models' pages under https://emanual.robotis.com/docs/en/dxl/.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,9 @@ from lfield.errors import UsageError
 
 #: Bits per second by the value of the Baud Rate register, protocol 2.0 models.
 BAUDS = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+
+#: The same of STS servos.
+STS_BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
 #: Operating modes by the value of their register.
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
@@ -140,8 +144,8 @@ class MotorStrength:
 class ServoModel:
     """A servo model: registers by name, strength, and its page in the manual.
 
-    `indirect` are blocks of (first address register, first data register, count). `protocol` is 1 for a model
-    that supports only that.
+    `indirect` are blocks of (first address register, first data register, count). `protocol` is 1 or 0
+    (Feetech) for a model that supports only that.
     """
 
     name: str
@@ -320,8 +324,70 @@ _AX_12A = ServoModel(
     protocol=1,
 )
 
+#: STS series: as in protocol 1.0, another table. A raw value has a sign bit.
+STS_SERIES = (
+    _read_only(0, 1, "firmware_version", 3),
+    _read_only(1, 1, "firmware_minor", 10),
+    _read_only(2, 1, "big_endian"),
+    _read_only(3, 2, "model_number", 777),
+    _rom(5, 1, "id", 1, 0, 253),
+    _rom(6, 1, "baud_rate", 0, 0, 7),
+    _rom(7, 1, "return_delay_time", 250, 0, 254),
+    _rom(8, 1, "status_return_level", 1, 0, 1),
+    _rom(9, 2, "min_position_limit", 0, 0, 4_095),
+    _rom(11, 2, "max_position_limit", 4_095, 0, 4_095),
+    _rom(13, 1, "temperature_limit", 70, 0, 100),
+    _rom(14, 1, "max_voltage_limit", 80, 0, 254),
+    _rom(15, 1, "min_voltage_limit", 40, 0, 254),
+    _rom(16, 2, "max_torque", 1_000, 0, 1_000),
+    _rom(18, 1, "phase", 12, 0, 254),
+    _rom(19, 1, "unloading_condition", 44, 0, 254),
+    _rom(20, 1, "alarm_led", 47, 0, 254),
+    _rom(21, 1, "p_coefficient", 32, 0, 254),
+    _rom(22, 1, "d_coefficient", 32, 0, 254),
+    _rom(23, 1, "i_coefficient", 0, 0, 254),
+    _rom(24, 2, "startup_force", 16, 0, 1_000),
+    _rom(26, 1, "cw_dead_zone", 1, 0, 32),
+    _rom(27, 1, "ccw_dead_zone", 1, 0, 32),
+    _rom(28, 2, "protection_current", 500, 0, 511),
+    _rom(30, 1, "angular_resolution", 1, 1, 3),
+    _rom(31, 2, "homing_offset", 0, 0, 4_095),
+    _rom(33, 1, "operating_mode", 0, 0, 3),
+    _rom(34, 1, "protective_torque", 20, 0, 100),
+    _rom(35, 1, "protection_time", 200, 0, 254),
+    _rom(36, 1, "overload_torque", 80, 0, 100),
+    _rom(37, 1, "velocity_p", 10, 0, 100),
+    _rom(38, 1, "over_current_time", 200, 0, 254),
+    _rom(39, 1, "velocity_i", 10, 0, 254),
+    replace(_ram(40, 1, "torque_enable", 0, 0, 128), choices=(0, 1, 2, 128)),
+    _ram(41, 1, "acceleration", 0, 0, 254),
+    _ram(42, 2, "goal_position", 2_048, 0, 65_535),
+    _ram(44, 2, "goal_time", 0, 0, 1_000),
+    _ram(46, 2, "goal_velocity", 0, 0, 65_535),
+    _ram(48, 2, "torque_limit", 1_000, 0, 1_000),
+    _ram(55, 1, "lock", 1, 0, 1),
+    _read_only(56, 2, "present_position", 2_048),
+    _read_only(58, 2, "present_velocity"),
+    _read_only(60, 2, "present_load"),
+    _read_only(62, 1, "present_voltage", 74),
+    _read_only(63, 1, "present_temperature", 30),
+    _read_only(64, 1, "registered_instruction"),
+    _read_only(65, 1, "status"),
+    _read_only(66, 1, "moving"),
+    _read_only(69, 2, "present_current"),
+    *(_rom(80 + place, 1, f"factory_{80 + place}", 0, 0, 254) for place in range(7)),
+)
+
+_STS3215 = ServoModel(
+    "STS3215",
+    "http://doc.feetech.cn/#/prodinfodownload?srcType=FT-SMS-STS-emanual-229f4476422d4059abfb1cb0",
+    MappingProxyType({item.name: item for item in STS_SERIES}),
+    MotorStrength(1.91, 2.4, 52 * _RPM, 7.4, 0.0065),
+    protocol=0,
+)
+
 MODELS: Mapping[str, ServoModel] = MappingProxyType(
-    {**{name: _model(name, row) for name, row in _ROWS.items()}, _AX_12A.name: _AX_12A}
+    {model.name: model for model in (*itertools.starmap(_model, _ROWS.items()), _AX_12A, _STS3215)}
 )
 
 

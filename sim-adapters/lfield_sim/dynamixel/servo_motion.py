@@ -110,6 +110,12 @@ class ServoMotion:
         self._turns = 1 if self._way < 0 and self.motor.angle > 0.0 else 0
         self.resting = False
 
+    def put_in(self, place: float) -> None:
+        """Puts the shaft at a position in counts, without moving."""
+        self.motor.angle += self._way * (place - self.place) / COUNTS
+        self.single_turn()
+        self.hold()
+
     def reset_goals(self) -> None:
         """The goals after power-up, or a change of mode."""
         table = self.table

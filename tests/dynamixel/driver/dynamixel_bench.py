@@ -11,11 +11,11 @@ from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver
 from lfield_sim.dynamixel.ax_series import make_servo
 from lfield_sim.dynamixel.servo_chain import ServoChain
-from lfield_sim.dynamixel.servo_model import BAUDS, model_named
+from lfield_sim.dynamixel.servo_model import model_named
 
 BAUD = 1_000_000
-#: Its code in the register of an AX.
-AX_BAUD = 1
+#: Seconds before an answer, as from the factory.
+RETURN_DELAY = 500e-6
 START = 1000.0
 
 
@@ -71,8 +71,7 @@ class Bench(DriverBench):
         numbers = ids or (1,)
         servos = [make_servo(model_named(fake), START) for _ in numbers]
         for number, servo in zip(numbers, servos, strict=True):
-            servo.table.put("id", number)
-            servo.table.put("baud_rate", BAUDS.index(BAUD) if servo.protocol == 2 else AX_BAUD)
+            servo.start_with(number, BAUD, servo.protocol, RETURN_DELAY)
         self.servos = dict(zip(numbers, servos, strict=True))
         self.port = MemoryPort(ServoChain(servos))
         group = len(numbers) > 1

@@ -120,7 +120,7 @@ async def test_velocity_and_current_need_their_mode(bench, servo, /):
         (("mode", "sideways"), "has no mode 'sideways'"),
         (("calibrate", NAN), "finite angle"),
         (("setRange", 1.0, -1.0), "a lower and a higher"),
-        (("setRange", -9.0, 1.0), "is below"),
+        (("setRange", -9.0, 1.0), "is beyond"),
     ],
 )
 def test_what_is_refused_before_anything_is_sent(instruction, match):

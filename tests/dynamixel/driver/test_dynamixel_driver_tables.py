@@ -13,17 +13,20 @@ from lfield_dynamixel.bus.error_text import fault_text, has_alert, refusal_text
 from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.bus.servo_chain import Chain, Node
 from lfield_dynamixel.control_tables import Item, Model, models
-from lfield_dynamixel.servo import MODES, Servo, condition, present
+from lfield_dynamixel.servo import Servo, condition, present
 
 X = models()[2, 1200]
 AX = models()[1, 12]
+STS = models()[0, 777]
 EVERY = pytest.mark.parametrize("model", models().values(), ids=lambda model: model.name)
 
 
 @EVERY
 def test_a_model_is_whole(model: Model):
-    assert model.manual.startswith("https://emanual.robotis.com/docs/en/dxl/")
-    places = sorted((item.address, item.address + item.size) for item in model.items.values())
+    vendor = "http://doc.feetech.cn/" if model.protocol == 0 else "https://emanual.robotis.com/docs/en/dxl/"
+    assert model.manual.startswith(vendor)
+    # The goal and the profile of the speed are one register in a Feetech servo.
+    places = sorted({(item.address, item.address + item.size) for item in model.items.values()})
     assert all(end <= start for (_, end), (start, _) in pairwise(places))
     needed = {"model_number", "firmware_version", "torque_enable", "goal_position", "profile_velocity"}
     assert needed <= model.items.keys()
@@ -32,13 +35,14 @@ def test_a_model_is_whole(model: Model):
             assert area[0] <= item.address
             assert item.address + item.size <= area[0] + area[1]
     assert model.items["torque_enable"].address == model.ram
-    assert bool(model.current) == model.has("present_current") == model.has("goal_current")
+    assert bool(model.current) == model.has("present_current")
+    assert model.has("present_current") == (model.has("goal_current") or model.protocol == 0)
 
 
 @EVERY
 def test_a_goal_with_its_profile_is_one_write(model: Model):
-    names = [n for n in ("profile_acceleration", "profile_velocity", "goal_position") if model.has(n)]
-    items = sorted((model.items[name] for name in names), key=lambda item: item.address)
+    names = ("profile_acceleration", "profile_velocity", "goal_time", "goal_position")
+    items = sorted((model.items[name] for name in names if model.has(name)), key=lambda item: item.address)
     assert all(a.address + a.size == b.address for a, b in pairwise(items))
 
 
@@ -58,10 +62,17 @@ def test_items_come_back(size, sign, data):
         item.encode(high + 1)
 
 
-@given(st.integers(-1023, 1023))
-def test_values_with_a_direction(value):
-    raw = value if value >= 0 else -value | 1 << 10
-    assert AX.items["present_velocity"].decode(raw.to_bytes(2, "little"), 38) == value
+@given(
+    st.integers(-1023, 1023),
+    st.sampled_from([(AX, "present_velocity", 10), (STS, "homing_offset", 11), (STS, "goal_velocity", 15)]),
+)
+def test_values_with_a_sign_bit(value, place):
+    model, name, bit = place
+    item, raw = model.items[name], value if value >= 0 else -value | 1 << bit
+    assert item.decode(raw.to_bytes(2, "little"), item.address) == value
+    assert item.encode(value) == raw.to_bytes(2, "little")
+    with pytest.raises(ValueError, match="does not fit"):
+        item.encode(-(1 << bit))
 
 
 @pytest.mark.few(4)
@@ -78,7 +89,7 @@ def test_any_bytes_are_some_state(model: Model, data, error):
 
 @given(
     st.floats(-2.0, 2.0), st.floats(0.0, 4.0), st.floats(0.0, 50.0), st.floats(0.0, 500.0), st.booleans(),
-    st.sampled_from([X, AX]),
+    st.sampled_from([X, AX, STS]),
 )  # fmt: skip
 @example(0.0, 0.0, 1.0, 5e-324, True, X)
 def test_any_motion_fits_into_the_table(angle, distance, speed, acceleration, time_based, model):
@@ -112,12 +123,14 @@ def test_every_error_byte_has_words(error):
     assert bool(refusal_text(2, status)) == bool(error & 0x7F)
     assert isinstance(refusal_text(1, status), str)
     assert has_alert(1, status) == bool(error & 0b100101)
+    assert has_alert(0, status) == bool(error & 0b101111)
+    assert refusal_text(0, status) == ""
     assert has_alert(2, status) == (error >= 0x80)
     assert "overload" in fault_text(2, error | 0x20)
 
 
 def test_the_modes_are_the_manuals():
-    assert MODES == {
+    assert X.modes == {
         "current": 0,
         "velocity": 1,
         "position": 3,

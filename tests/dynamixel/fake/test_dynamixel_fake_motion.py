@@ -94,7 +94,7 @@ def test_kinds_of_profiles():
 # ---- operating modes --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", sorted(set(MODELS) - {"AX-12A"}))
+@pytest.mark.parametrize("model", sorted(name for name, model in MODELS.items() if model.protocol == 2))
 def test_every_model_goes_where_it_is_told_and_stays(model):
     bench = Bench(model, torque_enable=1, goal_position=3000).wait(4.0)
     assert abs(bench["present_position"] - 3000) <= 1

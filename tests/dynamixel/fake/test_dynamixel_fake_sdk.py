@@ -11,6 +11,7 @@ from contextlib import contextmanager
 
 import dynamixel_sdk as sdk
 import pytest
+from chain_wire import ChainWire
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import main as run_sim
@@ -18,42 +19,19 @@ from lfield.testing.driver_bench import RunningFake, running_fake
 from lfield_sim.dynamixel import SIM
 from lfield_sim.dynamixel.ax_series import make_servo
 from lfield_sim.dynamixel.servo import Servo
-from lfield_sim.dynamixel.servo_chain import ServoChain, TimedReply
+from lfield_sim.dynamixel.servo_chain import ServoChain
 from lfield_sim.dynamixel.servo_model import model_named
 
 LED, TORQUE, GOAL, POSITION, VOLTS, TEMPERATURE = 65, 64, 116, 132, 144, 146
 IDS = (1, 2, 3, 4, 5, 6)
 
 
-class VirtualPort(sdk.PortHandler):
-    """The SDK's port with a chain at its end; asking what time it is lets some pass."""
+class VirtualPort(ChainWire, sdk.PortHandler):
+    """The SDK's port with a chain at its end."""
 
     def __init__(self, chain: ServoChain) -> None:
         super().__init__("virtual")
-        self.chain, self.now = chain, 1.0
-        self._coming: list[TimedReply] = []
-        self.baudrate, self.tx_time_per_byte = 57_600, 10_000.0 / 57_600
-
-    def clearPort(self) -> None:
-        self._coming.clear()
-
-    def writePort(self, packet) -> int:
-        self._coming += self.chain.receive(bytes(packet), self.now, self.baudrate)
-        return len(packet)
-
-    def readPort(self, length: int) -> bytes:
-        self.now += 0.0005
-        there = b"".join(reply.data for reply in self._coming if reply.at <= self.now)
-        later = [reply for reply in self._coming if reply.at > self.now]
-        self._coming = ([TimedReply(0.0, there[length:])] if there[length:] else []) + later
-        return there[:length]
-
-    def getCurrentTime(self) -> float:
-        return self.now * 1000.0
-
-    def wait(self, seconds: float) -> None:
-        self.now += seconds
-        self.chain.advance(self.now)
+        self.connect(chain, 57_600)
 
 
 def virtual(*ids: int, model: str = "XM430-W350", **settings: int) -> VirtualPort:

@@ -1,0 +1,287 @@
+"""Joints: names, directions, offsets and bounds of each, and calibrations of LeRobot."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from coroutine_tests import on_bench
+from dynamixel_bench import Bench, call
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.driver import DeviceBinding
+from lfield.errors import DeviceError, DeviceNotSetUp
+from lfield_dynamixel import PLUGIN
+from lfield_dynamixel.control_tables import models
+from lfield_dynamixel.joints.calibration import JointCalibration, parsed
+from lfield_dynamixel.joints.mounting import Joint
+
+COUNT = math.tau / 4096
+PAN = {"id": 1, "drive_mode": 0, "homing_offset": 120, "range_min": 1000, "range_max": 3000}
+LIFT = {"id": 2, "drive_mode": 0, "homing_offset": -300, "range_min": 1200, "range_max": 2500}
+BOTH = {"pan": PAN, "lift": LIFT}
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Writes a calibration; returns its path."""
+
+    def write(joints: object) -> str:
+        path = tmp_path / "arm.json"
+        path.write_text(json.dumps(joints))
+        return str(path)
+
+    return write
+
+
+def arm(
+    calibration: str = "", *, set_up: object = None, fake: str = "STS3215", protocol: int = 0, **more
+) -> Bench:
+    """Two servos, set up as a calibration says."""
+    bench = Bench(
+        1, 2, fake=fake, protocol=protocol, waivers=["device_watchdog"], calibration=calibration, **more
+    )
+    for entry in set_up or ():
+        values = entry["drive_mode"], entry["homing_offset"], entry["range_min"], entry["range_max"]
+        bench.servos[entry["id"]].calibrate(*values)
+    return bench
+
+
+# ---- files ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("joints", "sentence"),
+    [
+        ({"pan": PAN | {"range_min": 3000, "range_max": 1000}}, "joint 'pan': its range is reversed"),
+        ({"pan": PAN | {"range_max": 1000}}, "joint 'pan': its range is empty"),
+        ({"pan": PAN, "lift": LIFT | {"id": 1}}, "two joints have the servo id 1"),
+        ({"pan": {**PAN, "speed": 1}}, "unknown field `speed`"),
+        ({"pan": {"id": 1}}, "missing required field `drive_mode`"),
+        ({"pan": PAN | {"id": "1"}}, "Expected `int`, got `str` - at `$[...].id`"),
+        ({"pan": PAN | {"drive_mode": 2}}, "Expected `int` <= 1"),
+        ({}, "it has no joints"),
+        ([], "Expected `object`, got `array`"),
+        (
+            {"motor_names": ["pan"], "homing_offset": [1]},
+            "it is of an older LeRobot: run lerobot-calibrate again",
+        ),
+    ],
+)
+def test_a_file_that_is_no_calibration(joints, sentence):
+    with pytest.raises(DeviceError) as caught:
+        parsed("arm.json", json.dumps(joints).encode())
+    assert sentence in caught.value.reason
+
+
+def test_all_mistakes_of_a_file_are_told_at_once():
+    wrong = {"pan": PAN | {"range_min": 3000, "range_max": 1}, "lift": LIFT | {"range_max": 1200, "id": 1}}
+    with pytest.raises(DeviceError) as caught:
+        parsed("arm.json", json.dumps(wrong).encode())
+    assert caught.value.reason.count(";") == 4
+
+
+@given(st.binary() | st.text().map(str.encode))
+def test_any_bytes_are_a_calibration_or_an_error(data):
+    try:
+        joints = parsed("arm.json", data)
+    except DeviceError:
+        return
+    assert all(entry.range_min < entry.range_max for entry in joints.values())
+
+
+# ---- bindings ---------------------------------------------------------------------------------------------
+
+
+def conflicts(*bindings: DeviceBinding) -> list[str]:
+    return [why for _, why in PLUGIN.conflicts_of(bindings)]
+
+
+def bound(calibration: str = "", **options) -> DeviceBinding:
+    return arm(calibration, **options).binding
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"names": ["pan"]}, "'names' must be 2 different names, one for each id"),
+        ({"names": ["pan", "pan"]}, "'names' must be 2 different names"),
+        ({"offset": [0.1, 0.2, 0.3]}, "'offset' must be one value for all, or 2, one for each id, not 3"),
+        ({"direction": [1, 0]}, "servo 2: 'direction' must be 1 or -1"),
+        ({"lowest": [0.0, 1.0], "highest": [0.5]}, "'lowest' not above 'highest'; they are 1, 0, 1 and 0.5"),
+        ({"offset": [math.inf]}, "'offset' a number"),
+        ({"ids": [1, 1]}, "its binding names servo 1 twice; give each servo its own id"),
+    ],
+)
+def test_a_binding_whose_joints_are_wrong(options, sentence):
+    (why,) = conflicts(bound(**options))
+    assert sentence in why
+
+
+def test_a_calibration_for_other_joints(file):
+    (why,) = conflicts(bound(file({"pan": PAN})))
+    assert why.endswith("arm.json: it has no joint of servo 2")
+    (why,) = conflicts(bound(file(BOTH), names=["lift", "pan"]))
+    assert "servo 1 is the joint 'pan' in it, but the binding says 'lift'" in why
+    (why,) = conflicts(bound("/nowhere/arm.json"))
+    assert why == "/nowhere/arm.json cannot be read: No such file or directory"
+    assert conflicts(bound(file(BOTH), names=["pan", "lift"])) == []
+
+
+def test_a_servo_that_two_bindings_have():
+    one = bound()
+    other = DeviceBinding(**{name: getattr(one, name) for name in one.__struct_fields__} | {"field": "hand"})
+    assert conflicts(one, other) == [
+        f"servo {number} on {one.endpoint} already belongs to alpha.joint" for number in (1, 2)
+    ]
+
+
+# ---- servos -----------------------------------------------------------------------------------------------
+
+
+@given(
+    st.sampled_from([1, -1]), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)
+)  # fmt: skip
+def test_angles_of_joints_come_back(direction, zero, offset, angle):
+    joint = Joint(1, "pan", direction, zero, offset)
+    assert joint.to_joint(joint.to_servo(angle)) == pytest.approx(angle, abs=1e-9)
+
+
+@on_bench(
+    arm, names=["pan", "lift"], direction=[1, -1], offset=[0.0, 0.3], lowest=[-1.0, -0.5], highest=[1.0, 0.9],
+    limits={"speed": 3.0},
+)  # fmt: skip
+async def test_each_joint_has_its_own_mounting(bench, group, /):
+    await call(group, "torque", True)
+    await call(group, "moveTo", [0.5, 0.8])
+    assert bench.values["positions"] == pytest.approx([0.5, 0.8], abs=0.01)
+    assert [servo.table["goal_position"] for servo in bench.servos.values()] == [
+        2048 + round(0.5 / COUNT), 2048 - round(0.5 / COUNT),
+    ]  # fmt: skip
+    with pytest.raises(
+        DeviceError, match=r"moveTo refused: servo 2 \(lift\): 0.95 rad is outside -0.5 to 0.9 rad"
+    ):
+        await call(group, "moveTo", [0.5, 0.95])
+    with pytest.raises(DeviceError, match=r"servo 1 \(pan\): -1.1 rad is outside -1 to 1 rad"):
+        await call(group, "setPositions", [-1.1, 0.0])
+    await call(group, "moveJoint", "lift", -0.4)
+    assert bench.values["positions"] == pytest.approx([0.5, -0.4], abs=0.01)
+    assert bench.values["velocities"] == pytest.approx([0.0, 0.0], abs=0.1)
+    with pytest.raises(DeviceError, match=r"there is no joint 'elbow'; there are: pan, lift"):
+        await call(group, "moveJoint", "elbow", 0.0)
+
+
+def reversed_servo(**more) -> Bench:
+    return Bench(
+        1, fake="XL330-M288", direction=-1, offset=0.2, limits={"current": 0.5, "speed": 3.0}, **more
+    )
+
+
+@on_bench(reversed_servo)
+async def test_a_reversed_servo_counts_the_other_way_in_everything(bench, servo, /):
+    await call(servo, "setRange", -1.0, 0.5)
+    table = bench.servos[1].table
+    assert (table["min_position_limit"], table["max_position_limit"]) == (
+        2048 + round(-0.3 / COUNT), 2048 + round(1.2 / COUNT),
+    )  # fmt: skip
+    await call(servo, "torque", True)
+    with pytest.raises(DeviceError, match=r"only moves from -1.000 to 0.501"):
+        await call(servo, "moveTo", 0.7)
+    await call(servo, "moveTo", 0.4)
+    assert bench.values["position"] == pytest.approx(0.4, abs=0.02)
+    await call(servo, "calibrate", 0.0)
+    assert (await servo.servo.present()).position == pytest.approx(0.0, abs=0.02)
+    await call(servo, "mode", "velocity")
+    for _ in range(5):
+        await call(servo, "setVelocity", 1.0)
+        await servo.poll()
+    assert bench.values["velocity"] == pytest.approx(1.0, abs=0.1)
+    assert table["goal_velocity"] < 0
+
+
+def test_angles_are_lerobots_degrees_and_bounds_its_ranges(file):
+    async def story(group):
+        assert [servo.joint.name for servo in group.servos.values()] == ["pan", "lift"]
+        start = await group.observe()
+        assert [value.position for value in start.values()] == pytest.approx([0.0, 0.0], abs=COUNT)
+        await call(group, "torque", True)
+        await call(group, "moveTo", [0.5, -0.5])
+        counts = [servo.table["present_position"] for servo in bench.servos.values()]
+        assert counts == pytest.approx([2000 + 0.5 / COUNT, 1850 - 0.5 / COUNT], abs=2)
+        bounds = [(joint.lowest, joint.highest) for joint in (s.joint for s in group.servos.values())]
+        assert bounds == [
+            pytest.approx((-1000 * COUNT, 1000 * COUNT)),
+            pytest.approx((-650 * COUNT, 650 * COUNT)),
+        ]
+        with pytest.raises(
+            DeviceError, match=r"servo 2 \(lift\): 1 rad is outside -0.997088 to 0.997088 rad"
+        ):
+            await call(group, "moveTo", [0.0, 1.0])
+
+    bench = arm(file(BOTH), set_up=BOTH.values())
+    bench.run(story)
+
+
+def test_a_reversed_joint_turns_the_other_way(file):
+    async def story(group):
+        await call(group, "torque", True)
+        await call(group, "moveTo", [0.0, 0.5])
+        assert bench.servos[2].table["present_position"] == pytest.approx(1850 - 0.5 / COUNT, abs=2)
+
+    joints = {"pan": PAN, "lift": LIFT | {"drive_mode": 1}}
+    bench = arm(file(joints), set_up=joints.values())
+    bench.run(story)
+
+
+@pytest.mark.parametrize(("fake", "protocol"), [("STS3215", 0), ("XL330-M288", 2)])
+def test_a_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake, protocol):
+    bench = arm(file(BOTH), fake=fake, protocol=protocol)
+
+    async def story(group):
+        with pytest.raises(
+            DeviceNotSetUp, match=r"homing_offset of servo 1 is 0 and must be 120, and 5 more"
+        ):
+            await group.open()
+        assert any(
+            "calibration of lift in arm.json; check that the file is of this servo" in n for n in bench.notes
+        )
+        for setting in await group.settings():
+            await group.write_setting(setting.name, setting.wanted)
+        await group.open()
+        assert [servo.table["max_position_limit"] for servo in bench.servos.values()] == [3000, 2500]
+
+    bench.run(story, opened=False)
+
+
+def test_a_dynamixel_servo_reverses_itself(file):
+    joints = {"pan": PAN | {"drive_mode": 1}, "lift": LIFT}
+    bench = arm(file(joints), set_up=joints.values(), fake="XL330-M288", protocol=2)
+    bench.servos[1].table.put("drive_mode", 0)
+
+    async def story(group):
+        with pytest.raises(DeviceNotSetUp, match=r"drive_mode of servo 1 is 0 and must be 1$"):
+            await group.open()
+
+    bench.run(story, opened=False)
+
+
+@pytest.mark.parametrize(
+    ("fake", "protocol", "entry"),
+    [("STS3215", 0, {"range_max": 5000}), ("AX-12A", 1, {"range_max": 900, "range_min": 10})],
+)
+def test_a_calibration_of_another_model(file, fake, protocol, entry):
+    bench = arm(file({"pan": PAN | entry, "lift": LIFT}), fake=fake, protocol=protocol)
+
+    async def story(group):
+        with pytest.raises(DeviceError, match=rf"servo 1 \(pan\): its calibration is not of a {fake}"):
+            await group.open()
+
+    bench.run(story, opened=False)
+
+
+def test_a_calibration_narrows_the_bounds_of_the_binding():
+    entry = JointCalibration(id=1, drive_mode=0, homing_offset=0, range_min=1048, range_max=3048)
+    fitted = Joint(1, lowest=-0.2, highest=9.0, calibration=entry).fitted(models()[0, 777])
+    assert (fitted.lowest, fitted.highest) == (-0.2, pytest.approx(1000 * COUNT))
