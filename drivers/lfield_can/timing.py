@@ -43,9 +43,10 @@ class ChangeNotifier:
 
 
 class PeriodicTask:
-    """At most one repetition at a time."""
+    """At most one repetition at a time. `overruns` counts the missed ones."""
 
     def __init__(self, clock: Clock) -> None:
+        self.overruns = 0
         self._clock = clock
         self._task: asyncio.Task[None] | None = None
         self._period, self._work = 0.0, _nothing
@@ -71,6 +72,8 @@ class PeriodicTask:
         while True:
             # Missed repetitions are skipped.
             now = self._clock.monotonic()
+            if self._period and now >= due + 2.0 * self._period:
+                self.overruns += int((now - due) / self._period) - 1
             due = max(due + self._period, now)
             await asyncio.sleep(due - now)
             if self._clock.monotonic() >= end:

@@ -83,8 +83,10 @@ class Bus:
         """Logs a frame: a received one when the loop reads it, one of `post` when it is queued."""
         if self._wire_log is None:
             return
-        identifier, data, extended, fd = frame
-        self._wire_log.log_can(self._channel, identifier, data, extended=extended, fd=fd, is_sent=is_sent)
+        identifier, data, extended, fd, switch = frame
+        self._wire_log.log_can(
+            self._channel, identifier, data, extended=extended, fd=fd, switch=switch, is_sent=is_sent
+        )
 
     @property
     def malformed(self) -> int:

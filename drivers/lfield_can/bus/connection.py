@@ -247,9 +247,19 @@ def _error_text(error: Exception) -> str:
 
 def _message(frame: Frame) -> can.Message:
     return can.Message(
-        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_fd=frame.fd
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_fd=frame.fd,
+        bitrate_switch=frame.switch,
     )
 
 
 def _frame(message: can.Message) -> Frame:
-    return Frame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd)
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_extended_id,
+        message.is_fd,
+        message.bitrate_switch,
+    )

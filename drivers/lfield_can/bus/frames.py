@@ -20,12 +20,15 @@ _BROADCAST_FORMATS = 0xF0
 
 
 class Frame(NamedTuple):
-    """A data frame: an 11-bit id, or 29-bit when `extended`, and up to 8 bytes, or 64 when `fd`."""
+    """A data frame: an 11-bit id, or 29-bit when `extended`, and up to 8 bytes, or 64 when `fd`; with
+    `switch`, its data are at the second bit rate.
+    """
 
     id: int
     data: bytes = b""
     extended: bool = False
     fd: bool = False
+    switch: bool = False
 
     @property
     def key(self) -> int:
