@@ -70,14 +70,15 @@ class PeriodicTask:
     async def _repeat(self, end: float) -> None:
         due = self._clock.monotonic()
         while True:
-            # Missed repetitions are skipped.
+            due += self._period
+            await asyncio.sleep(due - self._clock.monotonic())
             now = self._clock.monotonic()
-            if self._period and now >= due + 2.0 * self._period:
-                self.overruns += int((now - due) / self._period) - 1
-            due = max(due + self._period, now)
-            await asyncio.sleep(due - now)
-            if self._clock.monotonic() >= end:
+            if now >= end:
                 return
+            # Missed repetitions are skipped, and the grid of periods is kept.
+            missed = max(0, int((now - due) / self._period))
+            self.overruns += missed
+            due += missed * self._period
             self._work()
 
 

@@ -58,12 +58,26 @@ def spec_of(binding: DeviceBinding) -> str:
         text = f"dbc:{binding.option('dbc')}:{binding.name}"
         if commands := binding.options.get("commands"):
             text += f",commands={'+'.join(map(str, _listed(commands)))}"
+        text += _supervised(binding)
     else:
         text = f"{binding.option('protocol')}:{binding.option('node')}:{binding.name}"
         if counts := binding.options.get("counts"):
             text += f",counts={counts}"
     parse(text)
     return text
+
+
+def _supervised(binding: DeviceBinding) -> str:
+    """The counters, checksums and cycles of a binding, as properties of its simulated device."""
+    texts = ""
+    for option, key in (("counters", "counters"), ("checksums", "checksums"), ("cyclic", "cycles")):
+        entries = []
+        for entry in _listed(binding.options.get(option) or []):
+            name, _, value = str(entry).partition("=")
+            words = value.replace(",", " ").split()
+            entries.append(":".join([name.strip(), *(["/".join(words)] if words else [])]))
+        texts += f",{key}={'+'.join(entries)}" if entries else ""
+    return texts
 
 
 def _listed(value: OptionValue) -> list[int | str]:
@@ -133,7 +147,7 @@ def _dbc(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
         from lfield_sim.can.dbc_device import DbcDevice, load
     except ImportError:
         raise PluginError("a device by DBC file needs cantools: pip install 'lfield[can]'") from None
-    texts = ("node", "commands", "command", "status")
+    texts = ("node", "commands", "command", "status", "counters", "checksums", "cycles")
     check_options(spec, {*texts, "lag", "timeout"})
     data = load(spec.place, **{key: spec.options.get(key, "") for key in texts})
     times: dict[str, Any] = {key: number(spec, key) for key in ("lag", "timeout") if key in spec.options}
