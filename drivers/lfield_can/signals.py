@@ -38,7 +38,7 @@ class CanSignals(Device):
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self._unknown_ids = unknown_ids
-        self._changes = ChangeNotifier(clock)
+        self._bus, self._changes = bus, ChangeNotifier(clock)
         self._commands: list[str] = binding.option("commands")
         self._safe: list[Term] = []
         self._confirm: list[Term] = []
@@ -293,7 +293,8 @@ class CanSignals(Device):
             return self._received.get(f"{message}.{name}", (-math.inf,))[0] >= oldest
 
         if not await self._changes.wait_for(fresh, self._patience):
-            why = f": {self._problems[message][0]}" if self._is_missing(message, name) else ""
+            cause = self._problems[message][0] if self._is_missing(message, name) else self._bus.trouble
+            why = f": {cause}" if cause else ""
             self.publish(online=self._silence() <= self._patience)
             raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)
         return self._received[f"{message}.{name}"][1][name]
