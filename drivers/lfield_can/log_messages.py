@@ -53,3 +53,13 @@ TWO_SOURCES = LogMessage(
 INVALID_FRAME = LogMessage("can-invalid-frame", "message {message} invalid: {reason}", "warning")
 NOT_SAFE = LogMessage("can-not-safe", "safe state not commanded: {reason}", "error")
 NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waived by its binding", "warning")
+
+# --- DroneCAN -------------------------------------------------------------------------------------------
+
+NODE_ID_GIVEN = LogMessage("can-node-id-given", "node id {node} given to the unique id {unique_id}")
+OTHER_ALLOCATOR = LogMessage(
+    "can-other-allocator",
+    "no more node ids given: node {node} gives them; remove 'unique_id' from the bindings, or that allocator",
+    "warning",
+)
+NODE_RESTARTED = LogMessage("can-node-restarted", "node {node} restarted", "warning")
