@@ -93,7 +93,10 @@ def test_dynamic_node_ids(node):
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [("stuck@42=true", "moveTo failed: no progress for 2 s"), ("lost_tpdo@42=true", r"no message for 0\.\d s")],
+    [
+        ("stuck@42=true", "moveTo failed: no progress for 2 s"),
+        ("lost_tpdo@42=true", r"no message for 0\.\d s"),
+    ],
 )
 def test_faults_of_a_servo(node, fault, words):
     async def story(fake, servo):
