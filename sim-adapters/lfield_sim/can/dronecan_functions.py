@@ -21,7 +21,7 @@ ESC_TIMEOUT, SERVO_TIMEOUT = 0.5, 1.0
 #: An ESC at full command (rev/min), its raw command, and its lag in seconds.
 TOP_SPEED, FULL, LAG = 9000.0, 8191.0, 0.2
 #: A servo's greatest speed in rad/s, and its stops in rad.
-SERVO_SPEED, SERVO_STOP = 3.0, 1.6
+SERVO_SPEED, SERVO_STOP = 1.0, 1.6
 
 uavcan: Any = dronecan.uavcan
 

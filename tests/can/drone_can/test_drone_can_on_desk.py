@@ -72,7 +72,7 @@ def test_a_setpoint_that_is_not_renewed_ends_where_the_servo_is(node):
 
 
 def test_dynamic_node_ids(node):
-    """Three nodes without ids ask at once; two have a unique id in a binding, one has none."""
+    """Two nodes without ids ask at once; each gets the id of the binding with its unique id."""
 
     async def story(fake, servo, battery):
         await servo.call("moveTo", -0.4)
@@ -103,6 +103,7 @@ def test_faults_of_a_servo(node, fault, words):
         fake.fault(fault)
         with pytest.raises(DeviceError, match=words):
             await servo.call("moveTo", 1.0)
+        fake.fault(fault.replace("true", "false"))
 
     play(story, node("DroneCanServo", node=42))
 
