@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -252,6 +253,7 @@ def _key(identifier: int, extended: bool) -> int:
     return identifier | extended << 31
 
 
+@cache
 def _terms(name: str) -> frozenset[str]:
     """Splits `TargetWidth` and `target_width` into words."""
     return frozenset(term.lower() for term in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
@@ -306,6 +308,7 @@ def _place(messages: Iterable[Message], text: str) -> SignalName:
     )
 
 
+@cache
 def _bounds(signal: Signal) -> tuple[float, float]:
     """The raw range of a signal."""
     if signal.is_float:
