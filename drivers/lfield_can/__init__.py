@@ -1,4 +1,5 @@
-"""The CAN driver: axes of CiA 402 drives and ODrives, and devices described by a DBC file. See README.md."""
+"""The CAN driver: axes of CiA 402 drives and ODrives, devices described by a DBC file, and
+DroneCAN nodes. See README.md."""
 
 from lfield.driver import Plugin
 
@@ -8,7 +9,13 @@ PLUGIN = Plugin(
     driver="lfield_can.driver:CanDriver",
     extra="can",
     requires=("can", "canopen", "cantools"),
-    manifests=("axis.yaml", "signals.yaml"),
+    manifests=(
+        "axis.yaml",
+        "signals.yaml",
+        "drone_can/battery.yaml",
+        "drone_can/esc.yaml",
+        "drone_can/servo.yaml",
+    ),
     kit="lfield_can.kit:KIT",
     endpoint="lfield_can.bus.endpoint:parse_endpoint",
     files="lfield_can.driver:mistakes_in",

@@ -261,7 +261,9 @@ class CanAxis(Device):
             # Report it before the periodic check does: the caller reads the state.
             self.protocol.on_silence()
             self.publish(online=False, enabled=False, state=self.protocol.state.state)
-            raise self.error(f"no message for {self._silence():.1f} s", timeout=True)
+            cause = self.protocol.bus.trouble
+            why = f" ({cause})" if cause else ""
+            raise self.error(f"no message for {self._silence():.1f} s{why}", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------
 

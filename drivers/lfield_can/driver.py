@@ -20,6 +20,9 @@ from lfield_can.axis import CanAxis
 from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame, group_of
 from lfield_can.dbc import DbcError, DbcFile
+from lfield_can.drone_can.network import DroneCanNetwork
+from lfield_can.drone_can.node_device import DroneCanBattery, DroneCanDevice, DroneCanEsc
+from lfield_can.drone_can.servo import DroneCanServo
 from lfield_can.eds import EdsError, parse_eds
 from lfield_can.protocols.canopen_node import MAX_BYTES, read_eds
 from lfield_can.protocols.cia402_tables import EVERY
@@ -29,13 +32,17 @@ from lfield_can.timing import Sync
 #: Stored ids of other nodes, and how many an error shows.
 MAX_UNKNOWN_IDS, SHOWN_UNKNOWN_IDS = 64, 5
 
-CanDevice = CanAxis | CanSignals
+CanDevice = CanAxis | CanSignals | DroneCanDevice
+#: Functions of DroneCAN nodes, by device type.
+NODES: Mapping[str, type[DroneCanDevice]] = {
+    each.__name__: each for each in (DroneCanBattery, DroneCanEsc, DroneCanServo)
+}
 #: Creates the bus at an endpoint, with callbacks for frames and log lines, and the log of its frames.
 MakeBus = Callable[[str, Callable[[Frame], None], Callable[[str], None], WireLog], Bus]
 
 
 class CanDriver(Driver):
-    """One CAN bus with axes and devices of DBC files. `make_bus` is for tests."""
+    """One CAN bus with axes, devices of DBC files and DroneCAN nodes. `make_bus` is for tests."""
 
     def __init__(
         self,
@@ -54,6 +61,7 @@ class CanDriver(Driver):
         self._bus = self._make_bus(
             self.endpoint, self._received, lambda text: self.reports.note(first, text), self.wire_log
         )
+        self._drone_can = DroneCanNetwork(self._bus, self.clock, lambda text: self.reports.note(first, text))
         self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
         #: One frame of each id that no device receives.
@@ -61,12 +69,14 @@ class CanDriver(Driver):
         self._listeners: dict[int, list[CanDevice]] = {}
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
-        given = binding, self.manifests[binding.type], self.clock, self.reports, self._bus
-        device = (
-            CanAxis(*given, self._sync)
-            if binding.type == "CanAxis"
-            else CanSignals(*given, self._unknown_ids)
-        )
+        given = binding, self.manifests[binding.type], self.clock, self.reports
+        device: CanDevice
+        if binding.type == "CanAxis":
+            device = CanAxis(*given, self._bus, self._sync)
+        elif binding.type == "CanSignals":
+            device = CanSignals(*given, self._bus, self._unknown_ids)
+        else:
+            device = NODES[binding.type](*given, self._drone_can)
         self._members.append(device)
         return device
 
@@ -86,26 +96,32 @@ class CanDriver(Driver):
                         "bus its own id"
                     )
         await self._bus.open()
+        self._drone_can.start()
         for device in self._members:
             self.spawn(device.watch())
 
     async def _close(self) -> None:
         for device in self._members:
             device.close()
+        self._drone_can.close()
         await self._bus.close()
 
     def _quiet(self) -> None:
         for device in self._members:
             device.quiet(True)
+        self._drone_can.quiet(True)
 
     def _resume(self) -> None:
         for device in self._members:
             device.quiet(False)
+        self._drone_can.quiet(False)
 
     def _received(self, frame: Frame) -> None:
         devices = self._listeners.get(frame.key)
         if devices is None and frame.extended:
             devices = self._listeners.get(group_of(frame.id))
+        if devices is None and frame.extended:
+            self._drone_can.on_frame(frame)
         if devices is None and len(self._unknown) < MAX_UNKNOWN_IDS:
             self._unknown[frame.key] = frame
         for device in devices or ():

@@ -5,6 +5,8 @@ from lfield.driver import LogMessage
 # --- the bus --------------------------------------------------------------------------------------------
 
 ERROR_FRAMES = LogMessage("can-error-frames", "error frames on {bus} (count {count}): {reason}", "warning")
+BUS_STATE = LogMessage("can-bus-state", "{bus} {state}: {reason}", "warning")
+BUS_ACTIVE = LogMessage("can-bus-active", "{bus} error active again")
 SILENT = LogMessage("can-silent", "link lost: no message received", "warning")
 RESPONDING = LogMessage("can-responding", "link restored: messages are received again")
 ID_CONFLICT = LogMessage("can-id-conflict", "motion refused: {reason}", "error")
@@ -51,3 +53,13 @@ TWO_SOURCES = LogMessage(
 INVALID_FRAME = LogMessage("can-invalid-frame", "message {message} invalid: {reason}", "warning")
 NOT_SAFE = LogMessage("can-not-safe", "safe state not commanded: {reason}", "error")
 NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waived by its binding", "warning")
+
+# --- DroneCAN -------------------------------------------------------------------------------------------
+
+NODE_ID_GIVEN = LogMessage("can-node-id-given", "node id {node} given to the unique id {unique_id}")
+OTHER_ALLOCATOR = LogMessage(
+    "can-other-allocator",
+    "no more node ids given: node {node} gives them; remove 'unique_id' from the bindings, or that allocator",
+    "warning",
+)
+NODE_RESTARTED = LogMessage("can-node-restarted", "node {node} restarted", "warning")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_can import log_messages
 from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.dbc import DbcError, DbcFile, Term
+from lfield_can.command_stream import CommandStream, Values, cycles
+from lfield_can.dbc import DbcError, DbcFile, Protection, Term, protections
 from lfield_can.text_files import log_warnings
 from lfield_can.timing import ChangeNotifier
 
@@ -41,8 +42,11 @@ class CanSignals(Device):
         self._commands: list[str] = binding.option("commands")
         self._safe: list[Term] = []
         self._confirm: list[Term] = []
-        # The content of each command: safe values, overlaid by setpoints.
-        self._sent: dict[str, dict[str, float]] = {}
+        self._accepted: list[Term] = []
+        #: Since when it has not accepted its cyclic commands.
+        self._refused_since: float | None = None
+        self._protections: dict[str, Protection] = {}
+        self._stream = CommandStream(bus, clock, binding.ttl)
         self._received: dict[str, tuple[float, dict[str, float]]] = {}
         self._malformed = 0
         #: Problems of frames by message, the last first. Each kind is logged once.
@@ -59,8 +63,15 @@ class CanSignals(Device):
         option = self.binding.option
         try:
             self._file = DbcFile(option("dbc"))
-            self._safe, self._confirm = self._file.terms(option("safe")), self._file.terms(option("confirm"))
-            self._forget_setpoints()
+            self._protections = protections(self._file, option("counters"), option("checksums"))
+            for name, protection in self._protections.items():
+                if name in self._commands:
+                    self._file.reserve(name, protection.signals)
+            self._safe, self._confirm, self._accepted = map(
+                self._file.terms, (option("safe"), option("confirm"), option("accepted"))
+            )
+            periods = cycles(self._file, option("cyclic"), self._commands)
+            self._stream.set_up(self._file, self._safe, self._protections, periods)
             self._check_safe()
         except DbcError as error:
             raise self.error(str(error)) from None
@@ -74,10 +85,10 @@ class CanSignals(Device):
         for name in self._commands:
             if not any(term.message == name for term in self._safe):
                 raise DbcError(f"'safe' has no value for {name}, which is among its 'commands'")
-            self._file.encode(name, self._sent[name])
-        for term in self._confirm:
-            if term.message in self._commands:
-                raise DbcError(f"{term.message} is a command; 'confirm' requires a message from the device")
+            self._stream.check(name)
+        for option, terms in (("confirm", self._confirm), ("accepted", self._accepted)):
+            if listed := [term.message for term in terms if term.message in self._commands]:
+                raise DbcError(f"{listed[0]} is a command; '{option}' requires a message from the device")
         if self._commands and not self._confirm and not self.binding.waives(NO_CONFIRMATION):
             raise DbcError(
                 "nothing would confirm that it is safe: add 'confirm', or accept that by 'waivers: "
@@ -104,6 +115,11 @@ class CanSignals(Device):
         if problem := self._file.problem(frame):
             self._malformed += 1
             self._report_problem(name, problem)
+        protection = self._protections.get(name)
+        if protection is not None and (problem := protection.problem(frame.data)):
+            self._malformed += 1
+            self._report_problem(name, problem)
+            return
         # Only a part of a multiplexed message has arrived; the other values remain, but age.
         self._received[name] = (self.clock.monotonic(), values)
         for signal in values:
@@ -142,7 +158,8 @@ class CanSignals(Device):
             if not self._opened:
                 continue
             silent = self._silence() > self._patience
-            self.publish(online=not silent, malformed=self._malformed)
+            self.publish(online=not silent, malformed=self._malformed, overruns=self._stream.overruns)
+            self._check_accepted(silent)
             if silent == self._lost:
                 continue
             self._lost = silent
@@ -157,11 +174,27 @@ class CanSignals(Device):
         except DeviceError as error:
             self.note(log_messages.NOT_SAFE.line(reason=error.reason))
 
+    def _check_accepted(self, silent: bool) -> None:
+        """A device that refuses its cyclic commands, such as their counters, for `max_age` is made safe."""
+        now = self.clock.monotonic()
+        wrong = (
+            self._mismatches(self._accepted, -math.inf) if self._stream.is_streaming and not silent else []
+        )
+        if not wrong:
+            self._refused_since = None
+        elif self._refused_since is None:
+            self._refused_since = now
+        elif now - self._refused_since > self._patience:
+            self._refused_since = None
+            self.breach(f"its commands are not accepted: {', '.join(wrong)}")
+
     def quiet(self, on: bool) -> None:
-        """Sends only what the program sets."""
+        """Stops cyclic commands; sends only what the program sets."""
+        self._stream.quiet(on)
 
     def close(self) -> None:
         """The driver ends."""
+        self._stream.close()
 
     # -- opening and safe state -------------------------------------------------------------------------
 
@@ -179,7 +212,7 @@ class CanSignals(Device):
                     timeout=True,
                 )
             self.note(log_messages.NOTHING_RECEIVED.line())
-        self.publish(online=self._silence() <= self._patience, malformed=self._malformed)
+        self.publish(online=self._silence() <= self._patience, malformed=self._malformed, overruns=0)
         self._opened = True
         received = sorted(name for name in self._received if "." not in name)
         return f"DBC device, received {', '.join(received) or 'nothing'}"
@@ -189,24 +222,17 @@ class CanSignals(Device):
         return False
 
     async def _make_safe(self, state: str) -> None:
-        self._forget_setpoints()
+        self._stream.forget_setpoints()
         end = self.clock.monotonic() + SAFE_TIMEOUT
         while True:
             start = self.clock.monotonic()
             for name in self._commands:
-                await self._transmit(name, self._sent[name])
+                await self._stream.send_safe(name)
             if await self._changes.wait_for(lambda since=start: self._confirmed(since), SAFE_REPEAT):  # type: ignore[misc]  # a default binds this round's start
                 return
             if self.clock.monotonic() >= end:
                 break
         raise self.error(f"its safe state is not confirmed: {self._failure_text()}")
-
-    def _forget_setpoints(self) -> None:
-        """Commands contain the safe values until something is set."""
-        self._sent = {name: {} for name in self._commands}
-        for term in self._safe:
-            if term.message in self._sent:
-                self._sent[term.message][term.signal] = term.value
 
     def _confirmed(self, since: float) -> bool:
         """Whether all confirming signals were received since then, with matching values."""
@@ -217,13 +243,13 @@ class CanSignals(Device):
         return at > since and abs(values[term.signal] - term.value) <= term.within
 
     def _failure_text(self) -> str:
-        wrong = self._mismatches(self.clock.monotonic() - self._patience)
+        wrong = self._mismatches(self._confirm, self.clock.monotonic() - self._patience)
         return ", ".join(wrong) or "its confirming messages came too rarely"
 
-    def _mismatches(self, since: float) -> list[str]:
-        """Confirming signals that were not received since then or do not match; one text each."""
+    def _mismatches(self, terms: Sequence[Term], since: float) -> list[str]:
+        """Signals that were not received since then or do not match; one text each."""
         wrong = []
-        for term in self._confirm:
+        for term in terms:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
                 lacks = self._is_missing(term.message, term.signal)
@@ -238,7 +264,7 @@ class CanSignals(Device):
         silence = self._silence()
         if silence > self._patience:
             return f"no message for {silence:.1f} s"
-        return ", ".join(self._mismatches(-math.inf))
+        return ", ".join(self._mismatches(self._confirm, -math.inf))
 
     # -- instructions -----------------------------------------------------------------------------------
 
@@ -246,9 +272,8 @@ class CanSignals(Device):
         """Sets one signal and sends its message."""
         message, name = self._named(signal)
         self._check_command(message)
-        values = {**self._sent[message], **self._file.selectors(message, name), name: value}
-        await self._transmit(message, values)
-        self._sent[message] = values
+        selected = self._file.selectors(message, name)
+        await self._transmit(message, {**self._stream.values(message), **selected, name: value})
 
     async def do_send(self, message: str, values: list[float]) -> None:
         """Sends a complete message."""
@@ -258,7 +283,6 @@ class CanSignals(Device):
             raise self.error(f"{message} has {len(names)} signals ({', '.join(names)}), not {len(values)}")
         named = dict(zip(names, values, strict=True))
         await self._transmit(message, named)
-        self._sent[message] = named
 
     async def do_read(self, signal: str) -> float:
         """The last value, or the next one."""
@@ -269,7 +293,8 @@ class CanSignals(Device):
             return self._received.get(f"{message}.{name}", (-math.inf,))[0] >= oldest
 
         if not await self._changes.wait_for(fresh, self._patience):
-            why = f": {self._problems[message][0]}" if self._is_missing(message, name) else ""
+            cause = self._problems[message][0] if self._is_missing(message, name) else self._bus.trouble
+            why = f": {cause}" if cause else ""
             self.publish(online=self._silence() <= self._patience)
             raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)
         return self._received[f"{message}.{name}"][1][name]
@@ -308,9 +333,8 @@ class CanSignals(Device):
             listed = f"only {', '.join(self._commands)}" if self._commands else "nothing"
             raise self.error(f"{message} may not be sent: the binding's 'commands' allow {listed}")
 
-    async def _transmit(self, message: str, values: dict[str, float]) -> None:
+    async def _transmit(self, message: str, values: Values) -> None:
         try:
-            frame = self._file.encode(message, values)
+            await self._stream.send(message, values)
         except DbcError as error:
             raise self.error(str(error)) from None
-        await self._bus.send(frame)

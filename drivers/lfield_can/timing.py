@@ -43,9 +43,10 @@ class ChangeNotifier:
 
 
 class PeriodicTask:
-    """At most one repetition at a time."""
+    """At most one repetition at a time. `overruns` counts the missed ones."""
 
     def __init__(self, clock: Clock) -> None:
+        self.overruns = 0
         self._clock = clock
         self._task: asyncio.Task[None] | None = None
         self._period, self._work = 0.0, _nothing
@@ -69,12 +70,15 @@ class PeriodicTask:
     async def _repeat(self, end: float) -> None:
         due = self._clock.monotonic()
         while True:
-            # Missed repetitions are skipped.
+            due += self._period
+            await asyncio.sleep(due - self._clock.monotonic())
             now = self._clock.monotonic()
-            due = max(due + self._period, now)
-            await asyncio.sleep(due - now)
-            if self._clock.monotonic() >= end:
+            if now >= end:
                 return
+            # Missed repetitions are skipped, and the grid of periods is kept.
+            missed = max(0, int((now - due) / self._period))
+            self.overruns += missed
+            due += missed * self._period
             self._work()
 
 

@@ -67,6 +67,8 @@ class Faults:
 
     def get(self, name: str, device: object = "") -> Any:
         """The value of a fault for a device (by its id), or for the whole simulated device."""
+        if not self._set:
+            return self._known[name].default
         own = self._set.get((name, str(device)))
         return self._set.get((name, ""), self._known[name].default) if own is None else own
 

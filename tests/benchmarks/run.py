@@ -32,6 +32,7 @@ FIGURES = {
     "compiler": "machine.compiler",
     "compile": "machine.compile",
     "mavlink": "guards.mavlink",
+    "can": "guards.can_load",
     "deaths": "deaths.deaths",
     "query": "capability.query",
     "rankings": "capability.rankings",

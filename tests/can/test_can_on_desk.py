@@ -103,3 +103,30 @@ def test_a_bus_that_is_off_comes_back(drive):
         await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
 
     play(story, drive())
+
+
+def test_a_bus_that_goes_off_while_an_axis_moves(drive):
+    """The motion fails with the cause, the drive stops by itself, and nothing moves until it is enabled."""
+
+    async def story(fake, axis):
+        await axis.call("enable")
+        travel = asyncio.create_task(axis.call("moveTo", 500.0, 5.0))
+        await axis.reads("velocity", lambda speed: speed > 4.0)
+        start = axis.now
+        fake.fault("bus_off=true")
+        with pytest.raises(DeviceError, match=r"no message for 0\.\d s \(bus off\)") as error:
+            await travel
+        assert error.value.kind == "DeviceTimeoutException"
+        assert axis.now - start < 1.0
+        assert any("link lost: " in note and note.endswith("bus off") for note in axis.notes)
+        with pytest.raises(DeviceError):
+            await axis.call("moveTo", 0.0, 5.0)
+        await asyncio.sleep(5.0)
+        fake.fault("bus_off=false")
+        await axis.reads("online", lambda value: value is True)
+        await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
+        await axis.call("enable")
+        at = await axis.call("position")
+        await axis.call("moveTo", at + 0.5, 5.0)
+
+    play(story, drive())

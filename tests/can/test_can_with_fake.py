@@ -10,22 +10,24 @@ import os
 import signal
 import time
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
-from can_endpoints import opened, tcp
+from can_endpoints import opened, serial, tcp
 from can_scenarios import BOUND, DRIVE, ODRIVE, vanish_and_return
 
 import lfield_sim.can
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import guarded, running_fake
+from lfield_sim.can.device_specs import spec_of
 
 pytestmark = pytest.mark.process
 
 DOORS = ("socketcand", "slcan")
 #: Seconds without a word of a guard after which a drive stops: more than a busy computer takes one away.
 TTL = 10.0
-LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
+LISTEN = ("--listen", "socketcand:127.0.0.1:0", *(2 * ("--listen", "slcan-pty")))
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
 
@@ -82,6 +84,56 @@ async def test_three_devices_on_one_bus(door, drive, odrive, gripper):
             await hand.call("set", "GripperCommand.TargetWidth", 0.2)
         for quantity in ("torque", "current", "voltage"):
             await axis.reads(quantity, lambda value: isinstance(value, float))
+
+
+LIDAR = """VERSION ""
+BU_: Host Lidar
+BO_ 256 Sweep: 64 Host
+ SG_ Check : 0|16@1+ (1,0) [0|0] "" Lidar
+ SG_ Counter : 16|8@1+ (1,0) [0|255] "" Lidar
+ SG_ TargetRate : 496|16@1+ (0.01,0) [0|100] "Hz" Lidar
+BO_ 257 Scan: 48 Lidar
+ SG_ Check : 0|16@1+ (1,0) [0|0] "" Host
+ SG_ Counter : 16|8@1+ (1,0) [0|255] "" Host
+ SG_ Rate : 368|16@1+ (0.01,0) [0|100] "Hz" Host
+BA_DEF_ BO_ "VFrameFormat" ENUM "a","b","c","d","e","f","g","h","i","j","k","l","m","n","StandardCAN_FD";
+BA_DEF_ BO_ "CANFD_BRS" ENUM "0","1";
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_ "VFrameFormat" BO_ 256 14;
+BA_ "VFrameFormat" BO_ 257 14;
+BA_ "CANFD_BRS" BO_ 256 1;
+BA_ "CANFD_BRS" BO_ 257 1;
+BA_ "GenMsgCycleTime" BO_ 256 50;
+BA_ "GenMsgCycleTime" BO_ 257 50;
+"""
+
+
+async def test_long_frames_of_can_fd_with_profile_5(binding, tmp_path):
+    """64 bytes at the second bit rate through a serial adapter, both ways, each with counter and CRC."""
+    path = tmp_path / "lidar.dbc"
+    path.write_text(LIDAR)
+    protected = ["Sweep", "Scan"]
+    options = {
+        "dbc": str(path),
+        "commands": ["Sweep"],
+        "safe": ["Sweep.TargetRate=0"],
+        "confirm": ["Scan.Rate=0 within 0.1"],
+        "cyclic": ["Sweep"],
+        "counters": [f"{name}.Counter" for name in protected],
+        "checksums": [f"{name}.Check=e2e_5 0xBEEF" for name in protected],
+    }
+    waivers = ["device_watchdog"]
+    lidar = partial(binding, "CanSignals", field="lidar", options=options, waivers=waivers, ttl=TTL)
+    async with team("slcan", lidar, devices=[spec_of(lidar(endpoint="sim:0"))]) as (fake, scanner):
+        with opened(serial(fake.ready_line[2])) as other:
+            await scanner.call("set", "Sweep.TargetRate", 12.5)
+            async with asyncio.timeout(BOUND):
+                while abs(await scanner.call("read", "Scan.Rate") - 12.5) > 0.05:
+                    await asyncio.sleep(0.05)
+            frame = await asyncio.to_thread(other.recv, BOUND)
+        assert frame is not None
+        assert (frame.is_fd, frame.bitrate_switch, len(frame.data)) in ((True, True, 64), (True, True, 48))
+        assert scanner.query("malformed") == 0
 
 
 @pytest.mark.few(1)

@@ -24,7 +24,8 @@ from lfield.errors import DeviceError
 from lfield.testing.driver_bench import bind
 from lfield.testing.kept_reports import KeptReports
 from lfield_can import PLUGIN as CAN
-from lfield_can.bus.frames import Listener, error_text
+from lfield_can.bus.error_frames import linux_error
+from lfield_can.bus.frames import Listener
 from lfield_can.bus.socketcand import Socketcand
 from lfield_can.protocols.sdo import SdoClient
 from lfield_dynamixel.bus.packets import Protocol1, Protocol2, crc16, split_fast
@@ -279,7 +280,7 @@ def decode_dynamixel(data: bytes) -> None:
 
 def decode_socketcand(data: bytes) -> None:
     """Bytes of a server of socketcand, in pieces, before and after the greeting."""
-    client = Socketcand(Listener(lambda frame: None, error_text, lambda why: None))
+    client = Socketcand(Listener(lambda frame: None, linux_error, lambda why: None))
     size = 1 + (data[0] if data else 0)
     for at in range(1, len(data), size):
         client.data_received(data[at : at + size])

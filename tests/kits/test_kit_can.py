@@ -7,6 +7,7 @@ from pathlib import Path
 from kit_findings import failed, not_run
 
 DBC = Path(__file__).parents[2] / "sim-adapters/lfield_sim/can/gripper.dbc"
+STEERING = DBC.with_name("steering.dbc")
 DRIVE = "type: CanAxis, protocol: cia402, counts: 10000, homing_method: 37"
 ODRIVE = "type: CanAxis, protocol: odrive, waivers: [no_homing, device_watchdog]"
 
@@ -35,6 +36,42 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(desk, try_kit):
         "allow only GripperCommand"
         in found["gripper", "messages that its binding does not list are refused"].seen
     )
+
+
+def test_protected_cyclic_commands_and_nodes_of_dronecan_pass(desk, try_kit):
+    """The column supervises counter, checksum and deadline; one servo asks for its node id."""
+    protected = "[SteeringCommand.{0}, SteeringStatus.{0}]"
+    words = (
+        f'dbc: "{STEERING}", commands: [SteeringCommand], cyclic: [SteeringCommand], '
+        f"counters: {protected.format('Counter=15')}, checksums: {protected.format('Check=e2e_1 0x2A7')}, "
+        "safe: [SteeringCommand.Enable=0, SteeringCommand.TargetAngle=0], "
+        "confirm: [SteeringStatus.Enable=0], accepted: [SteeringStatus.Fault=0], waivers: [device_watchdog]"
+    )
+    devices = {
+        "steering": f"type: CanSignals, {words}",
+        "battery": "type: DroneCanBattery, node: 40",
+        "esc": "type: DroneCanEsc, node: 41, index: 3",
+        "servo": "type: DroneCanServo, node: 42, waivers: [device_watchdog], safe_state: rest",
+        "dynamic": f'type: DroneCanServo, node: 43, unique_id: "{"5a" * 16}", waivers: [device_watchdog], '
+        "safe_state: hold",
+    }
+    specs = {
+        "steering": f"dbc:{STEERING},commands=SteeringCommand,cycles=SteeringCommand,"
+        "counters=SteeringCommand.Counter:15+SteeringStatus.Counter:15,"
+        "checksums=SteeringCommand.Check:e2e_1/0x2A7+SteeringStatus.Check:e2e_1/0x2A7",
+        "battery": "dronecan:40,functions=battery:0",
+        "esc": "dronecan:41,functions=esc:3",
+        "servo": "dronecan:42,functions=servo:0",
+        "dynamic": f"dronecan:43,uid={'5a' * 16},dynamic=yes,functions=servo:0",
+    }
+    fakes = {name: desk.fake("can", "--device", spec) for name, spec in specs.items()}
+    found = try_kit(
+        "can", {name: f'endpoint: "{fakes[name].endpoint}", {text}' for name, text in devices.items()}
+    )
+    assert failed(found) == []
+    # Sensors have no safe state.
+    assert {device for device, _ in not_run(found)} == {"battery", "esc"}
+    assert "has expired" in found["servo", "a setpoint that is not renewed ends"].seen
 
 
 def test_an_axis_that_does_not_do_it_fails(desk, try_kit):

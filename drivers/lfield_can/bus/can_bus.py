@@ -11,7 +11,8 @@ from lfield.driver.network import Attempts
 from lfield_can import log_messages
 from lfield_can.bus.connection import open_connection
 from lfield_can.bus.endpoint import parse_endpoint
-from lfield_can.bus.frames import BUS_OFF, Frame, Interface, Listener, error_text
+from lfield_can.bus.error_frames import ACTIVE, DIALECTS, OFF, UNKNOWN, ErrorReport, cure, linux_error
+from lfield_can.bus.frames import Frame, Interface, Listener
 from lfield_can.bus.socketcand import open_socketcand
 
 #: Seconds to the first attempt to reopen a lost bus, and the longest between two attempts.
@@ -45,6 +46,9 @@ class Bus:
         self._opened_at, self._pause = -math.inf, FIRST_RETRY
         self._last_logged = -QUIET_TIME
         self._errors_logged = 0
+        self._read_error = DIALECTS.get(str(self._place.arguments.get("interface")), linux_error)
+        #: The state of the controller, and the last error on the wire.
+        self._state, self._cause = ACTIVE, ""
 
     async def open(self) -> None:
         """Opens the bus. Raises DeviceError when that is impossible."""
@@ -65,7 +69,8 @@ class Bus:
             raise self._error("the bus is lost", timeout=True)
         reason = await self._interface.send(frame)
         if reason:
-            raise self._error(f"a frame could not be sent: {reason}")
+            hint = "; a frame of CAN FD needs an interface with FD enabled" if frame.fd else ""
+            raise self._error(f"a frame could not be sent: {reason}{hint}")
         self._log_frame(frame, is_sent=True)
 
     def post(self, frame: Frame) -> None:
@@ -75,7 +80,16 @@ class Bus:
             interface.post(frame)
             self._log_frame(frame, is_sent=True)
 
+    @property
+    def trouble(self) -> str:
+        """Why no device may be received: its state, with the cause if known; '' for nothing known."""
+        if self._state == ACTIVE:
+            return ""
+        return f"{self._state}: {self._cause}" if self._cause else self._state
+
     def _received(self, frame: Frame) -> None:
+        if self._state == OFF:
+            self._enter(ACTIVE)
         self._log_frame(frame, is_sent=False)
         self._on_frame(frame)
 
@@ -83,8 +97,10 @@ class Bus:
         """Logs a frame: a received one when the loop reads it, one of `post` when it is queued."""
         if self._wire_log is None:
             return
-        identifier, data, extended, fd = frame
-        self._wire_log.log_can(self._channel, identifier, data, extended=extended, fd=fd, is_sent=is_sent)
+        identifier, data, extended, fd, switch = frame
+        self._wire_log.log_can(
+            self._channel, identifier, data, extended=extended, fd=fd, switch=switch, is_sent=is_sent
+        )
 
     @property
     def malformed(self) -> int:
@@ -100,13 +116,34 @@ class Bus:
         if self._wire_log is not None:
             self._wire_log.log_can_error(self._channel, identifier, data)
         self.errors += 1
-        reason = error_text(identifier, data)
-        if identifier & BUS_OFF or (self._interface is not None and self._interface.is_off):
-            self._lost(reason)
-        elif self._loop.time() - self._last_logged >= QUIET_TIME:
-            count = self.errors - self._errors_logged
-            self._last_logged, self._errors_logged = self._loop.time(), self.errors
-            self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=reason))
+        report = self._read_error(identifier, data)
+        if report.has_cause:
+            self._cause = report.text + cure(report.text)
+        if report.state == OFF or (self._interface is not None and self._interface.is_off):
+            self._state = OFF
+            self._lost(f"bus off ({self._cause})" if self._cause else "bus off")
+        elif report.state not in (UNKNOWN, self._state):
+            self._enter(report.state)
+        else:
+            self._log_error(report)
+
+    def _enter(self, state: str) -> None:
+        """The controller is in another state."""
+        self._state = state
+        if state == ACTIVE:
+            self._cause = ""
+            self._note(log_messages.BUS_ACTIVE.line(bus=self._place.text))
+        else:
+            reason = self._cause or "too many errors" + cure("violation")
+            self._note(log_messages.BUS_STATE.line(bus=self._place.text, state=state, reason=reason))
+
+    def _log_error(self, report: ErrorReport) -> None:
+        if self._loop.time() - self._last_logged < QUIET_TIME:
+            return
+        count = self.errors - self._errors_logged
+        self._last_logged, self._errors_logged = self._loop.time(), self.errors
+        reason = report.text + cure(report.text)
+        self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=reason))
 
     # -- loss and recovery ------------------------------------------------------------------------------
 

@@ -37,6 +37,9 @@ INBOX = 10_000
 #: Bytes of one line of an adapter; a frame of CAN FD takes 140.
 LONGEST_LINE = 4096
 
+#: PCAN_ERROR_BUSOFF of PCAN-Basic.
+PCAN_OFF = 0x10
+
 # They log every problem with a traceback; the driver's notes report it instead.
 for _library in ("can", "canopen", "cantools"):
     logging.getLogger(_library).setLevel(logging.CRITICAL + 1)
@@ -134,8 +137,10 @@ class Connection:
 
     @property
     def is_off(self) -> bool:
-        """Whether the interface reports bus off."""
+        """Whether the interface reports bus off: by its state, or a PCAN by its status."""
         try:
+            if status := getattr(self._bus, "status", None):
+                return bool(status() & PCAN_OFF)
             return bool(self._bus.state is can.BusState.ERROR)
         except Exception:  # many interfaces do not report it
             return False
@@ -247,9 +252,19 @@ def _error_text(error: Exception) -> str:
 
 def _message(frame: Frame) -> can.Message:
     return can.Message(
-        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_fd=frame.fd
+        arbitration_id=frame.id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+        is_fd=frame.fd,
+        bitrate_switch=frame.switch,
     )
 
 
 def _frame(message: can.Message) -> Frame:
-    return Frame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd)
+    return Frame(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_extended_id,
+        message.is_fd,
+        message.bitrate_switch,
+    )

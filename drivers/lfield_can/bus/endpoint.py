@@ -77,6 +77,11 @@ def _any(text: str, interface: str, channel: str, options: dict[str, Value]) -> 
     return Endpoint(text, {"interface": interface, "channel": channel, **options})
 
 
+def _socketcan(text: str, interface: str, channel: str, options: dict[str, Value]) -> Endpoint:
+    # A socket for CAN FD also sends and receives classic frames, on any interface.
+    return Endpoint(text, {"interface": interface, "channel": channel, "fd": True, **options})
+
+
 def _slcan(text: str, interface: str, channel: str, options: dict[str, Value]) -> Endpoint:
     match = _SLCAN.fullmatch(channel)
     if match is None:
@@ -100,9 +105,10 @@ def _socketcand(text: str, interface: str, channel: str, options: dict[str, Valu
 
 _READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Endpoint]] = {
     "slcan": _slcan,
+    "socketcan": _socketcan,
     "socketcand": _socketcand,
 }
-_KNOWN = frozenset({"socketcan", "virtual", *_READERS})
+_KNOWN = frozenset({"virtual", *_READERS})
 
 
 def _value(text: str) -> Value:

@@ -1,11 +1,11 @@
-"""CAN frames, error frames in words, and the interface for transports.
+"""CAN frames, and the interface for transports.
 
 Independent of python-can.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -20,12 +20,15 @@ _BROADCAST_FORMATS = 0xF0
 
 
 class Frame(NamedTuple):
-    """A data frame: an 11-bit id, or 29-bit when `extended`, and up to 8 bytes, or 64 when `fd`."""
+    """A data frame: an 11-bit id, or 29-bit when `extended`, and up to 8 bytes, or 64 when `fd`; with
+    `switch`, its data are at the second bit rate.
+    """
 
     id: int
     data: bytes = b""
     extended: bool = False
     fd: bool = False
+    switch: bool = False
 
     @property
     def key(self) -> int:
@@ -39,43 +42,6 @@ def group_of(identifier: int) -> int:
     if group >> 8 & 0xFF < _BROADCAST_FORMATS:
         group &= 0x3FF00
     return EXTENDED | _GROUP | group
-
-
-#: Error classes in the id of an error frame (linux/can/error.h), and their meaning.
-ERROR_CLASSES: Mapping[int, str] = {
-    0x001: "no answer before the timeout",
-    0x002: "lost arbitration",
-    0x004: "controller trouble",
-    0x008: "protocol violation",
-    0x010: "transceiver trouble",
-    0x020: "no acknowledgement of a frame",
-    0x040: "bus off",
-    0x080: "bus error",
-    0x100: "controller restarted",
-}
-BUS_OFF = 0x040
-
-#: The second byte of an error frame of class 0x004.
-CONTROLLER: Mapping[int, str] = {
-    0x01: "receive buffer full",
-    0x02: "send buffer full",
-    0x04: "many receive errors",
-    0x08: "many send errors",
-    0x10: "receives passively",
-    0x20: "sends passively",
-}
-
-
-def error_text(identifier: int, data: bytes) -> str:
-    """Describes an error frame, such as `bus off` or `controller trouble (send buffer full)`."""
-    parts = []
-    for bit, meaning in ERROR_CLASSES.items():
-        if not identifier & bit:
-            continue
-        detail = data[1] if bit == 0x004 and len(data) > 1 else 0
-        details = ", ".join(text for mask, text in CONTROLLER.items() if detail & mask)
-        parts.append(f"{meaning} ({details})" if details else meaning)
-    return ", ".join(parts) or "an error of unknown class"
 
 
 # -- interfaces ------------------------------------------------------------------------------------------

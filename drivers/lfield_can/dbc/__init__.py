@@ -2,5 +2,6 @@
 
 from lfield_can.dbc.dbc_file import DbcError, DbcFile, Term
 from lfield_can.dbc.layout import Message, Signal, representable
+from lfield_can.dbc.protection import Protection, protections
 
-__all__ = ["DbcError", "DbcFile", "Message", "Signal", "Term", "representable"]
+__all__ = ["DbcError", "DbcFile", "Message", "Protection", "Signal", "Term", "protections", "representable"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lfield.driver import Diagnostic, Diagnostics, Source, read_within
@@ -100,6 +100,12 @@ class DbcFile:
             raise DbcError(f"{message} has no signal '{name}'; it has {', '.join(signals) or 'none'}")
         return signals[name]
 
+    def reserve(self, message: str, reasons: Mapping[str, str]) -> None:
+        """Takes signals out of a message that is sent, with the reason for each. Raises DbcError."""
+        found = self.message(message)
+        kept = [signal for signal in found.signals if signal.name not in reasons]
+        self._by_name[message] = replace(found, signals=kept, unusable={**found.unusable, **reasons})
+
     def split(self, text: str) -> tuple[str, str]:
         """Splits `Message.Signal` into two known names. Raises DbcError."""
         message, dot, signal = text.partition(".")
@@ -152,7 +158,7 @@ class DbcFile:
             missing = [s.name for s in message.signals if s.name not in values and not s.multiplexer_ids]
             names = ", ".join(missing) or error.args[0]
             raise DbcError(f"{name} cannot be sent without {names}") from None
-        return Frame(message.frame_id, data, message.is_extended_frame, message.is_fd)
+        return Frame(message.frame_id, data, message.is_extended_frame, message.is_fd, message.is_switched)
 
     def selectors(self, message: str, signal: str) -> dict[str, float]:
         """The multiplexer values under which a signal is in its message."""

@@ -12,7 +12,21 @@ from dataclasses import dataclass, field, replace
 from lfield.driver import Diagnostics, Source, Span
 from lfield_can.dbc import findings
 from lfield_can.dbc.layout import FLOATS, LONGEST, LONGEST_CLASSIC, Message, Signal, representable
-from lfield_can.dbc.statements import KEYWORDS, Statement, statements
+from lfield_can.dbc.statements import (
+    ATTRIBUTE,
+    KEYWORDS,
+    MESSAGE,
+    MESSAGE_FORM,
+    MULTIPLEXED,
+    NAMED_VALUES,
+    NUMBER,
+    RANGE,
+    SIGNAL_FORM,
+    SIGNAL_PARTS,
+    VALTYPE,
+    Statement,
+    statements,
+)
 
 #: Bit 31 of an id: it has 29 bits. Masks of both kinds of ids.
 EXTENDED, STANDARD_BITS, EXTENDED_BITS = 1 << 31, 0x7FF, 0x1FFFFFFF
@@ -24,38 +38,6 @@ _J1939_FORMATS = frozenset({"3", "J1939PG"})
 _MOST_BITS = 64
 #: The null address of J1939: any sender.
 ANY_SOURCE = 0xFE
-
-_NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-#: An end of a range, which some tools write as a non-number if there is none.
-_END = rf"{_NUMBER}(?![.#0-9])|[-+]?(?i:inf(?:inity)?|nan|[0-9]\.#(?:INF|IND|QNAN|SNAN)[0-9]*)"
-_MESSAGE = re.compile(r"\s*(?P<id>[0-9]+)[ \t]*(?P<name>[^\s:]*)[ \t]*:[ \t]*(?P<length>[0-9]+)(?=\s|$)")
-_MESSAGE_FORM = "write BO_ ID NAME: LENGTH SENDER, as in BO_ 256 Motor: 8 Host"
-#: The parts of a signal, with their names in errors.
-_SIGNAL_PARTS = (
-    (re.compile(r"\s*(?P<name>[^\s:]*)[ \t]*(?P<mux>M|m[0-9]+M?|m)?[ \t]*:"), "a name and ':'"),
-    (
-        re.compile(r"\s*(?P<start>[0-9]+)\s*\|\s*(?P<length>[0-9]+)\s*"),
-        "its first bit and its length, as 8|16",
-    ),
-    (re.compile(r"@\s*(?P<order>[01])\s*(?P<sign>[-+])"), "its order of bytes and its sign, as @1+"),
-    (
-        re.compile(rf"\s*\(\s*(?P<scale>{_NUMBER})\s*,\s*(?P<offset>{_NUMBER})\s*\)"),
-        "its factor and offset, as (0.1,0)",
-    ),
-    (
-        re.compile(rf"\s*\[\s*(?P<low>{_END})?\s*\|\s*(?P<high>{_END})?\s*\]"),
-        "its range, as [0|100]",
-    ),
-    (re.compile(r'\s*"(?P<unit>(?:[^"\\\n]|\\.)*)"'), "its unit in double quotes"),
-)
-_SIGNAL_FORM = 'write SG_ NAME : START|LENGTH@1+ (FACTOR,OFFSET) [LOW|HIGH] "UNIT" RECEIVER'
-_VALTYPE = re.compile(r"\s*([0-9]+)\s+(\S+?)\s*:?\s*([0-9])\s*$")
-_MULTIPLEXED = re.compile(r"\s*([0-9]+)\s+(\S+)\s+(\S+)((?:\s*,?\s*[0-9]+\s*-\s*[0-9]+)+)\s*$")
-_RANGE = re.compile(r"([0-9]+)\s*-\s*([0-9]+)")
-_NAMED_VALUES = re.compile(r"\s*([0-9]+)\s+([^\s\"]+)\s")
-_ATTRIBUTE = re.compile(
-    r'\s*"(?P<name>\w+)"\s+(?:BO_|SG_)\s+(?P<id>[0-9]+)\s+(?P<signal>[^\s"]+\s+)?"?(?P<value>[^"]*?)"?\s*$'
-)
 
 
 @dataclass(slots=True)
@@ -71,6 +53,9 @@ class _Draft:
     unusable: dict[str, str] = field(default_factory=dict)
     is_fd: bool = False
     is_j1939: bool = False
+    is_switched: bool = False
+    #: ms
+    cycle: float = 0.0
     #: Names of over 32 characters, given in attributes; those of signals by their short names.
     long_name: str = ""
     long_names: dict[str, str] = field(default_factory=dict)
@@ -79,6 +64,10 @@ class _Draft:
         """Sets an attribute of the message, or of one of its signals."""
         if attribute == "VFrameFormat":
             self.is_fd, self.is_j1939 = value in _FD_FORMATS, value in _J1939_FORMATS
+        elif attribute == "CANFD_BRS":
+            self.is_switched = value == "1"
+        elif attribute == "GenMsgCycleTime" and re.fullmatch(NUMBER, value):
+            self.cycle = float(value)
         elif attribute == "SystemMessageLongSymbol" and value:
             self.long_name = value
         elif attribute == "SystemSignalLongSymbol" and value:
@@ -148,7 +137,7 @@ class _Reader:
             self._attribute(statement)
 
     def _attribute(self, statement: Statement) -> None:
-        match = _ATTRIBUTE.match(statement.body)
+        match = ATTRIBUTE.match(statement.body)
         if match and (draft := self._drafts.get(int(match["id"]))):
             draft.set(match["name"], (match["signal"] or "").strip(), match["value"].strip())
 
@@ -171,9 +160,9 @@ class _Reader:
     # -- messages -----------------------------------------------------------------------------------------
 
     def _message(self, statement: Statement) -> None:
-        match = _MESSAGE.match(statement.body)
+        match = MESSAGE.match(statement.body)
         if match is None:
-            self._report_syntax(statement, 0, "an id, a name, ':' and a length", _MESSAGE_FORM)
+            self._report_syntax(statement, 0, "an id, a name, ':' and a length", MESSAGE_FORM)
             self._is_ignored = True
             return
         span = Span(self._source, statement.at + match.start("id"), statement.at + match.end())
@@ -207,7 +196,18 @@ class _Reader:
         signals = sorted(draft.signals, key=lambda signal: signal.first)
         is_fd = draft.is_fd or draft.length > LONGEST_CLASSIC
         is_j1939 = extended and draft.is_j1939 and bits & 0xFF == ANY_SOURCE
-        return Message(draft.name, bits, draft.length, signals, extended, is_fd, is_j1939, draft.unusable)
+        return Message(
+            draft.name,
+            bits,
+            draft.length,
+            signals,
+            extended,
+            is_fd,
+            is_fd and draft.is_switched,
+            max(0.0, draft.cycle / 1000.0),
+            is_j1939,
+            draft.unusable,
+        )
 
     def _place(self, draft: _Draft) -> None:
         """Omits signals that do not fit the frame."""
@@ -278,10 +278,10 @@ class _Reader:
             return
         parts: dict[str, str] = {}
         at = 0
-        for pattern, what in _SIGNAL_PARTS:
+        for pattern, what in SIGNAL_PARTS:
             match = pattern.match(statement.body, at)
             if match is None:
-                self._report_syntax(statement, at, what, _SIGNAL_FORM)
+                self._report_syntax(statement, at, what, SIGNAL_FORM)
                 return
             parts.update({name: text for name, text in match.groupdict().items() if text is not None})
             at = match.end()
@@ -340,7 +340,7 @@ class _Reader:
     # -- later statements about signals -------------------------------------------------------------------
 
     def _value_type(self, statement: Statement) -> None:
-        match = _VALTYPE.match(statement.body)
+        match = VALTYPE.match(statement.body)
         if match is None:
             self._report_syntax(
                 statement, 0, "an id, a signal, ':' and 0 to 3", "write SIG_VALTYPE_ 256 gain : 1;"
@@ -349,16 +349,16 @@ class _Reader:
             self._change(statement, match[1], match[2], is_float=True)
 
     def _selection(self, statement: Statement) -> None:
-        match = _MULTIPLEXED.match(statement.body)
+        match = MULTIPLEXED.match(statement.body)
         if match is None:
             form = "write SG_MUL_VAL_ 256 limit page 1-3, 7-7;"
             self._report_syntax(statement, 0, "an id, a signal, its multiplexer and ranges", form)
             return
-        ids = [range(int(low), int(high) + 1) for low, high in _RANGE.findall(match[4])]
+        ids = [range(int(low), int(high) + 1) for low, high in RANGE.findall(match[4])]
         self._change(statement, match[1], match[2], multiplexer_signal=match[3], multiplexer_ids=tuple(ids))
 
     def _named_values(self, statement: Statement) -> None:
-        if match := _NAMED_VALUES.match(statement.body):
+        if match := NAMED_VALUES.match(statement.body):
             self._change(statement, match[1], match[2])
 
     def _change(self, statement: Statement, id: str, name: str, **values: object) -> None:
@@ -393,7 +393,7 @@ class _Reader:
 
 def _end(text: str) -> float | None:
     """An end of a range; None if the file has none."""
-    return float(text) if re.fullmatch(_NUMBER, text) else None
+    return float(text) if re.fullmatch(NUMBER, text) else None
 
 
 def _bytes(count: int) -> str:

@@ -37,6 +37,39 @@ _NEXT, _NEXT_LINE = re.compile(f'"|;|{_STATEMENT_START}'), re.compile(f"{_STATEM
 #: The end of a text; \" does not end it, unless only the end of the statement follows.
 _CLOSED = re.compile(r'(?<!\\)"|\\"(?=\s*(?:;\s*$|;\s*\n))')
 
+# Patterns of the parts of statements, and their forms in errors.
+NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+#: An end of a range, which some tools write as a non-number if there is none.
+END = rf"{NUMBER}(?![.#0-9])|[-+]?(?i:inf(?:inity)?|nan|[0-9]\.#(?:INF|IND|QNAN|SNAN)[0-9]*)"
+MESSAGE = re.compile(r"\s*(?P<id>[0-9]+)[ \t]*(?P<name>[^\s:]*)[ \t]*:[ \t]*(?P<length>[0-9]+)(?=\s|$)")
+MESSAGE_FORM = "write BO_ ID NAME: LENGTH SENDER, as in BO_ 256 Motor: 8 Host"
+#: The parts of a signal, with their names in errors.
+SIGNAL_PARTS = (
+    (re.compile(r"\s*(?P<name>[^\s:]*)[ \t]*(?P<mux>M|m[0-9]+M?|m)?[ \t]*:"), "a name and ':'"),
+    (
+        re.compile(r"\s*(?P<start>[0-9]+)\s*\|\s*(?P<length>[0-9]+)\s*"),
+        "its first bit and its length, as 8|16",
+    ),
+    (re.compile(r"@\s*(?P<order>[01])\s*(?P<sign>[-+])"), "its order of bytes and its sign, as @1+"),
+    (
+        re.compile(rf"\s*\(\s*(?P<scale>{NUMBER})\s*,\s*(?P<offset>{NUMBER})\s*\)"),
+        "its factor and offset, as (0.1,0)",
+    ),
+    (
+        re.compile(rf"\s*\[\s*(?P<low>{END})?\s*\|\s*(?P<high>{END})?\s*\]"),
+        "its range, as [0|100]",
+    ),
+    (re.compile(r'\s*"(?P<unit>(?:[^"\\\n]|\\.)*)"'), "its unit in double quotes"),
+)
+SIGNAL_FORM = 'write SG_ NAME : START|LENGTH@1+ (FACTOR,OFFSET) [LOW|HIGH] "UNIT" RECEIVER'
+VALTYPE = re.compile(r"\s*([0-9]+)\s+(\S+?)\s*:?\s*([0-9])\s*$")
+MULTIPLEXED = re.compile(r"\s*([0-9]+)\s+(\S+)\s+(\S+)((?:\s*,?\s*[0-9]+\s*-\s*[0-9]+)+)\s*$")
+RANGE = re.compile(r"([0-9]+)\s*-\s*([0-9]+)")
+NAMED_VALUES = re.compile(r"\s*([0-9]+)\s+([^\s\"]+)\s")
+ATTRIBUTE = re.compile(
+    r'\s*"(?P<name>\w+)"\s+(?:BO_|SG_)\s+(?P<id>[0-9]+)\s+(?P<signal>[^\s"]+\s+)?"?(?P<value>[^"]*?)"?\s*$'
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Statement:

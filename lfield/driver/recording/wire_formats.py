@@ -40,10 +40,18 @@ def _message_id(packet: bytes) -> int | None:
 
 
 def candump_line(
-    time: float, channel: str, identifier: int, data: bytes, *, extended: bool, fd: bool, is_sent: bool
+    time: float,
+    channel: str,
+    identifier: int,
+    data: bytes,
+    *,
+    extended: bool,
+    fd: bool,
+    is_sent: bool,
+    switch: bool = False,
 ) -> bytes:
-    """One CAN frame."""
-    digits, flags = 8 if extended else 3, "#0" if fd else ""
+    """One CAN frame; `switch` is the bit rate switch of CAN FD."""
+    digits, flags = 8 if extended else 3, f"#{switch:d}" if fd else ""
     direction = "T" if is_sent else "R"
     return (
         f"({time:.6f}) {channel} {identifier:0{digits}X}#{flags}{data.hex().upper()} {direction}\n".encode()

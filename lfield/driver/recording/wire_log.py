@@ -74,11 +74,15 @@ class WireLog:
         *,
         extended: bool = False,
         fd: bool = False,
+        switch: bool = False,
         is_sent: bool = False,
     ) -> None:
         """Logs one CAN frame as `.candump.log`; `channel` has no spaces (`channel_name`)."""
         if self._make_ring is not None:
-            now, kind = self._clock.time(), {"extended": extended, "fd": fd, "is_sent": is_sent}
+            now, kind = (
+                self._clock.time(),
+                {"extended": extended, "fd": fd, "switch": switch, "is_sent": is_sent},
+            )
             self._append(CANDUMP, candump_line(now, channel, identifier, data, **kind))
 
     def log_can_error(self, channel: str, identifier: int, data: bytes) -> None:

@@ -37,7 +37,7 @@ class CanSim:
     """A simulated CAN bus with drives (see `lfield.driver.sims.Sim`)."""
 
     name = "can"
-    help = "A CAN bus with CiA 402 drives, ODrive axes and devices by DBC file."
+    help = "A CAN bus with CiA 402 drives, ODrive axes, DroneCAN nodes and devices by DBC file."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Adds endpoints, devices and faults."""
@@ -52,7 +52,7 @@ class CanSim:
             action="append",
             default=[],
             metavar="KIND:NODE|FILE[:NAME][,KEY=VALUE]",
-            help="device, for example cia402:5, odrive:3 or dbc:FILE (repeatable)",
+            help="device, for example cia402:5, odrive:3, dronecan:42 or dbc:FILE (repeatable)",
         )
         parser.add_argument(
             "--bitrate",
@@ -71,12 +71,13 @@ class CanSim:
         """A bus with the devices of these bindings behind socketcand; two bindings of one node share a
         device.
         """
-        from lfield_sim.can.device_specs import parse, spec_of
+        from lfield_sim.can.device_specs import merged, parse, spec_of
 
         specs: dict[str, str] = {}
         for binding in devices:
             text = spec_of(binding)
-            specs.setdefault(parse(text).id, text)
+            id = parse(text).id
+            specs[id] = merged(specs[id], text) if id in specs else text
         chosen = [argument for text in specs.values() for argument in ("--device", text)]
         return ["--listen", "socketcand:127.0.0.1:0", *chosen]
 

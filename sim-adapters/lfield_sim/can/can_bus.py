@@ -169,9 +169,10 @@ class CanBus:
         else:
             port.waiting -= 1
             port.errors = max(0, port.errors - 1)
+            lost = self._faults.get("loss", port.device)
             for other in list(self._ports):
                 if other is not port and other.can_communicate(now, self.bitrate):
-                    self._deliver(frame, port, other, now)
+                    self._deliver(frame, lost, other, now)
 
     def _corrupted(self, frame: CanFrame, port: BusPort, now: float) -> None:
         port.errors += 8
@@ -184,8 +185,8 @@ class CanBus:
         if not port.device:
             port.on_frame(CanFrame(ERROR_BUS_OFF, error=True), now)
 
-    def _deliver(self, frame: CanFrame, port: BusPort, other: BusPort, now: float) -> None:
-        loss = max(self._faults.get("loss", port.device), self._faults.get("loss", other.device))
+    def _deliver(self, frame: CanFrame, lost: float, other: BusPort, now: float) -> None:
+        loss = max(lost, self._faults.get("loss", other.device))
         if not self._cut_off(other) and self._random.random() >= loss:
             other.on_frame(frame, now)
 

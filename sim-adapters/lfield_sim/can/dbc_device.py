@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from lfield.errors import BindingError, InputFileError, UsageError
 from lfield.text.input_files import error_reason
 from lfield_sim.can.can_bus import CanFrame, FaultLookup
 from lfield_sim.can.can_motor import AMBIENT, OVERHEATED
+from lfield_sim.can.command_supervision import Supervision, supervisions
 from lfield_sim.state_log import Facts
 
 #: Default period of status messages in seconds.
@@ -46,13 +48,16 @@ SignalName = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class DbcData:
-    """Pairs of signals; `lag` and `timeout` in seconds (0: commands do not expire)."""
+    """Pairs of signals; `lag` and `timeout` in seconds (0: commands do not expire). `supervised` are messages
+    with a counter, a checksum or a deadline.
+    """
 
     messages: Mapping[int, Message]
     own: tuple[Message, ...]
     links: Mapping[SignalName, SignalName]
     lag: float = 0.3
     timeout: float = 0.0
+    supervised: Mapping[str, Supervision] = field(default_factory=dict)
 
 
 class DbcDevice:
@@ -89,7 +94,10 @@ class DbcDevice:
             return [self._message(message)] if message in self._data.own else []
         if message not in self._data.own and len(frame.data) >= message.length:
             values: Any = message.decode(frame.data, decode_choices=False)
-            self._on_command(message.name, values)
+            supervision = self._supervised.get(message.name)
+            counter = int(values.get(supervision.counter, 0)) if supervision is not None else 0
+            if supervision is None or supervision.is_accepted(frame.data, counter):
+                self._on_command(message.name, values)
         return []
 
     def step(self, dt: float) -> list[CanFrame]:
@@ -97,7 +105,12 @@ class DbcDevice:
         self._command_age += dt
         if self._data.timeout and self._command_age > self._data.timeout:
             self._commanded.clear()
-        tripped = any(self._flaw(name) for name in _TROUBLES)
+        for supervision in self._supervised.values():
+            supervision.step(dt)
+        refused = any(one.failed for one in self._supervised.values() if one.message not in self._data.own)
+        if refused:
+            self._commanded.clear()
+        tripped = refused or any(self._flaw(name) for name in _TROUBLES)
         for message in self._data.own:
             for signal in message.signals:
                 self._move((message.name, signal.name), signal, tripped, dt)
@@ -114,6 +127,7 @@ class DbcDevice:
         self._since = dict.fromkeys((message.name for message in self._data.own), 0.0)
         self._commanded: dict[SignalName, float] = {}
         self._command_age = 0.0
+        self._supervised = {name: replace(one) for name, one in self._data.supervised.items()}
 
     def _on_command(self, message: str, values: Mapping[str, Any]) -> None:
         for signal, value in values.items():
@@ -153,15 +167,39 @@ class DbcDevice:
         raw = {
             signal.name: _raw(signal, self._values[message.name, signal.name]) for signal in message.signals
         }
+        supervision = self._supervised.get(message.name)
+        count = supervision.next_count() if supervision is not None else 0
+        if supervision is not None:
+            raw.update({supervision.counter: count} if supervision.counter else {})
+            raw.update({supervision.checksum: 0} if supervision.checksum else {})
         data = message.encode(raw, scaling=False, strict=False)
-        return CanFrame(message.frame_id, data, extended=message.is_extended_frame, fd=message.is_fd)
+        if supervision is not None:
+            data = supervision.stamped(data, count)
+        return CanFrame(
+            message.frame_id,
+            data,
+            extended=message.is_extended_frame,
+            fd=message.is_fd,
+            switch=message.is_fd and _attribute(message, "CANFD_BRS") == 1,
+        )
 
 
-def load(file: str, *, node: str = "", commands: str = "", command: str = "", status: str = "") -> DbcData:
+def load(
+    file: str,
+    *,
+    node: str = "",
+    commands: str = "",
+    command: str = "",
+    status: str = "",
+    counters: str = "",
+    checksums: str = "",
+    cycles: str = "",
+) -> DbcData:
     """The device of a DBC file. Raises UsageError, InputFileError, and BindingError for an invalid file.
 
     The device is `node`, or all messages except `commands` (names joined by +), or the sender of the signal
     `status` driven by the signal `command`; else the only node that sends no signal called a command.
+    `counters`, `checksums` and `cycles` are as in `supervisions`.
     """
     try:
         text = _mended(_decoded(Path(file).read_bytes()))
@@ -182,7 +220,8 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
     if not own:
         raise UsageError(f"{file} has no message that the device '{node}' sends")
     by_key = {_key(m.frame_id, m.is_extended_frame): m for m in plain}
-    return DbcData(by_key, tuple(own), links or _links(plain, own))
+    supervised = supervisions({m.name: m for m in plain}, counters, checksums, cycles)
+    return DbcData(by_key, tuple(own), links or _links(plain, own), supervised=supervised)
 
 
 def _can_be_sent(message: Message) -> bool:
@@ -204,10 +243,17 @@ def _end(signal: Signal) -> int:
     return start + signal.length
 
 
+def _attribute(message: Message, name: str) -> Any:
+    """The number of an attribute of a message; None if the file has none."""
+    found = message.dbc.attributes.get(name) if message.dbc is not None else None
+    return found.value if found is not None else None
+
+
 def _key(identifier: int, extended: bool) -> int:
     return identifier | extended << 31
 
 
+@cache
 def _terms(name: str) -> frozenset[str]:
     """Splits `TargetWidth` and `target_width` into words."""
     return frozenset(term.lower() for term in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
@@ -262,6 +308,7 @@ def _place(messages: Iterable[Message], text: str) -> SignalName:
     )
 
 
+@cache
 def _bounds(signal: Signal) -> tuple[float, float]:
     """The raw range of a signal."""
     if signal.is_float:

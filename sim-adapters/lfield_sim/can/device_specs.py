@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
+from string import hexdigits
 from typing import Any
 
 from lfield.driver.binding import DeviceBinding, OptionValue
@@ -18,6 +19,10 @@ from lfield_sim.can.cia402.cia402_table import INCREMENTS
 from lfield_sim.can.odrive.odrive_node import OdriveNode
 from lfield_sim.faults import Faults
 
+#: The last property of a DroneCAN node.
+FUNCTIONS_OF_NODE = ",functions="
+#: Device types of DroneCAN nodes, and the function of each.
+_NODES = {"DroneCanBattery": "battery", "DroneCanEsc": "esc", "DroneCanServo": "servo"}
 _MOTOR = {field.name for field in fields(CanMotorData)} - {"brake"}
 
 
@@ -44,8 +49,8 @@ def parse(text: str) -> DeviceSpec:
     options = dict(pair.partition("=")[::2] for pair in pairs)
     if kind not in _KINDS or not place or not all(options.values()):
         raise UsageError(
-            f"'{text}' is not a device; write cia402:NODE[:NAME], odrive:NODE[:NAME] or dbc:FILE[:NAME], "
-            "with ,KEY=VALUE for other properties"
+            f"'{text}' is not a device; write cia402:NODE[:NAME], odrive:NODE[:NAME], "
+            "dronecan:NODE[:NAME] or dbc:FILE[:NAME], with ,KEY=VALUE for other properties"
         )
     return DeviceSpec(kind, place, name, options)
 
@@ -58,12 +63,39 @@ def spec_of(binding: DeviceBinding) -> str:
         text = f"dbc:{binding.option('dbc')}:{binding.name}"
         if commands := binding.options.get("commands"):
             text += f",commands={'+'.join(map(str, _listed(commands)))}"
+        text += _supervised(binding)
+    elif binding.type in _NODES:
+        unique_id = binding.options.get("unique_id")
+        text = f"dronecan:{binding.option('node')}:{binding.name}"
+        text += f",uid={unique_id},dynamic=yes" if unique_id else ""
+        text += f"{FUNCTIONS_OF_NODE}{_NODES[binding.type]}:{binding.option('index')}"
     else:
         text = f"{binding.option('protocol')}:{binding.option('node')}:{binding.name}"
         if counts := binding.options.get("counts"):
             text += f",counts={counts}"
     parse(text)
     return text
+
+
+def merged(first: str, second: str) -> str:
+    """The device of two texts with one id: of a DroneCAN node, with the functions of both."""
+    if not first.startswith("dronecan:"):
+        return first
+    more = second.partition(FUNCTIONS_OF_NODE)[2]
+    return first if more in first.partition(FUNCTIONS_OF_NODE)[2].split("+") else f"{first}+{more}"
+
+
+def _supervised(binding: DeviceBinding) -> str:
+    """The counters, checksums and cycles of a binding, as properties of its simulated device."""
+    texts = ""
+    for option, key in (("counters", "counters"), ("checksums", "checksums"), ("cyclic", "cycles")):
+        entries = []
+        for entry in _listed(binding.options.get(option) or []):
+            name, _, value = str(entry).partition("=")
+            words = value.replace(",", " ").split()
+            entries.append(":".join([name.strip(), *(["/".join(words)] if words else [])]))
+        texts += f",{key}={'+'.join(entries)}" if entries else ""
+    return texts
 
 
 def _listed(value: OptionValue) -> Sequence[object]:
@@ -133,15 +165,32 @@ def _dbc(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
         from lfield_sim.can.dbc_device import DbcDevice, load
     except ImportError:
         raise PluginError("a device by DBC file needs cantools: pip install 'lfield[can]'") from None
-    texts = ("node", "commands", "command", "status")
+    texts = ("node", "commands", "command", "status", "counters", "checksums", "cycles")
     check_options(spec, {*texts, "lag", "timeout"})
     data = load(spec.place, **{key: spec.options.get(key, "") for key in texts})
     times: dict[str, Any] = {key: number(spec, key) for key in ("lag", "timeout") if key in spec.options}
     return DbcDevice(spec.id, flaw, replace(data, **times))
 
 
+def _dronecan(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
+    try:
+        from lfield_sim.can.dronecan_functions import functions_of
+        from lfield_sim.can.dronecan_node import DroneCanNode
+    except ImportError:
+        needs = "a simulated DroneCAN node needs dronecan"
+        raise PluginError(f"{needs}: pip install 'lfield[dronecan]'") from None
+    check_options(spec, {"functions", "uid", "dynamic"})
+    uid = spec.options.get("uid", "")
+    if not set(uid) <= set(hexdigits) or len(uid) not in (0, 32):
+        raise UsageError("uid of dronecan has 32 hexadecimal digits")
+    functions = functions_of(spec.options.get("functions", "servo:0"))
+    is_dynamic = bool(_choice(spec, "dynamic", ("no", "yes")))
+    return DroneCanNode(_node(spec, 1, 125), flaw, functions, bytes.fromhex(uid), is_dynamic=is_dynamic)
+
+
 _KINDS: Mapping[str, Callable[[DeviceSpec, FaultLookup], BusDevice]] = {
     "cia402": _drive,
     "odrive": _odrive,
     "dbc": _dbc,
+    "dronecan": _dronecan,
 }

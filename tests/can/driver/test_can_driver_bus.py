@@ -165,7 +165,9 @@ def test_error_frames_are_counted_and_told_now_and_then(stub):
             can.Message(arbitration_id=0x08, is_error_frame=True, data=b"\0") for _ in range(50)
         ]
         await told.until(lambda: told.bus.errors == 50)
-        assert told.notes == ["error frames on virtual:x (count 1): protocol violation"]
+        (note,) = told.notes
+        assert note.code == "can-error-frames"
+        assert note.startswith("error frames on virtual:x (count 1): protocol violation; check terminators")
 
     run("virtual:x", story)
 
@@ -181,6 +183,49 @@ def test_bus_off_opens_the_bus_again(stub):
         assert [m.arbitration_id for m in made[1].sent] == [1]
 
     run("virtual:x", story)
+
+
+def test_the_states_of_a_controller_and_the_cause_of_a_bus_off(stub):
+    made = stub()
+
+    def error(identifier, data=b""):
+        return can.Message(arbitration_id=identifier, is_error_frame=True, data=data)
+
+    async def story(told):
+        made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x04, b"\0\x40")]
+        await told.until(lambda: told.bus.errors == 3)
+        assert told.bus.trouble == ""
+        made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x40)]
+        await told.until(lambda: told.noted("link opened: "))
+        # The interface is open again, and nothing was received yet: its controller may still be off.
+        assert told.bus.trouble.startswith("bus off: no acknowledgement of a frame; check that another node")
+        made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
+        await told.until(lambda: told.frames)
+        assert told.bus.trouble == ""
+        codes = [getattr(note, "code", "") for note in told.notes]
+        assert codes == [
+            "can-error-frames",
+            "can-bus-state",
+            "can-bus-active",
+            "can-bus-state",
+            "endpoint-lost",
+            "endpoint-reopened",
+            "can-bus-active",
+        ]
+        assert told.noted("link lost: virtual:x: bus off (no acknowledgement of a frame; check that another")
+
+    run("virtual:x", story)
+
+
+def test_a_pcan_says_by_its_status_that_it_is_off(stub):
+    made = stub()
+
+    async def story(told):
+        made[0].status = lambda: 0x10
+        made[0].pending.append(can.Message(arbitration_id=4, is_error_frame=True, data=b"\0\x19\0\0"))
+        await told.until(lambda: told.noted("link lost: pcan:USB: bus off (protocol violation (bit stuffing"))
+
+    run("pcan:USB", story)
 
 
 def test_an_interface_that_breaks_is_opened_again(stub):

@@ -17,8 +17,8 @@ from lfield.lang.frontend import check_text
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield_can import PLUGIN
 from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.error_frames import ACTIVE, OFF, PASSIVE, WARNING, linux_error, pcan_error
 from lfield_can.bus.frames import EXTENDED, Frame
-from lfield_can.bus.frames import error_text as bus_error_words
 from lfield_can.protocols import PROTOCOLS
 from lfield_can.protocols.canopen_node import read_eds, standard_dictionary
 from lfield_can.protocols.cia402_tables import (
@@ -41,7 +41,7 @@ MANIFESTS = PLUGIN.read_manifests()
 @pytest.mark.parametrize(
     ("endpoint", "arguments"),
     [
-        ("socketcan:can0", {"interface": "socketcan", "channel": "can0"}),
+        ("socketcan:can0", {"interface": "socketcan", "channel": "can0", "fd": True}),
         ("socketcan:can0?fd=true", {"interface": "socketcan", "channel": "can0", "fd": True}),
         ("virtual:a", {"interface": "virtual", "channel": "a"}),
         (
@@ -94,16 +94,44 @@ def test_ids_of_two_lengths_are_two_ids():
 
 
 @pytest.mark.parametrize(
-    ("identifier", "data", "words"),
+    ("read", "identifier", "data", "words", "state"),
     [
-        (0x040, b"\0", "bus off"),
-        (0x004, b"\0\x22", "controller trouble (send buffer full, sends passively)"),
-        (0x028, b"", "protocol violation, no acknowledgement of a frame"),
-        (0, b"", "an error of unknown class"),
+        (linux_error, 0x040, "00", "bus off", OFF),
+        (linux_error, 0x004, "0022", "controller trouble (send buffer full, sends passively)", PASSIVE),
+        (linux_error, 0x004, "0008", "controller trouble (many send errors)", WARNING),
+        (linux_error, 0x004, "0040", "controller trouble (error active again)", ACTIVE),
+        (linux_error, 0x028, "", "protocol violation, no acknowledgement of a frame", ""),
+        (
+            linux_error,
+            0x288,
+            "0000841900008f03",
+            "protocol violation (bit stuffing, while sending, in the acknowledgement), bus error; errors "
+            "counted: 143 sending, 3 receiving",
+            "",
+        ),
+        (linux_error, 0x010, "0000000070", "transceiver trouble (CAN-L shorted to ground)", ""),
+        (linux_error, 0x100, "", "controller restarted", ACTIVE),
+        (linux_error, 0, "", "an error of unknown class", ""),
+        (
+            pcan_error,
+            0x02,
+            "001a0380",
+            "protocol violation (form while sending, in the end of frame); errors counted: 128 sending, 3 "
+            "receiving",
+            PASSIVE,
+        ),
+        (
+            pcan_error,
+            0x10,
+            "",
+            "protocol violation (an unknown type while sending); errors counted: 0 sending, 0 receiving",
+            ACTIVE,
+        ),
     ],
 )
-def test_error_frames_in_words(identifier, data, words):
-    assert bus_error_words(identifier, data) == words
+def test_error_frames_in_words(read, identifier, data, words, state):
+    report = read(identifier, bytes.fromhex(data))
+    assert (report.text, report.state) == (words, state)
 
 
 @pytest.mark.parametrize(

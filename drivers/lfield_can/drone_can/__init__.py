@@ -1,0 +1,1 @@
+"""DroneCAN nodes: transfers, messages, dynamic node ids, and devices. CAN 2.0B only."""

@@ -1,0 +1,246 @@
+"""Devices that are functions of a DroneCAN node: what they have in common, and the sensors."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+
+from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
+from lfield_can import log_messages
+from lfield_can.bus.frames import Frame
+from lfield_can.drone_can.messages import (
+    BATTERY_FAULTS,
+    BATTERY_FLAGS,
+    BATTERY_INFO,
+    ESC_STATUS,
+    HEALTH,
+    KELVIN,
+    NODE_STATUS,
+    OPERATIONAL,
+    DataType,
+    NodeInfo,
+    Values,
+    decode,
+)
+from lfield_can.drone_can.network import DroneCanNetwork
+from lfield_can.timing import ChangeNotifier
+
+#: Seconds between two checks of a silent node, and between two requests for its identity.
+WATCH_INTERVAL, ASK_INTERVAL = 0.1, 0.3
+#: Bytes of a unique id.
+UNIQUE_ID = 16
+#: Restarts within this many seconds that are two nodes with one id: their uptimes alternate.
+CONFLICT_TIME, CONFLICT_COUNT = 5.0, 3
+
+
+class DroneCanDevice(Device):
+    """One function of a node. A subclass has `reported`, the message with its measured values."""
+
+    reported: DataType
+
+    def __init__(
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        network: DroneCanNetwork,
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports)
+        self.network, self.changes = network, ChangeNotifier(clock)
+        self.node: int = binding.option("node")
+        self.master: int = binding.option("master")
+        self.unique_id = b""
+        #: Its last message of measured values.
+        self.values: Values = {}
+        self._last_contact = -math.inf
+        self._info: NodeInfo | None = None
+        self._uptime = -1.0
+        self._restarts: list[float] = []
+        self._lost = self._opened = False
+
+    def prepare(self) -> None:
+        """Checks its options. Raises DeviceError."""
+        text: str = self.binding.option("unique_id")
+        try:
+            self.unique_id = bytes.fromhex(text)
+        except ValueError:
+            self.unique_id = b"?"
+        if len(self.unique_id) not in (0, UNIQUE_ID):
+            raise self.error(f"'unique_id' has 32 hexadecimal digits, not '{text}'")
+        self.network.join(self)
+
+    def listens(self) -> frozenset[int]:
+        """None: its network dispatches its frames."""
+        return frozenset()
+
+    def commands(self) -> frozenset[int]:
+        """None: frames of nodes have the id of their sender."""
+        return frozenset()
+
+    def on_frame(self, frame: Frame) -> None:
+        """None arrives here."""
+
+    def quiet(self, on: bool) -> None:
+        """A sensor sends nothing."""
+
+    def close(self) -> None:
+        """The driver ends."""
+
+    # -- messages of the node -------------------------------------------------------------------------
+
+    def on_transfer(self, data_type: int, data: bytes) -> None:
+        """A message of its node: its status, or measured values of this function."""
+        if data_type == NODE_STATUS.id and (decoded := decode(NODE_STATUS, data)):
+            self._on_status(decoded[0])
+            return
+        if data_type != self.reported.id or (decoded := decode(self.reported, data)) is None:
+            return
+        values = {name: value for name, value in decoded[0].items() if math.isfinite(value)}
+        if values.get("index") != self.binding.option("index"):
+            return
+        self.values, self._last_contact = values, self.clock.monotonic()
+        self.heard()
+        self.publish(**self.measured(values))
+        self.changes.notify()
+
+    def on_node_info(self, info: NodeInfo) -> None:
+        """Its node has answered who it is."""
+        self._info = info
+        self.changes.notify()
+
+    def measured(self, values: Values) -> Mapping[str, object]:
+        """Its telemetry; unknown values (NaN) are absent."""
+        raise NotImplementedError
+
+    def _on_status(self, values: Values) -> None:
+        now, uptime = self.clock.monotonic(), values["uptime"]
+        if uptime < self._uptime:
+            self._restarts = [at for at in self._restarts if now - at <= CONFLICT_TIME] + [now]
+            if len(self._restarts) < CONFLICT_COUNT:
+                self.note(log_messages.NODE_RESTARTED.line(node=self.node))
+            elif self.has_conflict:
+                self.breach(f"two nodes have id {self.node}: their statuses alternate; give each its own")
+        self._uptime = uptime
+        mode = "" if values["mode"] == OPERATIONAL else f", mode {values['mode']:.0f}"
+        self.publish(health=f"{HEALTH[int(values['health'])]}{mode}")
+
+    @property
+    def has_conflict(self) -> bool:
+        """Whether two nodes seem to have its id."""
+        if len(self._restarts) < CONFLICT_COUNT:
+            return False
+        return self.clock.monotonic() - self._restarts[-1] <= CONFLICT_TIME
+
+    async def watch(self) -> None:
+        """Logs loss and recovery of the device."""
+        while True:
+            await asyncio.sleep(WATCH_INTERVAL)
+            if not self._opened:
+                continue
+            silent = self.silence > self.patience
+            self.publish(online=not silent)
+            if silent == self._lost:
+                continue
+            self._lost = silent
+            self.note((log_messages.SILENT if silent else log_messages.RESPONDING).line())
+            if not silent:
+                await self.on_recovery()
+
+    async def on_recovery(self) -> None:
+        """It is received again."""
+
+    # -- opening --------------------------------------------------------------------------------------
+
+    @property
+    def patience(self) -> float:
+        """Seconds without its message after which it is lost."""
+        max_age: float = self.binding.option("max_age")
+        return max_age
+
+    @property
+    def silence(self) -> float:
+        """Seconds since its last message."""
+        return self.clock.monotonic() - self._last_contact
+
+    def contact_error(self) -> DeviceError:
+        """Its messages are missing."""
+        cause = self.network.trouble
+        why = f" ({cause})" if cause else ""
+        return self.error(f"no message for {self.silence:.1f} s{why}", timeout=True)
+
+    async def _open(self) -> str:
+        patience: float = self.binding.option("connect")
+        end = self.clock.monotonic() + patience
+        if not await self.changes.wait_for(lambda: bool(self.values), patience):
+            raise self.error(self._absence(patience), timeout=True)
+        while self._info is None and self.clock.monotonic() < end:
+            self.network.ask_node_info(self.node)
+            await self.changes.wait_for(lambda: self._info is not None, ASK_INTERVAL)
+        if self._info is None:
+            raise self.error(f"node {self.node} does not answer who it is", timeout=True)
+        if self.unique_id and self._info.unique_id != self.unique_id:
+            raise self.error(
+                f"node {self.node} has the unique id {self._info.unique_id.hex()}, not that of its binding; "
+                "correct 'unique_id', or find the node with that id"
+            )
+        self._opened = True
+        self.publish(online=True)
+        name = self._info.name or "without a name"
+        return f"DroneCAN node {self.node} {name}, software {self._info.software}"
+
+    def _absence(self, patience: float) -> str:
+        index = self.binding.option("index")
+        kind = type(self).__name__
+        if self._uptime >= 0.0:
+            return f"node {self.node} sends no {kind} messages with index {index}; check 'index'"
+        within = f"within {patience:g} s"
+        if self.unique_id:
+            return f"no node with this unique id asked for its id, or is node {self.node}, {within}"
+        return (
+            f"no message of node {self.node} at {self.binding.endpoint} {within}; check its power, wires and "
+            "terminators, the bit rate, and 'node' (a node without a fixed id needs 'unique_id')"
+        )
+
+    def _touched(self) -> bool:
+        """Opening only asks."""
+        return False
+
+    async def _serial(self) -> str:
+        return f"uid {self._info.unique_id.hex()}" if self._info is not None else ""
+
+
+def supply(values: Values) -> dict[str, object]:
+    """Voltage, current and temperature in degrees Celsius, as far as they are known."""
+    found: dict[str, object] = {name: values[name] for name in ("voltage", "current") if name in values}
+    if "temperature" in values:
+        found["temperature"] = values["temperature"] - KELVIN
+    return found
+
+
+class DroneCanBattery(DroneCanDevice):
+    """A battery: uavcan.equipment.power.BatteryInfo."""
+
+    reported = BATTERY_INFO
+
+    def measured(self, values: Values) -> Mapping[str, object]:
+        """Its charge is 0 to 1."""
+        flags = int(values["flags"])
+        texts = [text for bit, text in BATTERY_FLAGS.items() if flags & bit]
+        faults = [text for bit, text in BATTERY_FLAGS.items() if flags & bit & BATTERY_FAULTS]
+        found = supply(values)
+        found["charge"] = values["charge"] / 100.0
+        return {**found, "state": ", ".join(texts), "fault": ", ".join(faults)}
+
+
+class DroneCanEsc(DroneCanDevice):
+    """The status of a motor controller: uavcan.equipment.esc.Status. It is not commanded."""
+
+    reported = ESC_STATUS
+
+    def measured(self, values: Values) -> Mapping[str, object]:
+        """Its power is a share of the greatest."""
+        found = supply(values)
+        found["speed"] = values["rpm"] * math.tau / 60.0
+        return {**found, "power": values["power"] / 100.0, "errors": int(values["error_count"])}

@@ -1,0 +1,152 @@
+"""A servo of a DroneCAN node: uavcan.equipment.actuator.ArrayCommand, confirmed by its Status."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from lfield.driver import DeviceError
+from lfield_can import log_messages
+from lfield_can.drone_can.messages import ACTUATOR_COMMAND, ACTUATOR_STATUS, POSITION, Values, encode
+from lfield_can.drone_can.node_device import DroneCanDevice
+from lfield_can.timing import PeriodicTask
+
+#: Seconds until a safe state has failed, and for a servo to stop.
+SAFE_TIMEOUT, HALT_TIMEOUT = 5.0, 5.0
+#: Seconds without progress after which a move has failed, and the least progress in rad.
+STUCK_TIME, MIN_PROGRESS = 2.0, 1e-3
+#: Rounding of a bound, in rad: positions have 11 bits.
+ROUNDING = 1e-3
+
+
+class DroneCanServo(DroneCanDevice):
+    """One servo. Its position is sent every `period` as long as the guard works: while a setpoint lives, and
+    in a safe state. When the host is silent and the servo at rest, nothing is sent.
+    """
+
+    reported = ACTUATOR_STATUS
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self._goal: float | None = None
+        self._stream = PeriodicTask(self.clock)
+        self._is_quiet = False
+
+    def commands(self) -> frozenset[int]:
+        """The actuator, which every node with this index would follow."""
+        return frozenset({self.binding.option("index") | 1 << 33})
+
+    def quiet(self, on: bool) -> None:
+        """Stops the stream of positions, which would keep the servo from its own failsafe."""
+        self._is_quiet = on
+        if on:
+            self._stream.stop()
+        elif self._goal is not None:
+            self._stream.resume()
+
+    def close(self) -> None:
+        """The driver ends."""
+        self._stream.stop()
+
+    def measured(self, values: Values) -> Mapping[str, object]:
+        """Force is a torque; a load of 127 is unknown."""
+        names = {"position": "position", "speed": "speed", "force": "torque"}
+        found = {name: values[key] for key, name in names.items() if key in values}
+        return {**found, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
+
+    async def on_recovery(self) -> None:
+        """Its motion meanwhile is unknown: command its safe state."""
+        try:
+            await self.make_safe()
+        except DeviceError as error:
+            self.note(log_messages.NOT_SAFE.line(reason=error.reason))
+
+    # -- safe states --------------------------------------------------------------------------------------
+
+    async def _make_safe(self, state: str) -> None:
+        start = self.clock.monotonic()
+        goal: float | None = self.binding.option("rest") if state == "rest" else self.values.get("position")
+        if goal is None:
+            raise self.error("its position is unknown")
+        self._command(goal, math.inf)
+        if not await self.changes.wait_for(
+            lambda: self._is_there(goal) and self.clock.monotonic() - start > self.silence, SAFE_TIMEOUT
+        ):
+            if self.silence > self.patience:
+                raise self.contact_error()
+            raise self.error(f"the safe state {state} is not confirmed ({self._state_text()})")
+
+    def _moving(self) -> str:
+        if self.silence > self.patience:
+            return f"no message for {self.silence:.1f} s"
+        return "" if self._is_still else self._state_text()
+
+    @property
+    def _is_still(self) -> bool:
+        slowest: float = self.binding.option("standstill")
+        return abs(self.values.get("speed", math.inf)) <= slowest
+
+    def _is_there(self, goal: float) -> bool:
+        near: float = self.binding.option("tolerance")
+        return self._is_still and abs(self.values.get("position", math.inf) - goal) <= near
+
+    def _state_text(self) -> str:
+        position, speed = self.values.get("position", math.nan), self.values.get("speed", math.nan)
+        return f"at {position:.3f} rad, turning at {speed:.2g} rad/s"
+
+    # -- instructions -------------------------------------------------------------------------------------
+
+    async def do_set_position(self, position: float) -> None:
+        """A setpoint."""
+        self._check("setPosition", position)
+        self._command(position, self.binding.ttl)
+
+    async def do_move_to(self, position: float) -> None:
+        """Done at rest at its goal."""
+        self._check("moveTo", position)
+        self._command(position, math.inf)
+        best, best_at = math.inf, self.clock.monotonic()
+        while not self._is_there(position):
+            if self.silence > self.patience:
+                raise self.contact_error()
+            left = abs(position - self.values.get("position", math.inf))
+            if left < best - MIN_PROGRESS:
+                best, best_at = left, self.clock.monotonic()
+            if self.clock.monotonic() - best_at > STUCK_TIME:
+                raise self.error(
+                    f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
+                )
+            await self.changes.wait_change(0.1)
+
+    async def do_halt(self) -> None:
+        """Holds its present position; done at rest."""
+        if (position := self.values.get("position")) is None or self.silence > self.patience:
+            raise self.contact_error()
+        self._command(position, math.inf)
+        await asyncio.sleep(0.0)
+        if not await self.changes.wait_for(lambda: self._is_still, HALT_TIMEOUT):
+            raise self.error(f"halt: it is still moving after {HALT_TIMEOUT:g} s ({self._state_text()})")
+
+    def _check(self, instruction: str, position: float) -> None:
+        lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
+        if not lowest - ROUNDING <= position <= highest + ROUNDING:
+            raise self.error(f"{instruction}({position:g}) is outside {lowest:g} to {highest:g} rad")
+        if self.silence > self.patience:
+            raise self.contact_error()
+        if self.has_conflict:
+            raise self.error(f"{instruction} refused: two nodes have id {self.node}; give each its own")
+
+    def _command(self, goal: float, lasts: float) -> None:
+        """Sends a position now and every period, for `lasts` seconds."""
+        self._goal = goal
+        self._send()
+        self._stream.start(self.binding.option("period"), self._send, lasts=lasts)
+        if self._is_quiet:
+            self._stream.stop()
+
+    def _send(self) -> None:
+        assert self._goal is not None
+        values = {"index": self.binding.option("index"), "command_type": POSITION, "value": self._goal}
+        self.network.broadcast(ACTUATOR_COMMAND, encode(ACTUATOR_COMMAND, values))

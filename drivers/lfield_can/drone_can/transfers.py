@@ -1,0 +1,151 @@
+"""Transfers of DroneCAN in frames of CAN 2.0B (specification, 4.1 CAN bus transport layer). Pure.
+
+The id of a frame has priority, data type, and source; the last byte of its data is the tail: start, end,
+toggle, and the number of the transfer. A transfer of several frames starts with a CRC of signature and data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from lfield_can.bus.frames import Frame
+from lfield_can.dbc.checksums import crc
+
+#: Bytes of data in a frame beside the tail.
+ROOM = 7
+START, END, TOGGLE, NUMBER = 0x80, 0x40, 0x20, 0x1F
+#: Seconds after which an unfinished transfer is discarded, and bytes of the longest.
+TIMEOUT, LONGEST = 1.0, 512
+#: Unfinished transfers that are kept; a bus has at most 127 nodes.
+MOST_OPEN = 512
+_SERVICE = 0x80
+
+
+class TransferKind(NamedTuple):
+    """What a transfer carries: a message, or a service of node `destination` (request or response)."""
+
+    data_type: int
+    destination: int = 0
+    is_request: bool = False
+
+    @property
+    def is_service(self) -> bool:
+        """Whether it is a request or a response."""
+        return self.destination != 0
+
+
+class Transfer(NamedTuple):
+    """A complete transfer. Source 0 is an anonymous node."""
+
+    kind: TransferKind
+    source: int
+    number: int
+    data: bytes
+
+
+def frame_id(kind: TransferKind, source: int, priority: int) -> int:
+    """The 29-bit id of the frames of a transfer of a node with an id."""
+    if kind.is_service:
+        service = kind.data_type << 16 | kind.is_request << 15 | kind.destination << 8 | _SERVICE
+        return priority << 24 | service | source
+    return priority << 24 | kind.data_type << 8 | source
+
+
+def kind_of(identifier: int) -> tuple[TransferKind, int]:
+    """What a frame is part of, and its source. An anonymous frame has the low two bits of its type only."""
+    source = identifier & 0x7F
+    if identifier & _SERVICE:
+        destination, is_request = identifier >> 8 & 0x7F, bool(identifier & 0x8000)
+        return TransferKind(identifier >> 16 & 0xFF, destination, is_request), source
+    return TransferKind(identifier >> 8 & (0xFFFF if source else 0x3)), source
+
+
+def transfer_crc(signature: int, data: bytes) -> int:
+    """CRC-16-CCITT of the signature of the data type and the data."""
+    return crc(signature.to_bytes(8, "little") + data, 0x1021, 0xFFFF, width=16)
+
+
+def frames_of(transfer: Transfer, signature: int, priority: int = 16) -> Iterator[Frame]:
+    """The frames of a transfer, in order."""
+    identifier = frame_id(transfer.kind, transfer.source, priority)
+    data = transfer.data
+    if len(data) > ROOM:
+        data = transfer_crc(signature, data).to_bytes(2, "little") + data
+    last = max(0, len(data) - 1) // ROOM
+    for at in range(last + 1):
+        tail = START * (at == 0) | END * (at == last) | TOGGLE * (at % 2) | transfer.number & NUMBER
+        yield Frame(identifier, data[at * ROOM : (at + 1) * ROOM] + bytes([tail]), extended=True)
+
+
+@dataclass(slots=True)
+class _Open:
+    """An unfinished transfer."""
+
+    number: int
+    since: float
+    toggle: int = TOGGLE
+    parts: list[bytes] = field(default_factory=list)
+
+
+class Assembler:
+    """Puts frames together; `malformed` counts frames and transfers that are not valid.
+
+    `signatures` are those of the data types that are received, by type and whether it is a service.
+    """
+
+    def __init__(self, signatures: dict[tuple[int, bool], int]) -> None:
+        self.malformed = 0
+        self._signatures = signatures
+        self._open: dict[int, _Open] = {}
+
+    def on_frame(self, frame: Frame, now: float) -> Transfer | None:
+        """The transfer that a frame completes. Never raises."""
+        if not frame.data or frame.fd:
+            return None
+        kind, source = kind_of(frame.id)
+        tail, data = frame.data[-1], frame.data[:-1]
+        if tail & START and tail & END:
+            self._open.pop(frame.id, None)
+            return Transfer(kind, source, tail & NUMBER, data)
+        signature = self._signatures.get((kind.data_type, kind.is_service))
+        if signature is None or source == 0:
+            return None
+        return self._next(frame.id, tail, data, now, signature)
+
+    def _next(self, identifier: int, tail: int, data: bytes, now: float, signature: int) -> Transfer | None:
+        if tail & START:
+            self._forget(now)
+            if tail & TOGGLE or len(data) < ROOM:
+                self.malformed += 1
+                return None
+            self._open[identifier] = _Open(tail & NUMBER, now, parts=[data])
+            return None
+        unfinished = self._open.get(identifier)
+        if unfinished is None:
+            return None  # its start was lost
+        expected = unfinished.toggle | unfinished.number
+        too_long = len(unfinished.parts) * ROOM > LONGEST
+        if tail & (TOGGLE | NUMBER) != expected or now - unfinished.since > TIMEOUT or too_long:
+            del self._open[identifier]
+            self.malformed += 1
+            return None
+        unfinished.toggle ^= TOGGLE
+        unfinished.parts.append(data)
+        if not tail & END:
+            return None
+        del self._open[identifier]
+        whole = b"".join(unfinished.parts)
+        kind, source = kind_of(identifier)
+        if int.from_bytes(whole[:2], "little") != transfer_crc(signature, whole[2:]):
+            self.malformed += 1
+            return None
+        return Transfer(kind, source, unfinished.number, whole[2:])
+
+    def _forget(self, now: float) -> None:
+        """Discards old unfinished transfers when there are many."""
+        if len(self._open) >= MOST_OPEN:
+            self._open = {key: each for key, each in self._open.items() if now - each.since <= TIMEOUT}
+        if len(self._open) >= MOST_OPEN:
+            self._open.clear()

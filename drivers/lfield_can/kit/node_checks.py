@@ -1,0 +1,88 @@
+"""Checks of functions of DroneCAN nodes. A servo moves less than 0.5 rad, and is where it was at the end."""
+
+from __future__ import annotations
+
+from lfield.driver.kit import Bench, CheckFailed, Kit, cancelled, held, refused
+
+NODES = Kit()
+
+#: Motion of a check in rad.
+TURN = 0.2
+_SENSORS, _SERVO = ("DroneCanBattery", "DroneCanEsc"), ("DroneCanServo",)
+
+
+@NODES.check("its node is healthy", moves=False, types=(*_SENSORS, *_SERVO))
+async def healthy(bench: Bench) -> str:
+    """It responds, operates and reports no error."""
+    if not bench.query("online"):
+        raise CheckFailed("it does not respond")
+    if bench.query("health") not in ("ok", "warning"):
+        raise CheckFailed(f"the health of its node is {bench.query('health')}")
+    return f"{bench.query('health')}, {bench.identity}"
+
+
+@NODES.check("its supply is plausible", moves=False, types=_SENSORS)
+async def supply(bench: Bench) -> str:
+    """A voltage above 1 V."""
+    if bench.query("voltage") < 1.0:
+        raise CheckFailed(f"its voltage is {bench.query('voltage'):.1f} V")
+    return f"{bench.query('voltage'):.1f} V, {bench.query('current'):.1f} A"
+
+
+@NODES.check("turns there and back", moves=True, types=_SERVO)
+async def turns(bench: Bench) -> str:
+    """moveTo() returns when it is at rest at its goal."""
+    start = bench.query("position")
+    off = []
+    for goal in (start + _way(bench), start):
+        await bench.call("moveTo", goal)
+        off.append(abs(bench.query("position") - goal))
+        if off[-1] > 2.0 * bench.binding.option("tolerance"):
+            raise CheckFailed(f"moveTo() returned {off[-1]:.3f} rad from its goal")
+    return f"{off[0]:.4f} rad off there, {off[1]:.4f} rad off back"
+
+
+@NODES.check("a cancelled motion holds", moves=True, types=_SERVO)
+async def cancels(bench: Bench) -> str:
+    """It stops on its way."""
+    start = bench.query("position")
+
+    def started() -> bool:
+        return bool(abs(bench.query("position") - start) > 0.01)
+
+    outcome = await cancelled(bench, started, "moveTo", start + 2.0 * _way(bench))
+    if abs(bench.query("speed")) > bench.binding.option("standstill"):
+        raise CheckFailed(f"{outcome}, but it turns")
+    await bench.call("moveTo", start)
+    return outcome
+
+
+@NODES.check("a setpoint that is not renewed ends", moves=True, types=_SERVO)
+async def expires(bench: Bench) -> str:
+    """After its time-to-live the guard brings it into the safe state."""
+    await bench.call("setPosition", bench.query("position"))
+    return await held(bench, bench.binding.ttl + 2.0)
+
+
+@NODES.check("a host that stops responding", moves=True, types=_SERVO)
+async def hang(bench: Bench) -> str:
+    """The guard holds it."""
+    await bench.call("setPosition", bench.query("position"))
+    await bench.fall_silent(3 * bench.silence)
+    return await held(bench, 1.0)
+
+
+@NODES.check("positions beyond its bounds are refused", moves=True, types=_SERVO)
+async def bounds(bench: Bench) -> str:
+    """Before anything is sent."""
+    for instruction in ("setPosition", "moveTo"):
+        await refused(bench, instruction, bench.binding.option("lowest") - 0.1)
+        reason = await refused(bench, instruction, bench.binding.option("highest") + 0.1)
+    return f"4 refused, the last: {reason}"
+
+
+def _way(bench: Bench) -> float:
+    """A distance towards the side with more room."""
+    here = bench.query("position")
+    room = bench.binding.option("highest") - here, here - bench.binding.option("lowest")
+    return TURN if room[0] >= room[1] else -TURN
