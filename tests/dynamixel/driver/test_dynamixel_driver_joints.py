@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import msgspec
 import pytest
 from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
@@ -132,10 +133,11 @@ def test_a_calibration_for_other_joints(file):
 
 def test_a_servo_that_two_bindings_have():
     one = bound()
-    other = DeviceBinding(**{name: getattr(one, name) for name in one.__struct_fields__} | {"field": "hand"})
+    other = msgspec.structs.replace(one, field="hand")
     assert conflicts(one, other) == [
         f"servo {number} on {one.endpoint} already belongs to alpha.joint" for number in (1, 2)
     ]
+    assert conflicts(one, msgspec.structs.replace(one, agent="bravo")) == [], "perhaps on another computer"
 
 
 # ---- servos -----------------------------------------------------------------------------------------------
