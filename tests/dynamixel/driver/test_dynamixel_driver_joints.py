@@ -63,6 +63,7 @@ def arm(
         ({"pan": {"id": 1}}, "missing required field `drive_mode`"),
         ({"pan": PAN | {"id": "1"}}, "Expected `int`, got `str` - at `$[...].id`"),
         ({"pan": PAN | {"drive_mode": 2}}, "Expected `int` <= 1"),
+        ({"pan\x1b[2J": PAN}, r"joint 'pan\x1b[2J': its name is not printable"),
         ({}, "it has no joints"),
         ([], "Expected `object`, got `array`"),
         (
