@@ -81,6 +81,11 @@ class Model:
     stall: float | None
     torque: float | None
 
+    @property
+    def last(self) -> int:
+        """The last position of a turn, in counts; the first is 0."""
+        return 2 * self.centre - 1
+
     def has(self, name: str) -> bool:
         """Whether the model has an item."""
         return name in self.items

@@ -54,7 +54,7 @@ class Joint:
         entry = self.calibration
         if entry is None:
             return self
-        last = 2 * model.centre - 1
+        last = model.last
         if entry.range_max > last or (entry.homing_offset and not model.has("homing_offset")):
             why = f"range_max {entry.range_max}, homing_offset {entry.homing_offset}"
             raise DeviceError(
