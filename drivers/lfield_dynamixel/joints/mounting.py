@@ -55,7 +55,7 @@ class Joint:
         if entry is None:
             return self
         last = model.last
-        if entry.range_max > last or (entry.homing_offset and not model.has("homing_offset")):
+        if entry.range_max > last or not model.has_homing(entry.homing_offset):
             why = f"range_max {entry.range_max}, homing_offset {entry.homing_offset}"
             raise DeviceError(
                 OPTION,

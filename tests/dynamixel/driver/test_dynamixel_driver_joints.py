@@ -272,7 +272,11 @@ def test_a_dynamixel_servo_reverses_itself(file):
 
 @pytest.mark.parametrize(
     ("fake", "protocol", "entry"),
-    [("STS3215", 0, {"range_max": 5000}), ("AX-12A", 1, {"range_max": 900, "range_min": 10})],
+    [
+        ("STS3215", 0, {"range_max": 5000}),
+        ("STS3215", 0, {"homing_offset": 2048}),
+        ("AX-12A", 1, {"range_max": 900, "range_min": 10}),
+    ],
 )
 def test_a_calibration_of_another_model(file, fake, protocol, entry):
     bench = arm(file({"pan": PAN | entry, "lift": LIFT}), fake=fake, protocol=protocol)
