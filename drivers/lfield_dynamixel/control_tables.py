@@ -81,6 +81,24 @@ class Model:
     stall: float | None
     torque: float | None
 
+    @property
+    def last(self) -> int:
+        """The last position of a turn, in counts; the first is 0."""
+        return 2 * self.centre - 1
+
+    def homing_within(self, offset: int) -> int:
+        """A homing offset within half a turn, where it has no more: one of a full turn is none."""
+        if self.homing > 0:
+            return offset
+        half = self.centre
+        return max((offset + half) % (2 * half) - half, 1 - half)
+
+    def has_homing(self, offset: int) -> bool:
+        """Whether a servo can have this homing offset."""
+        if not self.has("homing_offset"):
+            return offset == 0
+        return self.homing > 0 or abs(offset) < self.centre
+
     def has(self, name: str) -> bool:
         """Whether the model has an item."""
         return name in self.items

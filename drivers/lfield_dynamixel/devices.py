@@ -128,7 +128,7 @@ class Dynamixel(MovingMembers):
             raise self.error(f"calibrate requires a finite angle, not {angle}")
         servo, offset = self.servo, await self.servo.read_item("homing_offset")
         change = servo.model.to_counts(servo.joint.to_servo(angle)) - (await servo.present()).counts
-        offset_counts = offset + servo.model.homing * change
+        offset_counts = servo.model.homing_within(offset + servo.model.homing * change)
         await servo.write_eeprom(homing_offset=offset_counts)
         observed = (await servo.present()).position
         if abs(observed - angle) > self.binding.option("tolerance"):

@@ -78,7 +78,7 @@ async def turns(bench: Bench) -> str:
     await _get_ready(bench)
     start = _angles(bench)
     errors = []
-    for way in (_inwards(start), [0.0] * len(start)):
+    for way in (_inwards(bench, start), [0.0] * len(start)):
         goal = [angle + turn for angle, turn in zip(start, way, strict=True)]
         await bench.call("moveTo", goal if _is_group(bench) else goal[0])
         off = max(abs(now - target) for now, target in zip(_angles(bench), goal, strict=True))
@@ -93,7 +93,7 @@ async def cancels(bench: Bench) -> str:
     """It holds its position on the way, and follows the next goal."""
     await _get_ready(bench)
     start = _angles(bench)
-    goal = [angle + turn for angle, turn in zip(start, _inwards(start), strict=True)]
+    goal = [angle + turn for angle, turn in zip(start, _inwards(bench, start), strict=True)]
     has_started = partial(_is_off, bench, start)
     outcome = await cancelled(bench, has_started, "moveTo", goal if _is_group(bench) else goal[0])
     stood = _angles(bench)
@@ -186,9 +186,13 @@ def _stopped(bench: Bench, known_notes: int) -> str:
     return next((note for note in bench.notes[known_notes:] if "stopped by its own watchdog" in note), "")
 
 
-def _inwards(angles: list[float]) -> list[float]:
-    """So far towards the middle, for each."""
-    return [-TURN if angle > 0.0 else TURN for angle in angles]
+def _inwards(bench: Bench, angles: list[float]) -> list[float]:
+    """So far towards the middle of its bounds, for each."""
+    middles = [
+        joint.offset if joint.calibration else (joint.lowest + joint.highest) / 2.0
+        for joint in joints_of(bench.binding).values()
+    ]
+    return [-TURN if angle > middle else TURN for angle, middle in zip(angles, middles, strict=True)]
 
 
 def _is_off(bench: Bench, start: list[float]) -> bool:

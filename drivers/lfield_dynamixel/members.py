@@ -94,7 +94,7 @@ class Members(Device):
         return None if None in times else max(time for time in times if time is not None)
 
     async def _settings(self) -> Sequence[Setting]:
-        return await settings_of(self.servos.values(), self.binding.option(OPTION))
+        return await settings_of(self.servos.values(), str(self.binding.options.get(OPTION, "")))
 
     async def _write_setting(self, name: str, value: float) -> None:
         await write_setting(self.servos, name, int(value))
@@ -248,7 +248,7 @@ class Members(Device):
                 self.note(log_messages.FAULT.line(number=label, fault=new.faults, torque=torque))
             if new.watchdog == WATCHDOG_FIRED and (old is None or old.watchdog != WATCHDOG_FIRED):
                 self.note(log_messages.WATCHDOG_FIRED.line(number=label))
-            if servo.model.watchdog and new.watchdog == 0 and old is not None and old.watchdog:
+            if new.watchdog == 0 and old is not None and old.watchdog not in (0, WATCHDOG_FIRED):
                 await self._note_return(servo)  # a dip of its supply
         self._publish_conditions()
 

@@ -66,9 +66,9 @@ class MovingMembers(Members):
         self._check_present(angles, start)
         writes = self.goals(angles, start)
         await self.send(writes, COMMAND)
-        # A packet to several is not confirmed: repeat wrong goals one by one.
-        await self.for_each([self.servos[number] for number in angles], lambda s: self._confirm(s, writes[s]))
         try:
+            # A packet to several is not confirmed: repeat wrong goals one by one.
+            await self.for_each(writes, lambda servo: self._confirm(servo, writes[servo]))
             await self._await_arrival(what, angles)
         except DeviceError:
             # The others must not go on without one that failed.

@@ -169,7 +169,9 @@ class Servo:
             drive_mode = await self.read_item("drive_mode")
             self.time_based, self.is_slave = bool(drive_mode & _TIME_BASED), bool(drive_mode & _SLAVE)
             self.top_speed = await self.read_item("velocity_limit") * self.model.velocity
-        low, high = await self.read_item("min_position_limit"), await self.read_item("max_position_limit")
+        limits = await self.read_item("min_position_limit"), await self.read_item("max_position_limit")
+        # A damaged one may be beyond its positions, and no goal.
+        low, high = (min(counts, self.model.last) for counts in limits)
         one, other = (self.joint.to_joint(self.model.to_angle(counts)) for counts in (low, high))
         self._limits, self.reach = (low, high), (min(one, other), max(one, other))
 

@@ -25,9 +25,9 @@ async def settings_of(servos: Iterable[Servo], calibration: str) -> list[Setting
     """The settings of all servos with their present values. `calibration` is its file, '' for none."""
     found = []
     for servo in servos:
-        for item, (wanted, why) in (await _required(servo, Path(calibration).name)).items():
+        for item, (value, why) in (await _required(servo, Path(calibration).name)).items():
             found.append(
-                Setting(f"{item} of servo {servo.node.number}", await servo.read_item(item), wanted, why)
+                Setting(f"{item} of servo {servo.node.number}", await servo.read_item(item), value, why)
             )
     return found
 

@@ -193,16 +193,22 @@ def decode_lying_vehicle(data: bytes) -> None:
 
 
 def decode_lying_servo(data: bytes) -> None:
-    """A joint with a servo that lies about what it measures; a group of two where the first byte is odd."""
+    """A joint with a servo that lies about what it measures; a group of two where the first byte is odd, and
+    of Feetech where its next bit is set.
+    """
     module = bench_of("dynamixel/driver", "dynamixel_bench")
-    odd = bool(data and data[0] & 1)
-    bench = module.Bench(*((1, 2) if odd else (1,)), limits={"speed": 2.0}, waivers=["no_homing"])
-    liar, deliver = Liar(data[1:], sealed_dynamixel, first=4), bench.port._deliver
+    odd, other = bool(data and data[0] & 1), bool(data and data[0] & 2)
+    kind = {"fake": "STS3215", "protocol": 0} if other else {}
+    bench = module.Bench(
+        *((1, 2) if odd else (1,)), limits={"speed": 2.0}, waivers=["device_watchdog"], **kind
+    )
+    seal = sealed_feetech if other else sealed_dynamixel
+    liar, deliver = Liar(data[1:], seal, first=4), bench.port._deliver
     bench.port._deliver = lambda packet: [deliver(piece) for piece in liar.told(packet)]
     moves: list[tuple[str, list[Any]]] = [
-        ("enable", []),
+        ("torque", [True]),
         ("moveTo", [[0.1, 0.1] if odd else 0.1]),
-        ("disable", []),
+        ("torque", [False]),
     ]
     play(bench, moves)
 
@@ -213,6 +219,14 @@ def sealed_dynamixel(packet: bytes) -> bytes:
         return packet
     body = packet[:5] + (len(packet) - 7).to_bytes(2, "little") + packet[7:-2]
     return body + crc16(body).to_bytes(2, "little")
+
+
+def sealed_feetech(packet: bytes) -> bytes:
+    """A packet of protocol 1.0 whose length and checksum are right."""
+    if len(packet) < 6 or packet[:2] != b"\xff\xff":
+        return packet
+    body = packet[2:3] + bytes((len(packet) - 4,)) + packet[4:-1]
+    return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
 def decode_lying_drive(data: bytes) -> None:
@@ -327,6 +341,11 @@ def _lies() -> list[bytes]:
     ]
 
 
+def _servo_lies() -> list[bytes]:
+    """Also those of Feetech servos, one and two."""
+    return [*_lies(), *(bytes([first]) + lie[1:] for first in (2, 3) for lie in _lies()[:2])]
+
+
 def _socketcand_seeds() -> list[bytes]:
     return [b"\5< hi >< ok >< ok >< frame 123 1.0 0011 22 >< error 20000004 1.0 >", b"\xff" + b"<" * 600]
 
@@ -351,7 +370,7 @@ TARGETS = (
     Target("mavlink", _packets, decode_mavlink, True),
     Target("mavlink-lies", _lies, decode_lying_vehicle, share=40),
     Target("dynamixel", _dynamixel_seeds, decode_dynamixel, tokens=(b"\xff\xff\xfd\0", b"\xff\xff")),
-    Target("dynamixel-lies", _lies, decode_lying_servo, share=2),
+    Target("dynamixel-lies", _servo_lies, decode_lying_servo, share=2),
     Target("socketcand", _socketcand_seeds, decode_socketcand, tokens=_SOCKETCAND),
     Target("sdo", _sdo_seeds, decode_sdo),
     Target("can-frames", _frame_seeds, decode_can_frames),

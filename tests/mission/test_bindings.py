@@ -151,6 +151,50 @@ def test_all_mistakes_are_told_at_once(written, plugins):
     assert problems(written(text), plugins).count("error[") == 3
 
 
+SERVOS = """\
+agents:
+  arm:
+    devices:
+      joints:
+        {driver: dynamixel, endpoint: "serial:/dev/ttyACM0:1000000", protocol: 0, ids: [1, 2], lowest: -1,
+         highest: [1.5, 2], calibration: arm.json}
+"""
+CALIBRATION = """{
+    "pan": {"id": 1, "drive_mode": 0, "homing_offset": -120, "range_min": 800, "range_max": 3000},
+    "lift": {"id": 2, "drive_mode": 0, "homing_offset": 300, "range_min": 900, "range_max": 2800}
+}"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "drawn"),
+    [
+        ("-1,", "low,", ":5:104: error[Y112]: 'lowest' must be a number, or a list of numbers"),
+        ("[1.5, 2]", "[1.5, true]", "error[Y112]: 'highest' must be a number, or a list of numbers"),
+        ("[1.5, 2]", "[1, 2, 3]", "'highest' must be one value for all, or 2, one for each id, not 3"),
+        ("ids: [1, 2]", "ids: [1, 7]", "arm.json: it has no joint of servo 7"),
+        ("ids: [1, 2]", "ids: [1, 1]", "its binding names servo 1 twice; give each servo its own id"),
+        ("arm.json", "hand.json", "error[Y113]: there is no file"),
+        ('"range_max": 3000', '"range_max": 30', "error[Y113]: "),
+        (
+            '"range_max": 3000',
+            '"range_max": 30',
+            "joint 'pan': its range is reversed (range_min 800, range_max 30)",
+        ),
+    ],
+)
+def test_joints_and_their_calibration_are_checked(written, tmp_path, old, new, drawn):
+    servos, needed = Plugins(), {"arm": {"joints": "DynamixelGroup"}}
+    servos.add("lfield_dynamixel:PLUGIN")
+    file, path = tmp_path / "arm.json", written(SERVOS)
+    file.write_text(CALIBRATION)
+    options = read_bindings(path, needed, servos).devices["arm"]["joints"].options
+    assert (options["lowest"], options["highest"]) == ([-1.0], [1.5, 2.0])
+    assert (options["direction"], options["offset"], options["calibration"]) == ([1], [0.0], str(file))
+    assert old in SERVOS + CALIBRATION
+    file.write_text(CALIBRATION.replace(old, new))
+    assert drawn in problems(written(SERVOS.replace(old, new)), servos, needed)
+
+
 def test_a_needed_device_that_is_not_bound(written, plugins):
     told = problems(written("agents: {alpha: {}}\n"), plugins)
     assert "alpha.fc (Mavlink) is not bound in" in told

@@ -50,7 +50,7 @@ def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
     except msgspec.DecodeError as error:
         old = "; it is of an older LeRobot: run lerobot-calibrate again" if b'"motor_names"' in data else ""
         raise DeviceError(OPTION, f"{name} is not a calibration of LeRobot: {error}{old}") from None
-    found = [f"joint '{joint}': {why}" for joint, entry in joints.items() if (why := _mistake(entry))]
+    found = [f"joint {joint!r}: {why}" for joint, entry in joints.items() if (why := _mistake(joint, entry))]
     twice = [id for id, count in Counter(entry.id for entry in joints.values()).items() if count > 1]
     found += [f"two joints have the servo id {id}" for id in twice]
     if found or not joints:
@@ -81,7 +81,9 @@ def for_servos(path: str, numbers: list[int], names: list[str]) -> Mapping[int, 
     return {number: by_id[number] for number in numbers}
 
 
-def _mistake(entry: JointCalibration) -> str:
+def _mistake(joint: str, entry: JointCalibration) -> str:
+    if not joint.isprintable() or not joint.strip():
+        return "its name is not printable"
     low, high = entry.range_min, entry.range_max
     if low < high:
         return ""

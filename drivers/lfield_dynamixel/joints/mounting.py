@@ -54,8 +54,8 @@ class Joint:
         entry = self.calibration
         if entry is None:
             return self
-        last = 2 * model.centre - 1
-        if entry.range_max > last or (entry.homing_offset and not model.has("homing_offset")):
+        last = model.last
+        if entry.range_max > last or not model.has_homing(entry.homing_offset):
             why = f"range_max {entry.range_max}, homing_offset {entry.homing_offset}"
             raise DeviceError(
                 OPTION,
@@ -128,9 +128,9 @@ def _each(binding: DeviceBinding, name: str, count: int, default: float) -> Sequ
 
 def conflicts_of(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[DeviceBinding, str]]:
     """The bindings of a mission whose joints are wrong, or whose servos belong to another one, each with a
-    sentence.
+    sentence. Ports of different agents may be on different computers.
     """
-    users: dict[tuple[str, int], DeviceBinding] = {}
+    users: dict[tuple[str, str, int], DeviceBinding] = {}
     for binding in bindings:
         try:
             joints_of(binding)
@@ -138,6 +138,6 @@ def conflicts_of(bindings: Sequence[DeviceBinding]) -> Iterator[tuple[DeviceBind
             yield binding, error.reason
             continue
         for number in ids_of(binding):
-            other = users.setdefault((binding.endpoint, number), binding)
+            other = users.setdefault((binding.agent, binding.endpoint, number), binding)
             if other is not binding:
                 yield binding, f"servo {number} on {binding.endpoint} already belongs to {other.name}"

@@ -87,7 +87,7 @@ class ServoChain:
         self._random = random.Random(seed)
         self._codecs: dict[int, Codec] = {0: Codec1(), 1: Codec1(), 2: Codec2()}
         self._baud: int | None = None
-        self._browned: set[int] = set()
+        self._brownouts: set[int] = set()
         self._last_byte_at = self._free = 0.0
         self.faults.watch(self._break)
         self._break()
@@ -233,10 +233,10 @@ class ServoChain:
             motor.sag = self._fault("sag", servo)
             servo.encoder_fault = bool(self._fault("encoder", servo))
             servo.motion.resting = False
-            self._dip(servo, bool(self._fault("brownout", servo)))
+            self._set_brownout(servo, bool(self._fault("brownout", servo)))
 
-    def _dip(self, servo: Servo, browned: bool) -> None:
-        """Restarts a servo when its supply dips."""
-        if browned and id(servo) not in self._browned:
+    def _set_brownout(self, servo: Servo, present: bool) -> None:
+        """Restarts a servo when the fault begins."""
+        if present and id(servo) not in self._brownouts:
             servo.reboot()
-        (self._browned.add if browned else self._browned.discard)(id(servo))
+        (self._brownouts.add if present else self._brownouts.discard)(id(servo))

@@ -147,9 +147,7 @@ class StsMotion(ServoMotion):
 
 
 class StsServo(Servo):
-    """An STS: its status is the error byte of every answer. It executes nothing that it refuses, and says so
-    to nobody.
-    """
+    """An STS: its status is the error byte of every answer. A refused write is answered as any other."""
 
     motion: StsMotion
 

@@ -28,7 +28,7 @@ def device(type_name: str, field: str) -> DeviceManifest:
 def test_every_stock_resource_type_is_a_provider() -> None:
     folders = {stock_source(REGISTRY.providers[name].include).parent for name in STOCK}
     assert len(folders) == len(PLUGINS)
-    files = {path.stem.capitalize() for folder in folders for path in folder.glob("*.L")}
+    files = {path.stem.title().replace("_", "") for folder in folders for path in folder.glob("*.L")}
     assert files == set(STOCK)
 
 

@@ -21,7 +21,8 @@ ECHO = "echo removed: the adapter returns what is sent"
 def bench(protocol: int, *ids: int, **more) -> Bench:
     if protocol == 2:
         return Bench(*ids, **more)
-    return Bench(*ids, fake="AX-12A", protocol=1, waivers=["device_watchdog"], **more)
+    fake = "AX-12A" if protocol else "STS3215"
+    return Bench(*ids, fake=fake, protocol=protocol, waivers=["device_watchdog"], **more)
 
 
 def twin(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3) -> None:
@@ -95,7 +96,7 @@ def test_without_an_echo_nothing_is_said_of_it(protocol):
     assert ECHO not in b.notes
 
 
-@pytest.mark.parametrize("protocol", [1, 2])
+@pytest.mark.parametrize("protocol", [0, 1, 2])
 def test_an_echo_is_no_servo(protocol):
     b = bench(protocol, 1)
     b.fault("echo=true", "dead@1=true")
@@ -202,7 +203,7 @@ def test_what_looks_for_the_echo_does_nothing(codec):
 # -- two servos with one id --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("protocol", [1, 2])
+@pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize(
     ("delay", "words"), [(254, "two servos answer to the id 1"), (None, "are damaged: check whether two")]
 )
@@ -242,7 +243,8 @@ def test_a_second_servo_that_joins_is_named_and_nothing_moves():
 
 
 @pytest.mark.parametrize("ids", [(1,), (1, 2)])
-@pytest.mark.parametrize("protocol", [1, 2])
+@pytest.mark.few(6)
+@pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize("delay", [254, None])
 def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(protocol, ids, delay):
     """Its answers come after those of the first, or damage them; the motion ends with an exception."""

@@ -95,6 +95,15 @@ async def test_calibrating_subtracts_the_offset_and_is_kept(bench, servo, /):
         await call(servo, "moveTo", 1.2)
 
 
+@pytest.mark.parametrize("angle", [3.0, -3.0])
+@on_bench(sts, 1)
+async def test_an_offset_of_more_than_half_a_turn_is_one_the_other_way(bench, servo, /, angle):
+    await call(servo, "torque", True)
+    await call(servo, "moveTo", -math.copysign(2.0, angle))
+    await call(servo, "calibrate", angle)
+    assert abs((await servo.servo.present()).position - angle) < 0.01
+
+
 @pytest.mark.parametrize(
     ("register", "value", "setting", "right"),
     [

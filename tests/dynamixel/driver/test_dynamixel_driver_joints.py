@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import msgspec
 import pytest
 from coroutine_tests import on_bench
 from dynamixel_bench import Bench, call
@@ -62,6 +63,7 @@ def arm(
         ({"pan": {"id": 1}}, "missing required field `drive_mode`"),
         ({"pan": PAN | {"id": "1"}}, "Expected `int`, got `str` - at `$[...].id`"),
         ({"pan": PAN | {"drive_mode": 2}}, "Expected `int` <= 1"),
+        ({"pan\x1b[2J": PAN}, r"joint 'pan\x1b[2J': its name is not printable"),
         ({}, "it has no joints"),
         ([], "Expected `object`, got `array`"),
         (
@@ -132,10 +134,11 @@ def test_a_calibration_for_other_joints(file):
 
 def test_a_servo_that_two_bindings_have():
     one = bound()
-    other = DeviceBinding(**{name: getattr(one, name) for name in one.__struct_fields__} | {"field": "hand"})
+    other = msgspec.structs.replace(one, field="hand")
     assert conflicts(one, other) == [
         f"servo {number} on {one.endpoint} already belongs to alpha.joint" for number in (1, 2)
     ]
+    assert conflicts(one, msgspec.structs.replace(one, agent="bravo")) == [], "perhaps on another computer"
 
 
 # ---- servos -----------------------------------------------------------------------------------------------
@@ -269,7 +272,11 @@ def test_a_dynamixel_servo_reverses_itself(file):
 
 @pytest.mark.parametrize(
     ("fake", "protocol", "entry"),
-    [("STS3215", 0, {"range_max": 5000}), ("AX-12A", 1, {"range_max": 900, "range_min": 10})],
+    [
+        ("STS3215", 0, {"range_max": 5000}),
+        ("STS3215", 0, {"homing_offset": 2048}),
+        ("AX-12A", 1, {"range_max": 900, "range_min": 10}),
+    ],
 )
 def test_a_calibration_of_another_model(file, fake, protocol, entry):
     bench = arm(file({"pan": PAN | entry, "lift": LIFT}), fake=fake, protocol=protocol)
