@@ -52,6 +52,12 @@ TWO_SOURCES = LogMessage(
 )
 INVALID_FRAME = LogMessage("can-invalid-frame", "message {message} invalid: {reason}", "warning")
 NOT_SAFE = LogMessage("can-not-safe", "safe state not commanded: {reason}", "error")
+CYCLE_OVERRUN = LogMessage(
+    "can-cycle-overrun",
+    "cyclic frames not sent because the guard was late (count {count}): use longer periods, or a computer "
+    "with less load",
+    "warning",
+)
 NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waived by its binding", "warning")
 
 # --- DroneCAN -------------------------------------------------------------------------------------------
