@@ -5,8 +5,8 @@ from lfield.driver import LogMessage
 # --- the bus --------------------------------------------------------------------------------------------
 
 ERROR_FRAMES = LogMessage("can-error-frames", "error frames on {bus} (count {count}): {reason}", "warning")
-BUS_STATE = LogMessage("can-bus-state", "{bus} {state}: {reason}", "warning")
-BUS_ACTIVE = LogMessage("can-bus-active", "{bus} error active again")
+BUS_STATE = LogMessage("can-bus-state", "controller of {bus} {state}: {reason}", "warning")
+BUS_ACTIVE = LogMessage("can-bus-active", "controller of {bus} error active again")
 SILENT = LogMessage("can-silent", "link lost: no message received", "warning")
 RESPONDING = LogMessage("can-responding", "link restored: messages are received again")
 ID_CONFLICT = LogMessage("can-id-conflict", "motion refused: {reason}", "error")
@@ -52,6 +52,12 @@ TWO_SOURCES = LogMessage(
 )
 INVALID_FRAME = LogMessage("can-invalid-frame", "message {message} invalid: {reason}", "warning")
 NOT_SAFE = LogMessage("can-not-safe", "safe state not commanded: {reason}", "error")
+CYCLE_OVERRUN = LogMessage(
+    "can-cycle-overrun",
+    "cyclic frames not sent because the guard was late (count {count}): use longer periods, or a computer "
+    "with less load",
+    "warning",
+)
 NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waived by its binding", "warning")
 
 # --- DroneCAN -------------------------------------------------------------------------------------------

@@ -19,6 +19,8 @@ from lfield_can.timing import ChangeNotifier
 WATCH_INTERVAL = 0.1
 #: Seconds until the messages of the safe state are repeated, and until it has failed.
 SAFE_REPEAT, SAFE_TIMEOUT = 0.1, 3.0
+#: Seconds between two log lines about cyclic frames that were not sent.
+OVERRUN_INTERVAL = 10.0
 #: Kinds of invalid frames per message that are logged.
 MAX_PROBLEMS = 5
 NO_CONFIRMATION = "no_confirmation"
@@ -55,6 +57,8 @@ class CanSignals(Device):
         self._sources: dict[str, tuple[int, float]] = {}
         self._other_sources: set[tuple[str, int]] = set()
         self._lost = self._opened = False
+        #: Missed cyclic frames that were logged, and when.
+        self._overruns_logged, self._overruns_at = 0, -math.inf
 
     # -- file and frames --------------------------------------------------------------------------------
 
@@ -160,6 +164,7 @@ class CanSignals(Device):
             silent = self._silence() > self._patience
             self.publish(online=not silent, malformed=self._malformed, overruns=self._stream.overruns)
             self._check_accepted(silent)
+            self._log_overruns()
             if silent == self._lost:
                 continue
             self._lost = silent
@@ -187,6 +192,12 @@ class CanSignals(Device):
         elif now - self._refused_since > self._patience:
             self._refused_since = None
             self.breach(f"its commands are not accepted: {', '.join(wrong)}")
+
+    def _log_overruns(self) -> None:
+        count, now = self._stream.overruns, self.clock.monotonic()
+        if count > self._overruns_logged and now - self._overruns_at >= OVERRUN_INTERVAL:
+            self.note(log_messages.CYCLE_OVERRUN.line(count=count - self._overruns_logged))
+            self._overruns_logged, self._overruns_at = count, now
 
     def quiet(self, on: bool) -> None:
         """Stops cyclic commands; sends only what the program sets."""

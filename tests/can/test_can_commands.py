@@ -189,6 +189,7 @@ def test_late_frames_are_skipped_and_counted(bench, steering, bus):
         assert len(bus.sent) == before + 1
         await asyncio.sleep(0.2)
         assert b.values["overruns"] == 5
+        assert [note for note in b.notes if note.code == "can-cycle-overrun"] != []
         counters = [frame.data[1] & 0xF for frame in bus.sent]
         assert counters == [count % 15 for count in range(len(counters))]
 

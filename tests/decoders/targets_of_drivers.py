@@ -25,8 +25,11 @@ from lfield.testing.driver_bench import bind
 from lfield.testing.kept_reports import KeptReports
 from lfield_can import PLUGIN as CAN
 from lfield_can.bus.error_frames import linux_error
-from lfield_can.bus.frames import Listener
+from lfield_can.bus.frames import Frame, Listener
 from lfield_can.bus.socketcand import Socketcand
+from lfield_can.drone_can.allocation import Allocator
+from lfield_can.drone_can.messages import ESC_STATUS, GET_NODE_INFO, RECEIVED, decode, node_info, signatures
+from lfield_can.drone_can.transfers import Assembler, Transfer, TransferKind, frames_of
 from lfield_can.protocols.sdo import SdoClient
 from lfield_dynamixel.bus.packets import Protocol1, Protocol2, crc16, split_fast
 from lfield_mavlink import PLUGIN as MAVLINK
@@ -317,6 +320,21 @@ def decode_sdo(data: bytes) -> None:
         busy = not any(type(effect).__name__ in ("Done", "Refused", "Failed") for effect in effects)
 
 
+def decode_dronecan(data: bytes) -> None:
+    """Frames of nodes and of an allocator's clients: an id, a length, and up to eight bytes."""
+    assembler = Assembler(signatures())
+    allocator = Allocator({bytes(16): 42}, frozenset({126}), -10.0)
+    for number, at in enumerate(range(0, len(data), 13)):
+        identifier = int.from_bytes(data[at : at + 4], "little") & 0x1FFFFFFF
+        frame = Frame(identifier, data[at + 5 : at + 5 + min(8, data[min(at + 4, len(data) - 1)])], True)
+        if (transfer := assembler.on_frame(frame, 0.01 * number)) is None:
+            continue
+        allocator.on_request(transfer.data, 0.01 * number)
+        node_info(transfer)
+        for data_type in RECEIVED:
+            decode(data_type, transfer.data)
+
+
 def decode_serial(data: bytes) -> None:
     """Bytes of any serial device, by lines and by packets."""
     packets = Packets(b"\xb5\x62", 6, lambda head: 8 + (head[4] | head[5] << 8), lambda frame: frame[-1] != 0)
@@ -360,6 +378,19 @@ def _frame_seeds() -> list[bytes]:
     return [answers + b"\x08\x69\0" + b"\xff" * 8]
 
 
+def _dronecan_seeds() -> list[bytes]:
+    frames = [
+        *frames_of(Transfer(ESC_STATUS.kind, 5, 1, bytes(14)), ESC_STATUS.signature),
+        *frames_of(Transfer(TransferKind(1, 126), 5, 1, bytes(60)), GET_NODE_INFO.signature),
+    ]
+    return [
+        b"".join(
+            frame.id.to_bytes(4, "little") + bytes([len(frame.data)]) + frame.data.ljust(8, b"\0")
+            for frame in frames
+        )
+    ]
+
+
 def _serial_seeds() -> list[bytes]:
     return [b"\7one\ntwo\r\nthree\n\xb5\x62\1\2\2\0ab\1\1\xb5\x62"]
 
@@ -374,6 +405,7 @@ TARGETS = (
     Target("socketcand", _socketcand_seeds, decode_socketcand, tokens=_SOCKETCAND),
     Target("sdo", _sdo_seeds, decode_sdo),
     Target("can-frames", _frame_seeds, decode_can_frames),
+    Target("dronecan", _dronecan_seeds, decode_dronecan),
     Target("can-lies", _lies, decode_lying_drive, share=10),
     Target("serial", _serial_seeds, decode_serial, tokens=(b"\xb5\x62", b"\n")),
 )

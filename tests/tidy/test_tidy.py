@@ -43,7 +43,6 @@ SMALL = {
     "lfield/inventory/location.py": "which inventory counts, without YAML",
     "lfield/service/messages.py": "the log lines of the service",
     "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
-    "drivers/lfield_can/log_messages.py": "the log lines of a driver",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",
     "drivers/lfield_mavlink/link/link_events.py": "what a link reports to its driver",
     "lfield/authority/key_material.py": "keys as bytes, and the names of their files",

@@ -143,7 +143,7 @@ class DroneCanNetwork:
             self._on_anonymous(transfer)
         elif kind.is_service:
             self._on_service(transfer)
-        elif kind.data_type == ALLOCATION.id and self._allocator is not None:
+        elif kind.type_id == ALLOCATION.id and self._allocator is not None:
             # Two allocators would give one id to two nodes.
             self._allocator = None
             self._note(log_messages.OTHER_ALLOCATOR.line(node=transfer.source))
@@ -151,11 +151,11 @@ class DroneCanNetwork:
             if self._allocator is not None:
                 self._allocator.on_node(transfer.source)
             for member in self._members.get(transfer.source, ()):
-                member.on_transfer(kind.data_type, transfer.data)
+                member.on_transfer(kind.type_id, transfer.data)
 
     def _on_service(self, transfer: Transfer) -> None:
         kind = transfer.kind
-        if kind.destination != self.master or kind.data_type != GET_NODE_INFO.id:
+        if kind.destination != self.master or kind.type_id != GET_NODE_INFO.id:
             return
         if kind.is_request:
             answer = TransferKind(GET_NODE_INFO.id, transfer.source)
@@ -166,7 +166,7 @@ class DroneCanNetwork:
                 member.on_node_info(info)
 
     def _on_anonymous(self, transfer: Transfer) -> None:
-        if self._allocator is None or self._is_quiet or transfer.kind.data_type != ALLOCATION.id & 0x3:
+        if self._allocator is None or self._is_quiet or transfer.kind.type_id != ALLOCATION.id & 0x3:
             return
         answer = self._allocator.on_request(transfer.data, self._clock.monotonic())
         if answer is None:

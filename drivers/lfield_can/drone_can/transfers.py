@@ -14,7 +14,7 @@ from lfield_can.bus.frames import Frame
 from lfield_can.dbc.checksums import crc
 
 #: Bytes of data in a frame beside the tail.
-ROOM = 7
+CAPACITY = 7
 START, END, TOGGLE, NUMBER = 0x80, 0x40, 0x20, 0x1F
 #: Seconds after which an unfinished transfer is discarded, and bytes of the longest.
 TIMEOUT, LONGEST = 1.0, 512
@@ -26,7 +26,7 @@ _SERVICE = 0x80
 class TransferKind(NamedTuple):
     """What a transfer carries: a message, or a service of node `destination` (request or response)."""
 
-    data_type: int
+    type_id: int
     destination: int = 0
     is_request: bool = False
 
@@ -48,9 +48,9 @@ class Transfer(NamedTuple):
 def frame_id(kind: TransferKind, source: int, priority: int) -> int:
     """The 29-bit id of the frames of a transfer of a node with an id."""
     if kind.is_service:
-        service = kind.data_type << 16 | kind.is_request << 15 | kind.destination << 8 | _SERVICE
+        service = kind.type_id << 16 | kind.is_request << 15 | kind.destination << 8 | _SERVICE
         return priority << 24 | service | source
-    return priority << 24 | kind.data_type << 8 | source
+    return priority << 24 | kind.type_id << 8 | source
 
 
 def kind_of(identifier: int) -> tuple[TransferKind, int]:
@@ -71,12 +71,12 @@ def frames_of(transfer: Transfer, signature: int, priority: int = 16) -> Iterato
     """The frames of a transfer, in order."""
     identifier = frame_id(transfer.kind, transfer.source, priority)
     data = transfer.data
-    if len(data) > ROOM:
+    if len(data) > CAPACITY:
         data = transfer_crc(signature, data).to_bytes(2, "little") + data
-    last = max(0, len(data) - 1) // ROOM
+    last = max(0, len(data) - 1) // CAPACITY
     for at in range(last + 1):
         tail = START * (at == 0) | END * (at == last) | TOGGLE * (at % 2) | transfer.number & NUMBER
-        yield Frame(identifier, data[at * ROOM : (at + 1) * ROOM] + bytes([tail]), extended=True)
+        yield Frame(identifier, data[at * CAPACITY : (at + 1) * CAPACITY] + bytes([tail]), extended=True)
 
 
 @dataclass(slots=True)
@@ -109,7 +109,7 @@ class Assembler:
         if tail & START and tail & END:
             self._open.pop(frame.id, None)
             return Transfer(kind, source, tail & NUMBER, data)
-        signature = self._signatures.get((kind.data_type, kind.is_service))
+        signature = self._signatures.get((kind.type_id, kind.is_service))
         if signature is None or source == 0:
             return None
         return self._next(frame.id, tail, data, now, signature)
@@ -117,7 +117,7 @@ class Assembler:
     def _next(self, identifier: int, tail: int, data: bytes, now: float, signature: int) -> Transfer | None:
         if tail & START:
             self._forget(now)
-            if tail & TOGGLE or len(data) < ROOM:
+            if tail & TOGGLE or len(data) < CAPACITY:
                 self.malformed += 1
                 return None
             self._open[identifier] = _Open(tail & NUMBER, now, parts=[data])
@@ -126,7 +126,7 @@ class Assembler:
         if unfinished is None:
             return None  # its start was lost
         expected = unfinished.toggle | unfinished.number
-        too_long = len(unfinished.parts) * ROOM > LONGEST
+        too_long = len(unfinished.parts) * CAPACITY > LONGEST
         if tail & (TOGGLE | NUMBER) != expected or now - unfinished.since > TIMEOUT or too_long:
             del self._open[identifier]
             self.malformed += 1

@@ -82,7 +82,7 @@ async def bounds(bench: Bench) -> str:
 
 
 def _way(bench: Bench) -> float:
-    """A distance towards the side with more room."""
+    """A distance towards the side with more space."""
     here = bench.query("position")
-    room = bench.binding.option("highest") - here, here - bench.binding.option("lowest")
-    return TURN if room[0] >= room[1] else -TURN
+    free_space = bench.binding.option("highest") - here, here - bench.binding.option("lowest")
+    return TURN if free_space[0] >= free_space[1] else -TURN

@@ -92,8 +92,8 @@ def _supervised(binding: DeviceBinding) -> str:
         entries = []
         for entry in _listed(binding.options.get(option) or []):
             name, _, value = str(entry).partition("=")
-            words = value.replace(",", " ").split()
-            entries.append(":".join([name.strip(), *(["/".join(words)] if words else [])]))
+            values = value.replace(",", " ").split()
+            entries.append(":".join([name.strip(), *(["/".join(values)] if values else [])]))
         texts += f",{key}={'+'.join(entries)}" if entries else ""
     return texts
 
