@@ -53,7 +53,7 @@ class RecordingService:
     def __init__(self) -> None:
         self.done: list[ServiceMessage] = []
 
-    async def answer(self, message: ServiceMessage, operator: str) -> ServiceMessage:
+    async def answer(self, message: ServiceMessage, operator: str, person: str = "") -> ServiceMessage:
         self.done.append(message)
         return BallotState(ID, None, {}, {}, "open")
 

@@ -108,7 +108,8 @@ class _PlanCheck:
             text = f"the plan has {count} items; ArduPilot stores more than {ON_BOARD} on a microSD card only"
             yield FileFinding("M902", text)
         if self._limits.bound_places and self._plan.home is None:
-            yield FileFinding("M109", "the plan has no home, to which altitude and radius refer; give --home")
+            text = "the plan has no home, to which altitude and radius refer: set the planned home in it"
+            yield FileFinding("M109", f"{text} ('lfield plan check' has --home)")
             return
         fence = FenceCheck(self._plan.fence, self.path, self._firmware)
         yield from fence.zone_findings()

@@ -71,7 +71,9 @@ class AssistantServer:
 
     async def _cancel_calls(self) -> None:
         for call in self._calls:
-            call.cancel()
+            # A second cancellation would end the first one, which is on its way to the host.
+            if not call.cancelling():
+                call.cancel()
         if self._calls:
             await asyncio.wait(self._calls, timeout=CLOSE_TIMEOUT)
 

@@ -26,6 +26,7 @@ resource Post {
     init(string[] arg) { }
     portal count(int n) emit int { count = count + n; return count; }
     portal visit() { }
+    portal hold(real seconds) { sleep(seconds); }
 }
 coordinator Walker { init(string[] arg) { findPost("post").visit(); sleep(600.0); } }
 """
@@ -89,7 +90,10 @@ def test_a_person_without_rights_is_refused_and_the_mission_continues(active, lf
 
 @pytest.fixture
 def assistant(lfield, alone):
-    """`assistant(*words)(*calls)`: by the client's own package, the results of tools of `lfield mcp`."""
+    """`assistant(*words)(*calls)`: by the package of clients, the results of tools of `lfield mcp`.
+
+    With `last` the session ends when that has returned, while a portal runs.
+    """
     command, arguments = assistant_command()
     environment = {**lfield.environment, **alone}
     environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
@@ -99,21 +103,27 @@ def assistant(lfield, alone):
             command=command, args=[*arguments, *map(str, words)], env=environment, cwd=lfield.folder
         )
 
-        async def results(calls):
+        async def results(calls, last):
             async with stdio_client(server) as (source, sink), ClientSession(source, sink) as session:
                 await session.initialize()
                 tools = (await session.list_tools()).tools
                 assert {tool.name: tool.annotations.read_only_hint for tool in tools} == READ_ONLY
                 answers = [await session.call_tool(name, given) for name, given in calls]
+                if last is not None:
+                    left = asyncio.create_task(session.call_tool(*HOLD))
+                    await asyncio.to_thread(last)
+            if last is not None:
+                left.cancel()
             return [(answer.is_error, json.loads(answer.content[0].text)) for answer in answers]
 
-        return lambda *calls: asyncio.run(results(calls))
+        return lambda *calls, last=None: asyncio.run(results(calls, last))
 
     return serve
 
 
 READ_ONLY = {"status": True, "query": True, "explain": True, "events": True, "start": False, "call": False}
 COUNT = ("call", {"agent": "post", "portal": "count", "arguments": [2]})
+HOLD = ("call", {"agent": "post", "portal": "hold", "arguments": [600.0], "timeout": 600.0})
 
 
 def test_rights_and_the_access_file_decide_what_an_assistant_may_start(active, assistant, lfield, here):
@@ -138,10 +148,24 @@ def test_rights_and_the_access_file_decide_what_an_assistant_may_start(active, a
     waits = asyncio.run(start())["waits"]
     assert all("'assistants'" in waits[host] for host in active.hosts)
     active.services["alpha"].wait_for("start of assistant of operator refused")
-    lfield.write("mission.access.yaml", "calls:\n  others: {Post: [count]}\nassistants: [operator]\n")
+    lfield.write("mission.access.yaml", "calls:\n  others: {Post: all}\nassistants: [operator]\n")
     assert here("push", "mission.dL").status == 0
-    (_, started), counted, (_, stored) = assistant()(("start", {}), COUNT, ("events", {"kinds": ["logged"]}))
+    log = active.services["bravo"]
+    (_, started), counted, (_, stored) = assistant()(
+        ("start", {}),
+        COUNT,
+        ("events", {"kinds": ["logged"]}),
+        last=lambda: log.wait_for(r"post.hold\(\) called by assistant of person operator$"),
+    )
+    # The end of the session cancels what still runs.
+    log.wait_for(r"post.hold\(\) called by assistant of person operator ended: CancelledException")
     assert started["started"] is True
     assert counted == (False, {"value": 2})
     called = {event["text"] for event in stored["events"] if event["code"] == "portal-called"}
     assert called == {"post.count() called by assistant of person operator"}
+
+
+def test_without_the_package_it_names_the_extra(here, monkeypatch):
+    monkeypatch.setitem(sys.modules, "lfield.client.assistants.assistant_server", None)
+    refused = here("mcp")
+    assert (refused.status, "lfield[mcp]" in refused.err[0]) == (69, True)
