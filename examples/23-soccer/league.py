@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import socket
 import subprocess
 import sys
 import tempfile
@@ -34,10 +35,12 @@ class Score:
 
 def match(seconds: float) -> list[Score]:
     """One match: both missions are started as processes, and meet at the referee."""
+    world = f"referee=1 port={_free_port()}"
     with tempfile.TemporaryDirectory() as folder:
         for path in HERE.iterdir():
             if path.suffix in (".L", ".dL", ".yaml"):
                 text = path.read_text(encoding="utf-8").replace("?60&", f"?{seconds:g}&")
+                text = text.replace("referee=1", world)
                 (Path(folder) / path.name).write_text(text, encoding="utf-8")
         running = [_mission(Path(folder) / f"{name}.dL") for name in PROGRAMS]
         try:
@@ -47,6 +50,12 @@ def match(seconds: float) -> list[Score]:
                 if one.poll() is None:
                     one.kill()
                     one.communicate()
+
+
+def _free_port() -> int:
+    """A port for the pitch that both missions share: leagues can run side by side."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
 
 
 def _mission(deployment: Path) -> subprocess.Popen[str]:

@@ -12,9 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from unittest.mock import patch
 
-from engine_fuzzer.engine_trial import run_trial
+from engine_fuzzer.engine_trial import compiled, run_trial
 from engine_fuzzer.program_generator import random_program
-from lfield.testing.golden import compile_text
 from lfield.vm.wasm import machine_code
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 from lfield.vm.wasm.lowering.module_lowering import WasmModule, lower_program
@@ -133,6 +132,6 @@ def finder(fault: Fault, count: int) -> int | None:
     with planted(fault):
         for seed in range(count):
             text = random_program(random.Random(seed)).text()
-            if fault.needs in text and run_trial(compile_text(text), text, seed, EagerWasmEngine).differences:
+            if fault.needs in text and run_trial(compiled(text), text, seed, EagerWasmEngine).differences:
                 return seed
     return None

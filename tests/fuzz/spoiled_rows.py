@@ -12,11 +12,10 @@ import random
 import sys
 from collections.abc import Iterator
 
-from engine_fuzzer.engine_trial import run_trial
+from engine_fuzzer.engine_trial import compiled, run_trial
 from engine_fuzzer.program_generator import random_program
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import Program
-from lfield.testing.golden import compile_text
 from lfield.vm.wasm import machine_code
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 from lfield.vm.wasm.wasm_engine import WasmEngine
@@ -67,7 +66,7 @@ def noticed(programs: list[tuple[Program, str]], opcode: str) -> int:
 def main(count: int) -> None:
     """Try every mistake of every row."""
     texts = [random_program(random.Random(seed)).text() for seed in range(count)]
-    programs = [(compile_text(text), text) for text in texts]
+    programs = [(compiled(text), text) for text in texts]
     made = missed = 0
     for opcode, row in list(ROWS.items()):
         for wrong, how in spoiled(row):

@@ -14,12 +14,11 @@ from switching_engine import NEEDED
 pytest.importorskip("wasmtime", reason=NEEDED)
 
 from engine_fuzzer.command_line import EngineFuzzer, main
-from engine_fuzzer.engine_trial import run_trial
+from engine_fuzzer.engine_trial import compiled, run_trial
 from engine_fuzzer.mutations import edited, random_edits
 from engine_fuzzer.program_generator import random_program
 from engine_fuzzer.program_tree import ProgramPiece
 from lfield.bytecode.opcodes import BY_CODE, TABLE
-from lfield.testing.golden import compile_text
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Wasm
 from planted_engines import PLANTED, WrongOpcode
@@ -29,8 +28,8 @@ from planted_texts import FAULTS, Fault, finder
 _SOON = 400
 #: Hypothesis throws them: it makes what fails smaller, too.
 DICE = st.randoms(use_true_random=False)
-#: What is not there without a driver or a registry of capabilities; golden programs have it.
-_BEYOND = {"device", "offers", "explain", "teams", "settle"}
+#: What is not there without a driver, and offers within a together; golden programs have it.
+_BEYOND = {"device", "settle"}
 
 
 @pytest.mark.few(4)
@@ -39,7 +38,7 @@ def test_a_planted_fault_is_found(planted: type[ReferenceEngine]) -> None:
     seeds = iter(range(_SOON))
     while True:
         piece = random_program(random.Random(seed := next(seeds)))
-        outcome = run_trial(compile_text(piece.text()), piece.text(), seed, planted)
+        outcome = run_trial(compiled(piece.text()), piece.text(), seed, planted)
         if outcome.differences:
             return
 
@@ -53,7 +52,7 @@ def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
 def test_programs_have_every_instruction() -> None:
     missing = {row.name for row in TABLE} - _BEYOND
     for seed in range(_SOON):
-        program = compile_text(random_program(random.Random(seed)).text())
+        program = compiled(random_program(random.Random(seed)).text())
         missing -= {BY_CODE[quad.op].name for quad in program.quads}
         if not missing:
             return
@@ -80,7 +79,7 @@ def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pyt
     @settings(max_examples=2000 if pytestconfig.option.every_case else 15)
     def same(dice: random.Random, seed: int) -> None:
         text = random_program(dice).text()
-        assert run_trial(compile_text(text), text, seed, Wasm).differences == ()
+        assert run_trial(compiled(text), text, seed, Wasm).differences == ()
 
     same()
 
@@ -123,7 +122,7 @@ def test_ctrl_c_leaves_what_was_found(
 
 def test_mutants_are_programs() -> None:
     """The verifier accepts them, and they are other programs."""
-    program = compile_text(random_program(random.Random(5)).text())
+    program = compiled(random_program(random.Random(5)).text())
     mutant, edits = random_edits(program, random.Random(6), 8)
     assert len(edits) >= 4
     assert mutant.digest != program.digest

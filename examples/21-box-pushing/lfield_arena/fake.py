@@ -125,7 +125,7 @@ class ArenaSim:
             radio = Radio(way, number, faults)
             server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
         except OSError as error:
-            places = f"{place} or {HOST}:{PORTS[args.plane]}"
+            places = f"{place} or {HOST}:{world.port or PORTS[args.plane]}"
             raise AddressError(places, error.strerror or str(error)) from None
         host, port = server.sockets[0].getsockname()[:2]
         here = {number: way.robots[number].place, **way.places} if isinstance(way, Plane) else {}

@@ -21,7 +21,7 @@ from lfield_arena.world import World
 
 #: Seconds of a step, and between two checks for clients; bytes of the longest line.
 TICK, CHECK_INTERVAL, LONGEST = 0.01, 0.1, 4096
-#: The address of each plane.
+#: The address of each plane, unless its world has a port.
 HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200, "pitch": 7300}
 Place = tuple[float, float, float]
 
@@ -129,10 +129,10 @@ async def way_to(layout: str, world: World) -> Way:
     loop = asyncio.get_running_loop()
     if isinstance(loop, SimulatedLoop):
         return loop.shared(f"the plane '{layout}'", lambda: Plane(layout, world))
-    plane = Plane(layout, world)
+    plane, port = Plane(layout, world), world.port or PORTS[layout]
     try:
-        await plane.serve(PORTS[layout])
+        await plane.serve(port)
     except OSError:
         await plane.leave()
-        return Joined(*await asyncio.open_connection(HOST, PORTS[layout], limit=LONGEST))
+        return Joined(*await asyncio.open_connection(HOST, port, limit=LONGEST))
     return plane

@@ -30,7 +30,7 @@ class World:
     `mind` of a prey: it stands `still`, moves at `random`, flees `away` from the nearest robot, or to the
     widest `gap` between robots. `slope` is the gradient of the floor, downwards to the east; `mud` the
     friction of a box in the stripe from 1 m to 2 m north, in multiples of that elsewhere. With a `referee`
-    a match begins when both teams are ready.
+    a match begins when both teams are ready. The plane is at `port` of this computer, 0: the usual one.
     """
 
     size: float = 0.0
@@ -43,6 +43,7 @@ class World:
     slope: float = 0.0
     mud: float = 1.0
     referee: int = 0
+    port: int = 0
 
     @classmethod
     def parse(cls, text: str) -> World:

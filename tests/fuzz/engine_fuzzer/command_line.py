@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from engine_fuzzer.engine_trial import TrialOutcome, run_trial
+from engine_fuzzer.engine_trial import TrialOutcome, compiled, run_trial
 from engine_fuzzer.mutations import Edit, edited, random_edits
 from engine_fuzzer.program_generator import random_program
 from engine_fuzzer.program_shrinker import shrink, shrunk_edits
@@ -24,7 +24,6 @@ from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import Program
 from lfield.errors import ProgramError
 from lfield.exit_status import INTERRUPTED
-from lfield.testing.golden import compile_text
 from lfield.vm.engine_interface import Engines
 
 #: Seconds between two lines of progress.
@@ -68,7 +67,7 @@ class EngineFuzzer:
         """
         piece = random_program(random.Random(seed))
         text = piece.text()
-        program = compile_text(text)
+        program = compiled(text)
         outcome = run_trial(program, text, seed, self._engines)
         self.tally.add(outcome)
         if outcome.differences:
@@ -98,7 +97,7 @@ class EngineFuzzer:
         def shows() -> bool:
             text = piece.text()
             try:
-                return smallest.shows(compile_text(text), text, text)
+                return smallest.shows(compiled(text), text, text)
             except (ProgramError, StopIteration):
                 return False
 

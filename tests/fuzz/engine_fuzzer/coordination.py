@@ -5,6 +5,7 @@ On one host there are no hops, no restarts and no leases that end; whatever else
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
 
 from engine_fuzzer.expression_generator import ExpressionGenerator
@@ -114,3 +115,59 @@ class Coordination:
             )
         chosen = self._rng.sample(kinds, self._rng.randint(1, 3))
         return [self._rng.choice(forms) for forms in chosen]
+
+
+# --- queries with parameters --------------------------------------------------------------------------------
+
+_ASKER = r"""
+// registry: hauling.yaml
+// deploy: Mule:m1
+// deploy: Mule:m2
+// deploy: Asker:asker
+enum Colour { red, blue }
+class Spot { public real north; public string name; public Spot next; }
+resource Mule {
+init(string[] arg) { }
+portal carry(real x) emit string { sleep(0.1); return "to " + f2s(x); } }
+coordinator Asker {
+real kg = 3.5;
+private void ask(int n, real x, string s, boolean b, real[] at, Spot p, Colour c) {
+map<string, int> m = new map<string, int>(); m["m1"] = 3; m["b \"c"] = n;
+#
+}
+init(string[] arg) {
+int[] ints = {2, 0, -7, 9223372036854775807, 1}; real[] reals = {2.5, -0.0, 1e-300, 1e308, 40.0};
+string[] texts = {"m1", "", null, "red\0n1 x\0", "m2\" || payload > \"0"};
+reals[3] *= 10; Spot p = new Spot(); p.north = 0.5; p.name = "m2";
+for (int k = 0; k < 5; k += 1) {
+ask(ints[k], reals[k], texts[k], k % 2 == 0, reals, p, Colour.values()[k / 3]);
+if (k == 3) p.next = p; } } }
+"""
+_ATOMS = (
+    *("payload > $x", "payload * $n >= $x[g]", "agent != $s", "colour == $c", "$b", "!($b && $n > 1)"),
+    *("distance($at[0], $at[$n]) < $kg[km]", "north <= $m[$s]", r"payload < $m[\"b \\\"c\"]"),
+    *("$p.name == agent", "payload > $p.next.north", "-$x < payload + $kg", "agent == $s"),
+)
+_ORDERS = (
+    "",
+    "",
+    " order by $x * north desc",
+    " order by distance($kg, $at[1]), -payload limit 2",
+    " limit 1",
+)
+_ASKS = (
+    'print(findHaul("#").length());',
+    'print(explainHaul("#"));',
+    'print(teamsHaul("#", n % 3).length());',
+    'for (Haul one : findHaul("#")) print(one.agent() + one.haul(x) + f2s(one.score()));',
+)
+
+
+def random_asker(rng: random.Random) -> str:
+    """A coordinator that asks for what is in tests/golden/programs/hauling.yaml, and the resources for it."""
+    asked = []
+    for _ in range(rng.randint(1, 5)):
+        query = rng.choice((" && ", " || ")).join(rng.sample(_ATOMS, rng.randint(1, 3))) + rng.choice(_ORDERS)
+        call = rng.choice(_ASKS).replace("#", query)
+        asked.append(f"try {{ {call} }} catch (Exception e) {{ print(e.type() + e.message()); }}\n")
+    return _ASKER.replace("#", "".join(asked))

@@ -6,11 +6,16 @@ import random
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 from engine_fuzzer.engine_pair import EnginePair, TrialOver
 from lfield.bytecode.program import Program
+from lfield.capability.model import Registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import ManualClock
-from lfield.testing.golden import GoldenWorld, startable_in, team_for
+from lfield.testing.golden import GoldenWorld, compile_text, startable_in, team_for
+from lfield.testing.still_team import still_answers
 from lfield.vm.agent import MachineTeam
 from lfield.vm.engine_interface import AgentLimits, Engines
 from lfield.vm.machine import Machine
@@ -19,6 +24,8 @@ from lfield.vm.machine import Machine
 LONGEST, ROUNDS = 10_000, 150
 #: The comment of a program that is not about limits.
 ENOUGH_HEAP = "// room: enough"
+#: The registry of programs with queries, which name it in a comment.
+_REGISTRY = Path(__file__).parents[2] / "golden" / "programs" / "hauling.yaml"
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
 
 
@@ -29,6 +36,21 @@ class TrialOutcome:
     differences: tuple[str, ...]
     instructions: int
     slices: int
+
+
+@cache
+def _registry() -> Registry:
+    return read_registry([_REGISTRY])
+
+
+def registry_of(text: str) -> Registry | None:
+    """The registry that a program needs, or None."""
+    return _registry() if f"// registry: {_REGISTRY.name}" in text else None
+
+
+def compiled(text: str) -> Program:
+    """Compiles a random program. Raises ProgramError."""
+    return compile_text(text, registry=registry_of(text))
 
 
 def random_limits(rng: random.Random) -> AgentLimits:
@@ -56,6 +78,8 @@ def run_trial(program: Program, text: str, seed: int, engines: Engines) -> Trial
         return made[0]
 
     members = team_for(program, _DEPLOY.findall(text))
+    if registry := registry_of(text):
+        desk.answers = still_answers(registry, program, members)
     view = MachineTeam([*members, *startable_in(text, program, len(members))], 0, 1)
     machine = desk.machine = Machine(program, view, desk, clock, random.Random(1), engines=twin)
     desk.sequencer.attach(machine)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from itertools import count
 
 from engine_fuzzer.calculations import random_calculation
-from engine_fuzzer.coordination import FUTURES, RESULTS
+from engine_fuzzer.coordination import FUTURES, RESULTS, random_asker
 from engine_fuzzer.expression_generator import ExpressionGenerator
 from engine_fuzzer.program_tree import PLAIN, ProgramPiece, written
 from engine_fuzzer.statement_generator import StatementGenerator
@@ -339,8 +339,22 @@ def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:
                     yield one
 
 
+# --- queries with parameters --------------------------------------------------------------------------------
+
+#: Which of so many programs has a coordinator with queries.
+_QUERIES_EVERY = 5
+
+
+def _with_queries(program: ProgramPiece) -> ProgramPiece:
+    """The program, or one of every few with a coordinator that asks; chosen as those with functions."""
+    text = program.text()
+    chance = zlib.crc32(text.encode("utf-8"))
+    if chance % _QUERIES_EVERY or "// deploy: Store:store" not in text:
+        return program
+    return written("", "##", program, ProgramPiece("", [random_asker(random.Random(chance))]))
+
+
 def random_program(rng: random.Random) -> ProgramPiece:
     """A program by what the dice say; `ProgramPiece.text` is its L."""
-    return _with_top_level(
-        random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
-    )
+    drawn = random_calculation(rng) if rng.random() < 0.4 else _ProgramGenerator(rng).program()
+    return _with_queries(_with_top_level(drawn))

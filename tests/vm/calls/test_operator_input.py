@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import planted_read_bugs as bugs
+import pytest
 from joined_hosts import JoinedHosts
 
 from lfield.testing.golden import compile_text
@@ -10,12 +12,17 @@ from lfield.vm.waits.operator_input import MAX_KEPT, MAX_LINE, NO_READER, TOO_MA
 
 PROGRAM = """
 resource Desk {
-    init(string[] arg) { }
+    init(string[] arg) {
+        if (arg.length() == 1) return;
+        write("first: ");
+        write(read(60.0) + "\\n");
+    }
     portal ask(string who, real limit) emit string {
         try {
             return who + ": " + read(limit);
         } catch (CancelledException e) {
             write(who + " is cancelled\\n");
+            sleep(0.5);
             throw e;
         }
     }
@@ -35,15 +42,15 @@ coordinator Asker {
 class Desk:
     """A host with a desk, and a coordinator for each (limit, time limit)."""
 
-    def __init__(self, *askers: tuple[float, float]) -> None:
+    def __init__(self, *askers: tuple[float, float], reads: tuple[str, ...] = ()) -> None:
         program = compile_text(PROGRAM)
-        team = [TeamMember(0, "desk", "Desk", "resource", 0)]
+        team = [TeamMember(0, "desk", "Desk", "resource", 0, reads)]
         for number, limits in enumerate(askers, 1):
             words = tuple(map(str, limits))
             team.append(TeamMember(number, f"a{number}", "Asker", "coordinator", 0, words))
         self.hosts = JoinedHosts(program, team)
         self.world, self.machine = self.hosts.places[0], self.hosts.places[0].machine
-        self.run()
+        self.beginning = self.run()
 
     @property
     def given(self) -> OperatorInput:
@@ -87,7 +94,29 @@ def test_the_limit_of_the_caller_cancels_a_wait_and_the_line_goes_to_the_next() 
 
 
 def test_the_limit_is_that_of_each_thread() -> None:
-    desk = Desk((1.0, 60.0), (2.0, 60.0))
+    desk = Desk((2.0, 60.0), (1.0, 60.0))
     assert [line.partition(":")[0] for line in desk.run(1.1)] == ["no line was entered at desk within 1 s"]
     assert [line.partition(":")[0] for line in desk.run(1.0)] == ["no line was entered at desk within 2 s"]
     assert desk.given.enter("late", is_kept=False) == NO_READER
+
+
+def test_a_read_in_init_is_a_pause_and_ends_the_line_of_its_question() -> None:
+    desk = Desk((10.0, 60.0), reads=("init",))
+    assert [desk.given.enter(text, is_kept=False) for text in ("one", "two")] == ["", ""]
+    assert desk.beginning == ["first: "]
+    assert desk.run() == ["one", "a1: two"]
+
+
+STORIES = [story for name, story in globals().items() if name.startswith("test_")]
+
+
+def all_stories() -> None:
+    for story in STORIES:
+        story()
+
+
+@pytest.mark.parametrize("bug", bugs.READ_BUGS)
+def test_a_planted_read_bug_is_found(bug: bugs.ReadBug, monkeypatch: pytest.MonkeyPatch) -> None:
+    bug(monkeypatch)
+    with pytest.raises(AssertionError):
+        all_stories()
