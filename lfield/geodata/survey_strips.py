@@ -1,8 +1,8 @@
 """Parallel strips that cover a polygon: the ways of a survey. Pure.
 
-The plane is cut into bands as wide as the spacing. In each band the polygon is a row of trapezoids between its
-edges and corners; a strip is the middle line of the band along trapezoids that touch. So what is within half a
-spacing of a strip, and between its ends, is the whole polygon, also a concave one.
+The plane is cut into bands as wide as the spacing. In each band the polygon is a row of trapezoids between
+its edges and corners; a strip is the middle line of the band along trapezoids that touch. So what is within
+half a spacing of a strip, and between its ends, is the whole polygon, also a concave one.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from lfield.geodata.polygons import Point, Position, edges, plane_of
 
 #: Limits of the spacing in metres, and of the strips of a survey.
 MIN_SPACING, MAX_SPACING, MAX_STRIPS = 0.5, 10_000.0, 1000
-#: Metres below which two trapezoids touch.
-_TOUCHING = 1e-6
+#: Metres at the edges of bands that are not covered, and below which two trapezoids touch: for rounding.
+_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class SurveyStrip:
 def survey_strips(corners: Sequence[Position], spacing: float, heading: float) -> list[SurveyStrip]:
     """The strips of a polygon in order, `spacing` metres apart, `heading` in degrees clockwise from north.
 
-    Strips of neighbouring bands lead in opposite directions. Raises ValueError for values that make no survey.
+    Strips of neighbouring bands lead in opposite directions. Raises ValueError for invalid values.
     """
     if not MIN_SPACING <= spacing <= MAX_SPACING:
         raise ValueError(f"a spacing is from {MIN_SPACING:g} to {MAX_SPACING:g} m, not {spacing:g} m")
@@ -46,8 +46,8 @@ def survey_strips(corners: Sequence[Position], spacing: float, heading: float) -
         if number % 2:
             along = [(end, start) for start, end in reversed(along)]
         for start, end in along:
-            ends = (plane.position(_turned((across, each), -turn)) for each in (start, end))
-            strips.append(SurveyStrip(*ends, length=abs(end - start)))
+            first, last = (plane.position(_turned((across, each), -turn)) for each in (start, end))
+            strips.append(SurveyStrip(first, last, abs(end - start)))
             if len(strips) > MAX_STRIPS:
                 raise ValueError(f"a spacing of {spacing:g} m makes more than {MAX_STRIPS} strips")
     return strips
@@ -67,14 +67,14 @@ def _turned(point: Point, turn: float) -> Point:
 def _bands(points: Sequence[Point], spacing: float) -> Iterator[tuple[list[Point], float]]:
     """For each band the intervals along it, and its middle across."""
     low, high = min(x for x, _ in points), max(x for x, _ in points)
-    count = max(1, math.ceil((high - low) / spacing - 1e-9))
+    count = max(1, math.ceil((high - low - _TOLERANCE) / spacing))
     if count > MAX_STRIPS:
         raise ValueError(f"a spacing of {spacing:g} m makes more than {MAX_STRIPS} strips")
     # The bands have a common middle with the polygon.
     first = (low + high - count * spacing) / 2.0
     for number in range(count):
         west = first + number * spacing
-        along = _intervals(points, west, west + spacing)
+        along = _intervals(points, west + _TOLERANCE, west + spacing - _TOLERANCE)
         if along:
             yield along, west + spacing / 2.0
 
@@ -88,7 +88,7 @@ def _intervals(points: Sequence[Point], west: float, east: float) -> list[Point]
         found += _trapezoids(crossing, left, right)
     merged: list[Point] = []
     for low, high in sorted(found):
-        if merged and low <= merged[-1][1] + _TOUCHING:
+        if merged and low <= merged[-1][1] + _TOLERANCE:
             merged[-1] = (merged[-1][0], max(high, merged[-1][1]))
         else:
             merged.append((low, high))

@@ -41,6 +41,8 @@ class LibraryFunction:
 SEQUENCED = "sequencing"
 #: The operation of a call that the compiler replaces by the corners in a map file.
 AREA = "map_area"
+#: The same for the strips that cover it.
+STRIPS = "survey_strips"
 
 FUNCTIONS: tuple[LibraryFunction, ...] = (
     LibraryFunction("write", (INT,), VOID, "write_int", "resource", "writes a number to standard output"),
@@ -113,6 +115,23 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
     ),
     LibraryFunction(
         "mapArea", (STRING, STRING), array_of(REAL), AREA, "any", "the polygon with this name; M302"
+    ),
+    LibraryFunction(
+        "surveyStrips",
+        (STRING, REAL, REAL),
+        array_of(REAL),
+        STRIPS,
+        "any",
+        "strips that cover the only polygon of a map file; spacing in m and heading in degrees, constants: "
+        "{latitude, longitude} of start and end of each; M302, M303",
+    ),
+    LibraryFunction(
+        "surveyStrips",
+        (STRING, STRING, REAL, REAL),
+        array_of(REAL),
+        STRIPS,
+        "any",
+        "strips that cover the polygon with this name; M302, M303",
     ),
     LibraryFunction("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
     LibraryFunction("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),

@@ -13,12 +13,12 @@ ShownValue = bool | int | float | str | Sequence[int | float]
 
 
 def value_text(value: ShownValue) -> str:
-    """One value: `yes`, `4.20`, `-1.79e09`, `(1.00 2.00)`."""
+    """One value: `yes`, `4.20`, `-1.79e09`, `(1.00 2.00)`; never `-0.00`."""
     match value:
         case bool():
             return "yes" if value else "no"
         case float():
-            return f"{value:.2f}" if not abs(value) >= SCIENTIFIC_FROM else f"{value:.3g}".replace("e+", "e")
+            return f"{value:z.2f}" if not abs(value) >= SCIENTIFIC_FROM else f"{value:.3g}".replace("e+", "e")
         case int() | str():
             return str(value)
         case _:

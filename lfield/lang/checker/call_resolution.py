@@ -33,6 +33,7 @@ from lfield.lang.language_library import (
     PROXY_METHODS,
     SEQUENCED,
     STRING_METHODS,
+    STRIPS,
     TICKET_METHODS,
     LibraryFunction,
     array_methods,
@@ -214,9 +215,10 @@ def _operation(
     if function.operation == SEQUENCED:
         return sequencing_call(body, raw, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
-    if function.operation == AREA:
+    if function.operation in (AREA, STRIPS):
         # The compiler replaces it by the values in the file.
-        return tree.Elements(raw.span, function.result, [tree.LibraryCall(raw.span, REAL, AREA, arguments)])
+        call = tree.LibraryCall(raw.span, REAL, function.operation, arguments)
+        return tree.Elements(raw.span, function.result, [call])
     if function.operation in GROWTH:
         body.symbols.growing.add(everything[0].type)
     return tree.LibraryCall(raw.span, function.result, function.operation, everything)

@@ -5,8 +5,8 @@ relative to the file of the call. The driver makes a compact text of it, which r
 program: so it is bundled, signed, recorded and replayed as every other constant. Once the bindings are known,
 the driver checks the plan against the limits and options of each device that may fly it.
 
-`mapArea("north.kml")` becomes an array of the corners in a map file in the same way. The polygons themselves
-become debug information of the program, so that a map can show them.
+`mapArea("north.kml")` becomes an array of the corners in a map file in the same way, and `surveyStrips` an
+array of the strips that cover it. The polygons become debug information of the program: a map shows them.
 """
 
 from __future__ import annotations
@@ -25,11 +25,14 @@ from lfield.geodata.area_file import read_area_file
 from lfield.geodata.map_drawings import area_text
 from lfield.geodata.mission_files import PlanRequest
 from lfield.geodata.shapes import Shape, chosen_shape, shape_findings
+from lfield.geodata.survey_strips import strip_numbers, survey_strips
 from lfield.lang import tree
-from lfield.lang.language_library import AREA
+from lfield.lang.language_library import AREA, STRIPS
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.text.input_files import MAX_TEXT, error_reason, read_within
 from lfield.text.source_text import Diagnostic, Span
+
+_MAP_CALLS = (AREA, STRIPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +97,9 @@ class _Embedding:
                 for index, parameter in enumerate(node.instruction.parameters):
                     if parameter.file:
                         self._embed_plan(unit, node, index)
-            case tree.Elements(elements=[tree.LibraryCall(operation=operation) as call]) if operation == AREA:
+            case tree.Elements(elements=[tree.LibraryCall(operation=operation) as call]) if (
+                operation in _MAP_CALLS
+            ):
                 self._embed_area(node, call)
 
     def _embed_plan(self, unit: tree.Unit, call: tree.DeviceCall, index: int) -> None:
@@ -113,29 +118,51 @@ class _Embedding:
             call.arguments[index] = tree.Literal_(argument.span, argument.type, text)
 
     def _embed_area(self, array: tree.Elements, call: tree.LibraryCall) -> None:
-        names = [self._known(argument, "mapArea") for argument in call.arguments]
-        file, span = names[0], call.arguments[0].span
-        if file is None or None in names:
+        is_survey, given = call.operation == STRIPS, call.arguments
+        what, count = ("surveyStrips", len(given) - 2) if is_survey else ("mapArea", len(given))
+        names = [self._known(argument, what) for argument in given[:count]]
+        numbers = [self._number(argument) for argument in given[count:]]
+        file, span = names[0], given[0].span
+        if file is None or None in names or None in numbers:
             return
         with self._reported(file, span):
-            shapes = read_area_file(file, _read(span, file))
-            shape = chosen_shape(file, shapes, (names[1] or "") if len(names) > 1 else "")
+            shape = chosen_shape(file, read_area_file(file, _read(span, file)), (*names, "")[1] or "")
             if shape.kind != "polygon":
                 raise MissionFileError(file, f"{shape.label} is no area")
             self.areas.setdefault(str(_path(span, file)), {})[shape.number] = shape
             errors = [finding for finding in shape_findings(shape) if finding.is_error]
             self.mistakes += [Diagnostic(each.code, f"{file}: {each.text}", span) for each in errors]
-            values = (value for corner in shape.corners for value in corner)
+            values = [value for corner in shape.corners for value in corner]
+            if is_survey and not errors:
+                values = self._strips(shape, [each for each in numbers if each is not None], given[-2].span)
             array.elements[:] = [tree.Literal_(array.span, call.type, value) for value in values]
+
+    def _strips(self, shape: Shape, numbers: Sequence[float], span: Span) -> list[float]:
+        """The strips of an area; none (reported) for an invalid spacing or heading."""
+        try:
+            return strip_numbers(survey_strips(shape.corners, *numbers))
+        except ValueError as error:
+            self.mistakes.append(Diagnostic("M303", f"no strips for {shape.label}: {error}", span))
+            return []
 
     def _known(self, argument: tree.Expr, what: str) -> str | None:
         """The text of an argument; None (reported) if the compiler does not know it."""
         if isinstance(argument, tree.Literal_) and isinstance(argument.value, str):
             return argument.value
-        message = f"{what} needs the name of a file as a literal or constant"
-        hint = "the file becomes part of the program when it is compiled"
-        self.mistakes.append(Diagnostic("M301", message, argument.span, hint))
+        self._unknown(argument, f"{what} needs the name of a file")
         return None
+
+    def _number(self, argument: tree.Expr) -> float | None:
+        """The number of an argument; None (reported) if the compiler does not know it."""
+        inner = argument.operand if isinstance(argument, tree.ToReal) else argument
+        if isinstance(inner, tree.Literal_) and isinstance(inner.value, int | float):
+            return float(inner.value)
+        self._unknown(argument, "surveyStrips needs spacing and heading")
+        return None
+
+    def _unknown(self, argument: tree.Expr, what: str) -> None:
+        hint = "the file becomes part of the program when it is compiled"
+        self.mistakes.append(Diagnostic("M301", f"{what} as a literal or constant", argument.span, hint))
 
     @contextmanager
     def _reported(self, name: str, span: Span) -> Iterator[None]:

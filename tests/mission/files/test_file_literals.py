@@ -192,3 +192,47 @@ def test_a_large_area(tmp_path):
 )
 def test_areas_that_are_refused(tmp_path, arguments, kml, code):
     assert [each for each, _ in refused(area(tmp_path, arguments, kml))] == [code]
+
+
+# -- surveys ---------------------------------------------------------------------------------------------
+
+SURVEY = """const string MAP = "north.kml";
+const real HEIGHT = 20.0;
+const real SPACING = HEIGHT * 0.5 * (1.0 - 0.25);
+coordinator Boss {{
+    init(string[] arg) {{
+        real[] strips = surveyStrips({arguments});
+        print(i2s(strips.length() / 4) + " strips from " + f2s(strips[0], 5) + " to " + f2s(strips[2], 5));
+    }}
+}}
+"""
+
+
+def survey(folder, arguments, kml=None):
+    deployment = area(folder, "MAP", kml)
+    deployment.with_suffix(".L").write_text(SURVEY.format(arguments=arguments))
+    return deployment
+
+
+@pytest.mark.parametrize("arguments", ["MAP, SPACING, 0", 'MAP, "north field", SPACING, 0.0'])
+def test_a_survey_is_an_array_of_strips(tmp_path, lfield_mission, arguments):
+    team = lfield_mission(survey(tmp_path, arguments))
+    team.run(until_done=True)
+    # The field is 70 by 70 m.
+    assert team.said("10 strips from 47.39788 to 47.39851") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kml", "code"),
+    [
+        ("MAP, s2f(arg[0]), 0", None, "M301"),
+        ("arg[0], 10, 0", None, "M301"),
+        ("MAP, 0.1, 0", None, "M303"),
+        ("MAP, 10, 360", None, "M303"),
+        ("MAP, 10, -1", None, "M303"),
+        ("MAP, 10, 0", LINE.replace("LineString", "LinearRing"), "M202"),
+        ("MAP, 10, 0", LINE, "M302"),
+    ],
+)
+def test_surveys_that_are_refused(tmp_path, arguments, kml, code):
+    assert [each for each, _ in refused(survey(tmp_path, arguments, kml))] == [code]

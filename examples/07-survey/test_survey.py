@@ -1,0 +1,66 @@
+"""A survey, on virtual time: `lfield test examples/07-survey`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import survey_times
+from survey_times import deployment, uncovered
+
+#: A field of 28 by 36 m, metres east and north of the start: two strips.
+SMALL = [(-14.0, 12.0), (14.0, 12.0), (14.0, 48.0), (-14.0, 48.0)]
+
+
+def flown(team):
+    """Who has flown which strip, by the log."""
+    lines = "\n".join(line.text for line in team.log)
+    return {int(number): who for number, who in re.findall(r"strip (\d+) is flown by (\w+)", lines)}
+
+
+def row(vehicles):
+    """The numbers of a row of the table of the page."""
+    page = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
+    found = re.search(rf"^\| {vehicles} \| (\d+) s \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE)
+    return tuple(map(int, found.groups()))
+
+
+def test_the_other_vehicle_flies_the_strip_of_one_whose_computer_is_lost(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 2, SMALL)
+    team = lfield_mission(path)
+    # In the middle of its strip.
+    team.run(until=lambda: any(point.north > 25.0 and point.up < 26.0 for point in team.tracks["m1.fc"]))
+    team.crash("copter1")
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert flown(team) == {0: "m2", 1: "m2"}
+    assert team.said("m1 is out, strip ") == 1
+    assert uncovered(team, path.with_name("field.kml")) == []
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("fault", ["silence", "motor_failure"])
+def test_the_others_fly_the_strip_of_a_vehicle_that_fails(lfield_mission, tmp_path, fault):
+    path = deployment(tmp_path, 2, SMALL)
+    team = lfield_mission(path)
+    team.run(until=lambda: any(point.north > 20.0 for point in team.tracks["m2.fc"]))
+    team.fake("m2.fc").set(f"{fault}=true")
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert flown(team) == {0: "m1", 1: "m1"}
+    assert team.said("m2 is out, strip ") == 1
+    assert uncovered(team, path.with_name("field.kml")) == []
+
+
+@pytest.mark.few(0)
+def test_four_vehicles_that_the_registry_chooses_share_the_field(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 4)
+    team = lfield_mission(path)
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert sorted(flown(team)) == list(range(9))
+    assert set(flown(team).values()) == {"m1", "m2", "m3", "m4"}
+    assert uncovered(team, path.with_name("field.kml")) == []
+    assert row("4")[1:] == (9, len(team.hops), 0)
+    assert all(track[-1].up < 0.2 for track in team.tracks.values()), "all have landed"
