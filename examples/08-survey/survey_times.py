@@ -1,6 +1,6 @@
 """Flies the survey with 1, 2 and 4 copters, and once more with a computer that is lost, in virtual time.
 
-`python examples/07-survey/survey_times.py` prints the table of the page and draws tracks.svg.
+`python examples/08-survey/survey_times.py` prints the table of the page and draws tracks.svg.
 """
 
 from __future__ import annotations

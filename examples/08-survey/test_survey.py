@@ -1,4 +1,4 @@
-"""A survey, on virtual time: `lfield test examples/07-survey`."""
+"""A survey, on virtual time: `lfield test examples/08-survey`."""
 
 from __future__ import annotations
 
