@@ -244,6 +244,7 @@ def test_ardupilot_mission_upload_pause_resume_and_clear():
     fly(story, "ardupilot")
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_uploaded_geofence_is_downloaded_and_cleared(flavour):
     corners = [

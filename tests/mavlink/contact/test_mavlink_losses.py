@@ -140,18 +140,18 @@ def test_offboard_rejected_by_status_text_is_refused(flown):
         await fc.execute("setMode", ["AUTO.LOITER"])
         await asyncio.sleep(2.0)
         fc.motion.stream.start = lambda target, until: None
-        said = []
+        are_texts = []
 
         def lose_the_first(link, packet):
             (message,) = Reader().feed(packet)
-            said.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
-            if not said[-1] or sum(said) > 1:
+            are_texts.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
+            if not are_texts[-1] or sum(are_texts) > 1:
                 link.on_data(packet)
 
         b.filter = lose_the_first
         with pytest.raises(DeviceError, match="OFFBOARD was refused"):
             await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        assert sum(said) >= 3
+        assert sum(are_texts) >= 3
 
     flown(work)
 

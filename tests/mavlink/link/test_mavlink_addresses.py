@@ -97,14 +97,14 @@ def test_late_packets_of_the_old_address_are_no_conflict():
 
 
 @pytest.mark.parametrize("first", [A, B])
-@pytest.mark.parametrize("told", [True, False])
-def test_another_vehicle_does_not_replace_a_silent_one(first, told):
+@pytest.mark.parametrize("has_id", [True, False])
+def test_another_vehicle_does_not_replace_a_silent_one(first, has_id):
     """It sends beside the first or only after it; also for boards without an id."""
     s = Sources(1, LINKS[:1])
-    mine, others = (SAME, version(uid2=b"abd")) if told else (version(), version())
+    mine, others = (SAME, version(uid2=b"abd")) if has_id else (version(), version())
     run(s, 5.0, A)
     s.on_packet(A, mine, 5.0)
-    if first == B or not told:
+    if first == B or not has_id:
         run(s, 5.0, A, B, start=6.0, boards={B: others})
     assert run(s, 20.0, B, start=12.0, boards={B: others}) == {B: False}
     assert B.address in s.conflict(32.1)
@@ -131,10 +131,10 @@ def test_address_reported_as_second_vehicle_is_accepted_by_its_board():
 def test_restarted_vehicle_at_another_address_is_accepted():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
-    for source, told, clock, now in ((A, SAME, 500.0, 5.0), (B, SAME, 1.0, 9.0)):
+    for source, board, clock, now in ((A, SAME, 500.0, 5.0), (B, SAME, 1.0, 9.0)):
         s.on_packet(source, beat(), now)
         s.on_packet(source, attitude(clock), now)
-        s.on_packet(source, told, now)
+        s.on_packet(source, board, now)
     assert s.address(0) == B.address
 
 
@@ -208,10 +208,10 @@ def test_simulators_with_one_board_id_are_distinguished_by_clock():
         assert s.accepts(RADIO) is same
 
 
-@pytest.mark.parametrize("told", [version(), None])
+@pytest.mark.parametrize("board", [version(), None])
 @pytest.mark.parametrize(("clock", "same"), [(100.0, True), (101.0, True), (140.0, False), (None, True)])
-def test_boards_without_an_id_are_distinguished_by_clock(told, clock, same):
-    s, _ = two_links(told, told, (100.0, clock))
+def test_boards_without_an_id_are_distinguished_by_clock(board, clock, same):
+    s, _ = two_links(board, board, (100.0, clock))
     assert s.accepts(RADIO) is same
     assert bool(s.conflict(9.6)) is not same
 
@@ -241,9 +241,9 @@ def test_two_vehicles_behind_one_address_are_detected_by_clock():
 def test_two_vehicles_behind_one_address_are_detected_by_board():
     s = Sources(1, ["udp:127.0.0.1:14550"])
     s.on_packet(CABLE, beat(), 0.0)
-    for now, told in ((1.0, SAME), (1.1, version(uid2=b"abd")), (1.3, SAME)):
+    for now, board in ((1.0, SAME), (1.1, version(uid2=b"abd")), (1.3, SAME)):
         assert s.conflict(now) == ""
-        assert s.on_packet(CABLE, told, now)
+        assert s.on_packet(CABLE, board, now)
     assert s.conflict(1.3) == "two vehicles send as system 1, both over udp:127.0.0.1:14550"
     assert len(s.events) == 1
     s.on_packet(CABLE, beat(), 10.0)
@@ -253,8 +253,8 @@ def test_two_vehicles_behind_one_address_are_detected_by_board():
 def test_vehicle_that_replaces_another_is_no_conflict():
     s = Sources(1, ["udp:127.0.0.1:14550"])
     s.on_packet(CABLE, beat(), 0.0)
-    for now, told in ((1.0, SAME), (1.2, version(uid2=b"abd")), (1.4, version(uid2=b"abd")), (4.4, SAME)):
-        s.on_packet(CABLE, told, now)
+    for now, board in ((1.0, SAME), (1.2, version(uid2=b"abd")), (1.4, version(uid2=b"abd")), (4.4, SAME)):
+        s.on_packet(CABLE, board, now)
         assert s.conflict(now) == ""
 
 

@@ -99,10 +99,10 @@ def test_link_that_fails_to_open_is_reported_and_retried(bench):
         await fc.execute("arm", [])
 
     b.run(mission)
-    told = [note for note in b.notes if "open" in note]
-    assert told[0] == "link not opened: cannot open link 1; continuing with the other links"
-    assert re.fullmatch(r"link opened: \S+, after [4-6] attempts", told[1])
-    assert len(told) == 2
+    notes = [note for note in b.notes if "open" in note]
+    assert notes[0] == "link not opened: cannot open link 1; continuing with the other links"
+    assert re.fullmatch(r"link opened: \S+, after [4-6] attempts", notes[1])
+    assert len(notes) == 2
 
 
 def test_open_fails_when_no_link_opens(bench):

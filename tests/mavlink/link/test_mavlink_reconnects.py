@@ -155,8 +155,8 @@ async def test_silent_udp_link_is_reopened(host):
     await until(lambda: answers(1))
     # The local address may have changed: the link now sends from a new socket.
     await until(lambda: any(": it sends to" in note for note in recorded.notes))
-    heard = len(recorded.got)
-    await until(lambda: answers(heard + 1))
+    count = len(recorded.got)
+    await until(lambda: answers(count + 1))
     assert other.peers[0] != other.peers[-1]
     link.close()
     other.transport.close()

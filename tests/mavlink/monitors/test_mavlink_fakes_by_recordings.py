@@ -89,9 +89,9 @@ class Flight:
             now = self.autopilot.now
             self.received += [(now, m) for m in self._back.parse_buffer(b"".join(packets)) or []]
 
-    def said(self, began):
-        told = condensed([(at - began, message) for at, message in self.received])
-        return [(at, words) for at, words in told if at >= 0.0]
+    def events_since(self, began):
+        changes = condensed([(at - began, message) for at, message in self.received])
+        return [(at, words) for at, words in changes if at >= 0.0]
 
 
 def recorded_heights(name, note, seconds):
@@ -130,7 +130,7 @@ def test_gps_loss_leads_to_the_ekf_failsafe_as_recorded():
     flight.fault("gps_loss=true")
     flight.wait(9.0)
     assert any("EKF Failsafe: changed to LAND Mode" in words for _, words in real)
-    assert_alike(real, flight.said(began))
+    assert_alike(real, flight.events_since(began))
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) != dialect.MAV_RESULT_ACCEPTED
 
 
@@ -146,7 +146,9 @@ def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) == dialect.MAV_RESULT_ACCEPTED
     flight.goes(60.0)
     flight.wait(20.0)
-    fake = [(at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.said(began)]
+    fake = [
+        (at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.events_since(began)
+    ]
     real = [(at - acts, words.split(" 1")[0] if "is low" in words else words) for at, words in real]
     assert sorted(words for _, words in fake) == sorted(words for _, words in real)
     assert flight.autopilot.mode == "GUIDED"
@@ -156,7 +158,7 @@ def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
     flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_FAILED
     flight.wait(0.1)
-    assert "Arm: Battery failsafe" in [words for _, words in flight.said(began)]
+    assert "Arm: Battery failsafe" in [words for _, words in flight.events_since(began)]
 
 
 def test_weak_motor_falls_as_recorded():
@@ -166,8 +168,8 @@ def test_weak_motor_falls_as_recorded():
     began = flight.autopilot.now
     flight.fault("motor_power=0.6")
     assert_falls_alike(flight, heights, 1.2)
-    said = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
-    assert [words for _, words in flight.said(began)] == said
+    texts = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
+    assert [words for _, words in flight.events_since(began)] == texts
 
 
 @pytest.mark.parametrize(("name", "note", "fault"), [
@@ -180,7 +182,7 @@ def test_flight_continues_with_gps_glitch_or_without_compasses(name, note, fault
     began = flight.autopilot.now
     flight.fault(fault)
     flight.wait(7.0)
-    assert_alike(real, flight.said(began))
+    assert_alike(real, flight.events_since(began))
     assert flight.autopilot.mode == "GUIDED"
 
 
@@ -214,5 +216,5 @@ def test_goal_of_another_station_is_flown_without_mode_or_text():
     given = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3576, *goal, -8.0, *[0.0] * 8)
     flight.fake.receive("other", given.pack(other))
     flight.wait(10.0)
-    assert flight.said(began) == []
+    assert flight.events_since(began) == []
     assert math.dist(flight.autopilot.vehicle.place[:2], goal) < math.dist(place, goal) - 5.0

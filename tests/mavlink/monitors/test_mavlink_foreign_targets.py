@@ -289,7 +289,7 @@ def test_leaving_the_course_is_found_only_after_following_it():
 def test_sender_of_a_motion_command_is_named():
     mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
 
-    def heard(message, target):
+    def commander(message, target):
         message.pack(mav)
         neighbours = Neighbours()
         neighbours.on_command(message, 1.0)
@@ -298,11 +298,11 @@ def test_sender_of_a_motion_command_is_named():
     def command(number, target=1):
         return dialect.MAVLink_command_long_message(target, 1, number, 0, *[0.0] * 7)
 
-    assert heard(velocity(1.0, 0.0, 0.0), 1) == "system 255, component 190"
-    assert heard(velocity(1.0, 0.0, 0.0, target=0), 1) == "system 255, component 190"
-    assert heard(command(dialect.MAV_CMD_DO_REPOSITION), 1) == "system 255, component 190"
-    assert heard(command(dialect.MAV_CMD_DO_REPOSITION, target=2), 1) == ""
-    assert heard(command(dialect.MAV_CMD_REQUEST_MESSAGE), 1) == "", "QGroundControl sends many requests"
+    assert commander(velocity(1.0, 0.0, 0.0), 1) == "system 255, component 190"
+    assert commander(velocity(1.0, 0.0, 0.0, target=0), 1) == "system 255, component 190"
+    assert commander(command(dialect.MAV_CMD_DO_REPOSITION), 1) == "system 255, component 190"
+    assert commander(command(dialect.MAV_CMD_DO_REPOSITION, target=2), 1) == ""
+    assert commander(command(dialect.MAV_CMD_REQUEST_MESSAGE), 1) == "", "QGroundControl sends many requests"
 
 
 def test_own_successive_velocities_are_not_foreign():

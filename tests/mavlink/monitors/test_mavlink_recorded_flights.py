@@ -103,8 +103,10 @@ def test_recorded_gps_loss_is_found_within_a_second():
     watched, fix_lost = Watched("ap-copter.gauntlet-a", *PATROL), None
     for event in watched.play():
         message = event.message
-        told = message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
-        if told and message.fix_type < 3 and fix_lost is None:
+        is_fix_report = (
+            message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
+        )
+        if is_fix_report and message.fix_type < 3 and fix_lost is None:
             fix_lost = event.at
         if fix_lost is not None and watched.monitor.lost_position:
             break

@@ -72,15 +72,15 @@ def test_slowing_vehicle_is_not_helpless(speed, late, gains, slows):
 
 
 @given(st.floats(4.0, 30.0), st.lists(st.floats(0.0, 0.05), min_size=60, max_size=60), st.integers(0, 30))
-def test_vehicle_that_does_not_slow_down_in_time_is_helpless(speed, noise, told):
+def test_vehicle_that_does_not_slow_down_in_time_is_helpless(speed, noise, sent_after):
     """The time starts when the correction was sent, or at its deadline."""
     watch, given_up = LimitWatch(BOUND, TIME), []
     for n, more in enumerate([0.0] * 11 + noise):
         if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.HELPLESS:
             given_up.append(n * STEP)
-        if n == 10 + told:
+        if n == 10 + sent_after:
             watch.on_correction_sent(n * STEP)
-    assert given_up[0] == pytest.approx(TIME + min(told * STEP, TIME) + TIME, abs=1.01 * STEP)
+    assert given_up[0] == pytest.approx(TIME + min(sent_after * STEP, TIME) + TIME, abs=1.01 * STEP)
 
 
 def test_vehicle_that_slows_down_too_long_is_helpless():
@@ -90,9 +90,9 @@ def test_vehicle_that_slows_down_too_long_is_helpless():
 
 def test_hold_beyond_the_radius_is_a_sufficient_correction():
     out = [5.0, *[5.0] * 10, *[max(5.0 - 0.25 * n, 0.0) for n in range(60)]]
-    watch, said = LimitWatch(96.0, TIME, 0.5), []
-    said = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
-    assert [v for v in said if v] == [Verdict.CORRECT]
+    watch = LimitWatch(96.0, TIME, 0.5)
+    found = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
+    assert [v for v in found if v] == [Verdict.CORRECT]
     # If it then moves further outwards, it is not.
     assert Verdict.HELPLESS in [watch.sample(101.0, 2.0, (len(out) + n) * STEP) for n in range(12)]
 
@@ -188,12 +188,12 @@ def test_repeated_overspeed_stays_corrected_for_the_motion(limited, monkeypatch)
             await fc.execute("goTo", [goal, 0.0, -5.0])
 
     b.run(mission)
-    said = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
+    reports = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
     motion = [
         "commanded to be slower", "within its limit of 3 m/s again", "speed of 3 m/s commanded again",
         "commanded to be slower for the rest of this motion", "within its limit of 3 m/s again",
     ]  # fmt: skip
-    assert said == motion * 2
+    assert reports == motion * 2
     assert b.breaches == []
 
 
@@ -271,8 +271,8 @@ async def test_excess_under_pilot_control_is_only_reported(b, fc, /):
     b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
     b.autopilot.pace.change(7.0)
     await asyncio.sleep(8.0)
-    (said,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
-    assert said.endswith("since a pilot or a failsafe controls it in RTL")
+    (report,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
+    assert report.endswith("since a pilot or a failsafe controls it in RTL")
     assert b.breaches == []
 
 

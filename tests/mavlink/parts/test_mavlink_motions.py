@@ -249,9 +249,9 @@ def test_velocity_blocked_by_the_fence_is_reported_once(bench):
             await asyncio.sleep(0.3)
 
     b.run(mission)
-    (said,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
-    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in said
-    assert said.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
+    (report,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
+    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in report
+    assert report.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
 
 
 def test_zero_velocity_is_followed_by_a_standing_vehicle():

@@ -75,6 +75,7 @@ def test_longer_board_uid_is_preferred(bench, monkeypatch, uid, uid2, serial):
     assert bench().run(story) == serial
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
 @on_bench("bench", limits={"speed": 1.5}, set_up=False, given="flavour kind safe_state=state", opened=False)
 async def test_stock_vehicle_is_refused_then_set_up_and_opened(b, fc, /, flavour, kind, state):
@@ -83,8 +84,8 @@ async def test_stock_vehicle_is_refused_then_set_up_and_opened(b, fc, /, flavour
     assert written(b) == []
     named = [setting.name for setting in mismatched(await fc.settings())]
     assert f"{named[0]} is " in refused.value.reason
-    told = [note for note in b.notes if note.code == "setting-mismatch"]
-    assert all(any(f" {name} is " in note for note in told) for name in named)
+    mismatches = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert all(any(f" {name} is " in note for note in mismatches) for name in named)
     await set_up(fc)
     assert sorted(written(b)) == sorted(named)
     await fc.open()
@@ -93,6 +94,7 @@ async def test_stock_vehicle_is_refused_then_set_up_and_opened(b, fc, /, flavour
     assert written(b).count("NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE") == 1
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
 @pytest.mark.parametrize("ttl", [0.1, 4.0])
 def test_fakes_of_a_mission_need_no_setup(bench, flavour, kind, state, ttl):
@@ -254,8 +256,8 @@ async def test_changed_failsafe_parameter_blocks_arming(b, fc, /):
     b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
     with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, and 1 more"):
         await fc.execute("arm", [])
-    told = [note for note in b.notes if note.code == "setting-mismatch"]
-    assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in told)
+    mismatches = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in mismatches)
     assert not b.autopilot.armed
     assert b.values["gcsFailsafe"] is False
     assert written(b) == []

@@ -324,6 +324,7 @@ def test_any_listing_gives_a_bounded_number_of_entries(data):
     assert all(entry.size >= 0 for entry in found)
 
 
+@pytest.mark.few(0)
 @settings(max_examples=15, deadline=None)
 @given(st.binary(min_size=PACKET, max_size=PACKET), st.integers(0, 15), st.booleans())
 def test_random_server_answers_end_in_bounded_time(noise, opcode, right_number):

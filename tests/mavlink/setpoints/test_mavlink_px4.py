@@ -273,9 +273,10 @@ async def test_refusal_text_counts_only_for_its_mode(b, fc, /, monkeypatch):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("delay", "stays_on", "said"), [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)]
+    ("delay", "stays_on", "note_count"),
+    [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)],
 )
-def test_px4_landing_ends_when_motors_are_off_or_kept_on(px4, delay, stays_on, said):
+def test_px4_landing_ends_when_motors_are_off_or_kept_on(px4, delay, stays_on, note_count):
     b = px4()
     b.autopilot.parameters["COM_DISARM_LAND"] = delay
 
@@ -284,7 +285,7 @@ def test_px4_landing_ends_when_motors_are_off_or_kept_on(px4, delay, stays_on, s
         await fc.execute("land", [])
         assert b.values["landed"]
         assert b.values["armed"] is stays_on
-        assert len([note for note in b.notes if "switching them off" in note]) == said
+        assert len([note for note in b.notes if "switching them off" in note]) == note_count
         await fc.execute("arm", [])
         await asyncio.sleep(1.5)
         assert b.values["armed"] is True

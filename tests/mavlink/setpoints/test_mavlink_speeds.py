@@ -130,6 +130,7 @@ def test_px4_rover_keeps_a_low_speed_in_every_motion(bench, way):
     assert b.run(story) <= STILL_AIR * limit
 
 
+@pytest.mark.few(0)
 @on_bench("bench", flavour="px4", limits={"speed": 0.5})
 async def test_slow_orbit_reaches_its_circle(b, fc, /):
     await fc.execute("arm", [])

@@ -120,6 +120,7 @@ async def test_ardupilot_mission_ends_after_death_of_host_and_guard(b, fc, /):
     other.cancel()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("way", ["hold", "pause"])
 @pytest.mark.parametrize("state", ["land", "return"])
 @on_bench("bench", given="safe_state=state")

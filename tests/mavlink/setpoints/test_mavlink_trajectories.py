@@ -126,19 +126,19 @@ def test_pursuit_slows_down_and_stops_at_the_goal():
 
 def drive(correction, flown, speed=3.0, seconds=30.0):
     """The final speed of a vehicle that flies `flown(command)`, and the commands."""
-    now, told = 0.0, []
+    now, commands = 0.0, []
     while now < seconds:
         correction.sample(flown(correction.commanded(speed)), speed, now)
-        told.append(correction.commanded(speed))
+        commands.append(correction.commanded(speed))
         now += 0.1
-    return flown(told[-1]), told
+    return flown(commands[-1]), commands
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.75, 1.18), st.floats(0.7, 1.0), st.floats(1.0, 10.0))
 def test_overspeed_is_corrected_and_no_command_exceeds_the_speed(gain, share, speed):
-    flown, told = drive(SpeedCorrection(share), lambda commanded: gain * commanded, speed)
-    assert max(told) <= speed * (1.0 + 1e-9)
+    flown, commands = drive(SpeedCorrection(share), lambda commanded: gain * commanded, speed)
+    assert max(commands) <= speed * (1.0 + 1e-9)
     assert flown <= speed * 1.02
     assert flown >= 0.95 * min(gain, 1.0) * speed
 
@@ -166,13 +166,13 @@ def test_correction_is_unchanged_during_acceleration():
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
 def test_known_excess_is_compensated_from_the_start(speed):
     correction = SpeedCorrection(excess=0.45)
-    flown, told = drive(correction, lambda commanded: commanded + 0.45, speed)
+    flown, commands = drive(correction, lambda commanded: commanded + 0.45, speed)
     assert flown == pytest.approx(speed, rel=0.02)
-    assert max(told) + 0.45 <= 1.15 * speed
+    assert max(commands) + 0.45 <= 1.15 * speed
     # For another speed the correction is immediate.
     assert correction.commanded(2.0) + 0.45 <= 2.0 * 1.05
 
 
 def test_proportional_excess_is_corrected():
-    flown, _told = drive(SpeedCorrection(excess=0.45), lambda commanded: 1.5 * commanded, 0.5)
+    flown, _commands = drive(SpeedCorrection(excess=0.45), lambda commanded: 1.5 * commanded, 0.5)
     assert flown == pytest.approx(0.5, rel=0.05)

@@ -35,6 +35,7 @@ def farthest(client, seconds, place=(0.0, 0.0)):
     return far
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_copter_holds_its_position_in_wind(flavour):
     c = hovering("wind=8", flavour=flavour)

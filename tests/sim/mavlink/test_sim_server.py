@@ -100,6 +100,7 @@ def test_pty_endpoint_works_as_a_serial_port():
     assert process.communicate(timeout=60) == ("", "")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_ends_the_process_with_status_0(number):
     process = start("--listen", "udp:127.0.0.1:0")

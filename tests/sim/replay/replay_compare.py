@@ -70,10 +70,10 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
         same = (c.t for c in commands[number + 1 :] if c.fields["command"] == line.fields["command"])
         end = min(next(same, math.inf), line.t + 8.0)
         ours, theirs = _acks(real, line, end), _acks(played.trace, line, end)
-        said, told = _describe(ours), _describe(theirs)
+        real_results, fake_results = _describe(ours), _describe(theirs)
         what = f"{line.t:.1f} {_call(line)}"
-        if said != told:
-            yield Difference(f"{what}: {said} / {told}")
+        if real_results != fake_results:
+            yield Difference(f"{what}: {real_results} / {fake_results}")
         elif ours and abs(ours[0].t - theirs[0].t) > ACK_TIME:
             times = Figures(ours[0].t - line.t, theirs[0].t - line.t, ACK_TIME)
             yield Difference(f"{what}: time of the acknowledgement", figures=times)
@@ -142,13 +142,14 @@ def _texts(real: Trace, played: Played) -> Iterator[Difference]:
         theirs.remove(same)
         if same.severity != each.severity:
             yield Difference(f"text's severity: {each.text}: {each.severity} / {same.severity}")
-    said = Counter(each.text for each in own)
+    text_counts = Counter(each.text for each in own)
     for text, count in missing.items():
         yield Difference(
-            f"text missing: {text}", figures=Figures(said[text], said[text] - count, 0.0, "times")
+            f"text missing: {text}",
+            figures=Figures(text_counts[text], text_counts[text] - count, 0.0, "times"),
         )
     for text, count in Counter(each.text for each in theirs).items():
-        same_text = said[text] - missing[text]
+        same_text = text_counts[text] - missing[text]
         yield Difference(
             f"text too many: {text}", figures=Figures(same_text, same_text + count, 0.0, "times")
         )
@@ -307,13 +308,13 @@ def _rates(real: Trace, played: Played) -> Iterator[Difference]:
         head, found = note.text, re.search(r"(\{'.*\})$", note.text)
         if not head.startswith("FACT") or not real.scenario.startswith("k-") or not found:
             continue
-        told: dict[str, float] = ast.literal_eval(found.group(1).rpartition(", then ")[2] or found.group(1))
+        noted: dict[str, float] = ast.literal_eval(found.group(1).rpartition(", then ")[2] or found.group(1))
         seconds = _window(head)
-        for kind in sorted({*told, *(played.counts if len(told) > 5 or "nothing sent" in head else ())}):
+        for kind in sorted({*noted, *(played.counts if len(noted) > 5 or "nothing sent" in head else ())}):
             if kind in ("PARAM_VALUE", "STATUSTEXT", "COMMAND_ACK"):
                 continue
             counted = sum(note.t - seconds <= t < note.t for t in played.counts.get(kind, ())) / seconds
-            rate = told.get(kind, 0.0)
+            rate = noted.get(kind, 0.0)
             if abs(rate - counted) > RATE + RATE_SHARE * rate:
                 rates = Figures(rate, counted, RATE, "a second")
                 yield Difference(f"{note.t:.0f} rate of {kind}", figures=rates)

@@ -100,9 +100,9 @@ def messages(real: Trace, counts: dict[str, list[float]]) -> Iterator[Difference
     if "seen" not in real.header:
         return
     seen = {kind for kind, count in real.header["seen"].items() if count}
-    told = {kind for kind, times in counts.items() if times}
+    sent = {kind for kind, times in counts.items() if times}
     known = set(IDS.values())
-    for kind in sorted((seen & known) - told - ELSEWHERE):
+    for kind in sorted((seen & known) - sent - ELSEWHERE):
         yield Difference(f"message missing: {kind}")
-    for kind in sorted(told - seen - ELSEWHERE):
+    for kind in sorted(sent - seen - ELSEWHERE):
         yield Difference(f"message too many: {kind}")

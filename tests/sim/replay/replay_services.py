@@ -143,8 +143,8 @@ def _reached(real: Trace, fake: Trace) -> Iterator[Difference]:
         if abs(a[0] - b[0]) > REACH_TIME + REACH_SHARE * (a[0] - since):
             yield Difference(f"item {seq} reached: time", figures=Figures(a[0], b[0], REACH_TIME))
         if (len(a) > 1) != (len(b) > 1):
-            told = "once" if len(a) > 1 else "again and again"
-            yield Difference(f"item {seq} reached: told {told}", f"{len(a)} / {len(b)}")
+            repetition = "once" if len(a) > 1 else "again and again"
+            yield Difference(f"item {seq} reached: told {repetition}", f"{len(a)} / {len(b)}")
 
 
 def _logs(real: Trace, fake: Trace) -> Iterator[Difference]:
@@ -178,10 +178,10 @@ def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Difference]:
     wanted = _results(text, asked)
     for line, result in zip(asked, wanted, strict=True):
         reply = _reply(fake, line)
-        told = "no answer" if reply is None else _word(reply)
-        if result and result != told:
+        answer = "no answer" if reply is None else _word(reply)
+        if result and result != answer:
             name = str(line.fields["data"]).replace("\0", " ") if line.fields["op"] != "write" else ""
-            yield Difference(f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}")
+            yield Difference(f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {answer}")
         elif reply is not None and not reply.fields["nak"]:
             yield from _contents(text, line, reply, alone=len(asked) == 1)
 
@@ -201,14 +201,14 @@ def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Di
 
 def _results(text: str, asked: list[Line]) -> list[str]:
     """The recorded answer to each request, "" where it is unknown."""
-    told = [f"NAK {name}" if name else "ACK" for name in re.findall(r"(?:NAK (\w+)|\bACK\b)", text)]
+    answers = [f"NAK {name}" if name else "ACK" for name in re.findall(r"(?:NAK (\w+)|\bACK\b)", text)]
     if "size told" in text:
         return [
             {"open_ro": "ACK", "terminate": "ACK", "crc": "ACK"}.get(line.fields["op"], "") for line in asked
         ]
-    if len(told) == len(asked):
-        return told
-    if len(asked) == 1 and not told:
+    if len(answers) == len(asked):
+        return answers
+    if len(asked) == 1 and not answers:
         return ["ACK"]
     return [""] * len(asked)
 

@@ -190,12 +190,12 @@ def test_invalid_path_is_not_found(path):
 
 
 def test_ardupilot_and_px4_file_servers_differ_as_recorded():
-    said = []
-    ardupilot = Client(FtpServer(FileTree({"/f": b"1"}), ARDUPILOT, said.append))
-    px4 = Client(FtpServer(FileTree({"/f": b"1"}), PX4, said.append))
+    texts = []
+    ardupilot = Client(FtpServer(FileTree({"/f": b"1"}), ARDUPILOT, texts.append))
+    px4 = Client(FtpServer(FileTree({"/f": b"1"}), PX4, texts.append))
     assert ardupilot.refused(16, "/") is FtpError.FAIL
     assert px4.refused(16, "/") is FtpError.UNKNOWN_COMMAND
-    assert said == ["Unsupported FTP: 16"]
+    assert texts == ["Unsupported FTP: 16"]
     assert ardupilot.refused(FtpOpcode.LIST, "") is FtpError.INVALID_DATA_SIZE
     assert px4.listing("") == px4.listing("/") == ["Ff\t1"]
     assert ardupilot.ok(FtpOpcode.OPEN_READ, "/f", session=77).session == 77
