@@ -1,4 +1,4 @@
-"""What a host tells others of the time, and what it takes from them."""
+"""The time that a host sends to others and accepts from them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def judge_of(name: str, clock: float) -> CertificateAdmission:
     return CertificateAdmission(Keys("host", b"", b"", b""), own, TrustedClock(ManualClock(clock)))
 
 
-def test_a_lie_about_the_time_is_gone_with_the_liar() -> None:
-    """Two hosts that passed on what they were told would tell it to each other for ever."""
+def test_false_time_of_a_host_is_not_passed_on() -> None:
+    """Two hosts that passed on received times would keep a false time forever."""
     alpha, bravo = (judge_of(name, 1.75e9) for name in ("alpha", "bravo"))
-    liar = Identity("host", "liar", NO_RIGHTS, "c", BEGIN, END, "ours")
-    alpha.on_handshake(liar, Hello("host", "liar", 1, time=1.89e9))
+    false_host = Identity("host", "false_host", NO_RIGHTS, "c", BEGIN, END, "ours")
+    alpha.on_handshake(false_host, Hello("host", "false_host", 1, time=1.89e9))
     assert alpha.time.now() == 1.89e9
-    assert "since host liar has sent that time" in alpha.clock_warning()
+    assert "since host false_host has sent that time" in alpha.clock_warning()
     bravo.on_handshake(alpha.own, alpha.sign_hello(HELLO))
     assert bravo.time.now() == 1.75e9
 
 
-def test_a_host_without_a_clock_takes_the_time_of_one_that_has() -> None:
+def test_host_without_a_clock_accepts_the_time_of_another() -> None:
     pi, alpha = judge_of("pi", 5.0), judge_of("alpha", 1.75e9)
     assert pi.time.now() == BEGIN
     pi.on_handshake(alpha.own, alpha.sign_hello(HELLO))

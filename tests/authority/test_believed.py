@@ -1,4 +1,4 @@
-"""What time it is, for computers whose clock may have begun in 1970."""
+"""The trusted time of computers whose clock may have started in 1970."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BRAVO = Identity("host", "bravo", NO_RIGHTS, "b1", 1.7e9, 1.9e9, "a" * 64)
 
 
 class Pi:
-    """A clock that began in 1970, or at `wall`, `up` seconds ago."""
+    """A clock that started `up` seconds ago in 1970, or at `wall`."""
 
     def __init__(self, wall: float = 0.0, up: float = 5.0) -> None:
         self.wall, self.up = wall, up
@@ -29,81 +29,81 @@ class Pi:
         self.up += seconds
 
 
-def test_a_good_clock_is_believed_and_nothing_is_said() -> None:
-    believed = TrustedClock(Pi(1.8e9), journal_time=1.79e9)
-    believed.on_signature(1.75e9, "the certificate of host bravo")
-    believed.on_peer_time(1.8e9, BRAVO)
-    assert believed.now() == 1.8e9 + 5.0
-    assert believed.warning() is None
+def test_correct_clock_is_trusted_without_a_warning() -> None:
+    trusted = TrustedClock(Pi(1.8e9), journal_time=1.79e9)
+    trusted.on_signature(1.75e9, "the certificate of host bravo")
+    trusted.on_peer_time(1.8e9, BRAVO)
+    assert trusted.now() == 1.8e9 + 5.0
+    assert trusted.warning() is None
 
 
-def test_a_clock_of_1970_goes_on_from_what_was_kept() -> None:
+def test_clock_of_1970_continues_from_the_journal_time() -> None:
     clock = Pi()
-    believed = TrustedClock(clock, journal_time=1.8e9)
+    trusted = TrustedClock(clock, journal_time=1.8e9)
     clock.wait(100.0)
-    assert believed.now() == 1.8e9 + 100.0
-    assert believed.warning() == (
+    assert trusted.now() == 1.8e9 + 100.0
+    assert trusted.warning() == (
         "system clock behind: it shows 1970-01-01 00:01 UTC, and it is at least 2027-01-15 08:01 UTC, since "
         "the journal of this host has that time; set the clock"
     )
 
 
-def test_what_the_authority_has_signed_began_already() -> None:
-    believed = TrustedClock(Pi())
-    believed.on_signature(1.75e9, "the certificate of host bravo")
-    believed.on_signature(1.72e9, "the certificate of host alpha")
-    assert believed.now() == 1.75e9
-    assert "since the certificate of host bravo began then" in believed.warning()
+def test_start_of_a_signed_certificate_is_a_lower_bound() -> None:
+    trusted = TrustedClock(Pi())
+    trusted.on_signature(1.75e9, "the certificate of host bravo")
+    trusted.on_signature(1.72e9, "the certificate of host alpha")
+    assert trusted.now() == 1.75e9
+    assert "since the certificate of host bravo began then" in trusted.warning()
 
 
-def test_the_team_is_believed_within_its_own_certificates() -> None:
-    believed = TrustedClock(Pi())
-    believed.on_peer_time(1.8e9, BRAVO)
-    assert believed.now() == 1.8e9
-    assert "since host bravo has sent that time" in believed.warning()
+def test_peer_time_is_trusted_within_its_certificate() -> None:
+    trusted = TrustedClock(Pi())
+    trusted.on_peer_time(1.8e9, BRAVO)
+    assert trusted.now() == 1.8e9
+    assert "since host bravo has sent that time" in trusted.warning()
     for beyond in (BRAVO.valid_until, 1e12, math.inf, math.nan, -math.inf, BRAVO.valid_from - 1.0):
-        believed.on_peer_time(beyond, BRAVO)
-        assert believed.now() == 1.8e9
-    believed.on_peer_time(1.85e9, ANONYMOUS)
+        trusted.on_peer_time(beyond, BRAVO)
+        assert trusted.now() == 1.8e9
+    trusted.on_peer_time(1.85e9, ANONYMOUS)
     for kind in ("local", "person"):
-        believed.on_peer_time(1.85e9, Identity(kind, "root", NO_RIGHTS))
-    assert believed.now() == 1.8e9
+        trusted.on_peer_time(1.85e9, Identity(kind, "root", NO_RIGHTS))
+    assert trusted.now() == 1.8e9
 
 
-def test_what_the_team_says_is_not_passed_on() -> None:
+def test_peer_time_is_not_passed_on() -> None:
     clock = Pi()
-    believed = TrustedClock(clock, journal_time=1.7e9)
-    believed.on_peer_time(1.8e9, BRAVO)
-    assert believed.for_handshake() == 1.7e9
-    believed.on_signature(1.75e9, "list 3")
+    trusted = TrustedClock(clock, journal_time=1.7e9)
+    trusted.on_peer_time(1.8e9, BRAVO)
+    assert trusted.for_handshake() == 1.7e9
+    trusted.on_signature(1.75e9, "list 3")
     clock.wait(10.0)
-    assert believed.for_handshake() == 1.75e9 + 10.0
-    assert believed.now() == 1.8e9 + 10.0
+    assert trusted.for_handshake() == 1.75e9 + 10.0
+    assert trusted.now() == 1.8e9 + 10.0
 
 
-def test_a_clock_that_stays_behind_is_told_once_for_each_reason() -> None:
+def test_slow_clock_is_reported_once_per_reason() -> None:
     clock = Pi()
-    believed = TrustedClock(clock, journal_time=1.7e9)
-    assert "the journal of this host has that time" in believed.warning()
+    trusted = TrustedClock(clock, journal_time=1.7e9)
+    assert "the journal of this host has that time" in trusted.warning()
     clock.wait(3600.0)
-    assert believed.warning() is None
-    believed.on_peer_time(1.8e9, BRAVO)
-    assert "since host bravo has sent that time" in believed.warning()
-    assert believed.warning() is None
+    assert trusted.warning() is None
+    trusted.on_peer_time(1.8e9, BRAVO)
+    assert "since host bravo has sent that time" in trusted.warning()
+    assert trusted.warning() is None
 
 
-def test_a_clock_that_is_set_is_believed_again() -> None:
+def test_corrected_clock_is_trusted_again() -> None:
     clock = Pi()
-    believed = TrustedClock(clock, journal_time=1.7e9)
-    assert believed.warning()
+    trusted = TrustedClock(clock, journal_time=1.7e9)
+    assert trusted.warning()
     clock.wall = 1.8e9
-    assert believed.now() == clock.time()
-    assert believed.warning() is None
+    assert trusted.now() == clock.time()
+    assert trusted.warning() is None
 
 
 @given(st.floats(allow_nan=True), st.floats(0.0, 1e10))
-def test_nobody_turns_the_time_back(word: float, kept: float) -> None:
-    believed = TrustedClock(Pi(), kept)
-    before = believed.now()
-    believed.on_peer_time(word, BRAVO)
-    assert before <= believed.now() < max(before + 1e-6, BRAVO.valid_until)
+def test_peer_time_never_decreases_the_trusted_time(word: float, kept: float) -> None:
+    trusted = TrustedClock(Pi(), kept)
+    before = trusted.now()
+    trusted.on_peer_time(word, BRAVO)
+    assert before <= trusted.now() < max(before + 1e-6, BRAVO.valid_until)

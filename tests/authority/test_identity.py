@@ -1,4 +1,4 @@
-"""Whom a certificate names, as `getpeercert()` gives it."""
+"""The identity in a certificate, as given by `getpeercert()`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FINGERPRINT = "ab" * 32
 
 
 def peer(*uris: str, **changed: Any) -> dict[str, Any]:
-    """What the ssl module says of a peer's certificate."""
+    """A peer's certificate as the ssl module describes it."""
     return {
         "subject": ((("commonName", "alpha"),),),
         "issuer": ((("organizationName", "lfield"),), (("commonName", FINGERPRINT),)),
@@ -40,7 +40,7 @@ def peer(*uris: str, **changed: Any) -> dict[str, Any]:
     } | changed
 
 
-def test_a_host_and_a_person() -> None:
+def test_identity_of_a_host_and_of_a_person() -> None:
     begins, ends = 1795464000.0, 1825272000.0
     assert identity_of(peer("lfield://host/alpha")) == Identity(
         "host", "alpha", NO_RIGHTS, "a1b", begins, ends, FINGERPRINT
@@ -50,7 +50,7 @@ def test_a_host_and_a_person() -> None:
     )
 
 
-def test_names_of_others_beside_ours_do_no_harm() -> None:
+def test_foreign_names_beside_an_lfield_name_are_ignored() -> None:
     both = peer("https://example.org/", "lfield://host/alpha")
     both["subjectAltName"] += (("DNS", "beta"),)
     assert identity_of(both).name == "alpha"
@@ -76,7 +76,7 @@ def test_names_of_others_beside_ours_do_no_harm() -> None:
         ("lfield://person/anna?may=observe\n",),
     ],
 )
-def test_what_is_not_written_as_ours_proves_nothing(uris: tuple[str, ...]) -> None:
+def test_malformed_lfield_name_is_anonymous(uris: tuple[str, ...]) -> None:
     assert identity_of(peer(*uris)) is ANONYMOUS
     assert from_uris(uris, serial=1, valid_from=0.0, valid_until=1.0, authority=FINGERPRINT) is ANONYMOUS
 
@@ -87,28 +87,28 @@ def test_what_is_not_written_as_ours_proves_nothing(uris: tuple[str, ...]) -> No
         {"serialNumber": "x"},
         {"notBefore": "Foo 23 20:00:00 2026 GMT"},
         {"notAfter": "soon"},
-        {"issuer": ((("commonName", "somebody"),),)},
+        {"issuer": ((("commonName", "other"),),)},
         {"issuer": ()},
     ],
 )
-def test_a_certificate_that_no_authority_of_ours_writes_proves_nothing(changed: dict[str, Any]) -> None:
+def test_malformed_certificate_field_is_anonymous(changed: dict[str, Any]) -> None:
     assert identity_of(peer("lfield://host/alpha", **changed)) is ANONYMOUS
     assert identity_of({}) is ANONYMOUS
 
 
-def test_a_right_of_a_newer_lfield_is_left_out() -> None:
+def test_unknown_right_is_left_out() -> None:
     found = identity_of(peer("lfield://person/anna?may=observe,teleport"))
     assert found.may == {Right.OBSERVE}
 
 
-def test_rights_bring_others_along() -> None:
+def test_rights_imply_others() -> None:
     assert with_implied([Right.OPERATE]) == {Right.OPERATE, Right.STOP, Right.OBSERVE}
     assert with_implied([Right.STOP]) == {Right.STOP, Right.OBSERVE}
     assert with_implied([Right.COMMAND]) == {Right.COMMAND}
     assert sorted_rights(ALL_RIGHTS) == "observe,stop,operate,command"
 
 
-def test_how_sentences_name_them() -> None:
+def test_text_form_of_identities() -> None:
     assert str(Identity("host", "alpha", NO_RIGHTS)) == "host alpha"
     assert str(Identity("person", "anna", NO_RIGHTS)) == "anna"
     assert str(Identity("local", "root", ALL_RIGHTS)) == "user root of this computer"
@@ -120,7 +120,7 @@ NAMES = st.text(min_size=1, max_size=30).filter(str.isprintable)
 
 
 @given(NAMES, st.frozensets(st.sampled_from(Right)))
-def test_any_name_and_rights_are_read_as_they_were_written(name: str, may: frozenset[Right]) -> None:
+def test_any_name_and_rights_are_read_back(name: str, may: frozenset[Right]) -> None:
     person = identity_of(peer(uri_of("person", name, may)))
     assert (person.kind, person.name, person.may) == ("person", name, may)
     host = identity_of(peer(uri_of("host", name)))
@@ -128,12 +128,12 @@ def test_any_name_and_rights_are_read_as_they_were_written(name: str, may: froze
 
 
 @given(st.text() | st.integers() | st.none())
-def test_nothing_in_a_certificate_is_raised(text: Any) -> None:
+def test_no_certificate_content_raises(text: Any) -> None:
     identity_of(peer(text if isinstance(text, str) else "lfield://host/alpha", serialNumber=text))
 
 
 @pytest.mark.parametrize(
     "text", ["Nov 23 20:00:00 2026 GMT", "Jan  1 00:00:00 1970 GMT", "Feb 29 23:59:59 2028 GMT"]
 )
-def test_times_are_those_of_ssl(text: str) -> None:
+def test_certificate_times_are_parsed_like_ssl(text: str) -> None:
     assert seconds_of(text) == ssl.cert_time_to_seconds(text)

@@ -1,4 +1,4 @@
-"""Whether somebody may be linked with now, row by row of the judge's table; and who may have signed."""
+"""Admission of peers, row by row of the decision table; and permitted signers of bundles."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def extent(who: Identity, at: float = 1500.0, **options) -> str:
 
 
 @pytest.mark.parametrize("who", [BRAVO, ANNA], ids=str)
-def test_all_is_well(who: Identity) -> None:
+def test_valid_peer_is_admitted(who: Identity) -> None:
     assert verify_peer(who, at=1500.0, authority=OURS) == AdmissionDecision("all")
     assert extent(who, 1000.0) == "all"
     assert extent(who, math.nextafter(2000.0, 0.0)) == "all"
@@ -47,7 +47,7 @@ def test_all_is_well(who: Identity) -> None:
         ("linked", True, "finish"),
     ],
 )
-def test_one_that_has_ended_may_finish_if_it_is_known_and_flies(
+def test_expired_peer_may_finish_an_active_mission(
     who: Identity, known: PeerStage, flies: bool, left: str
 ) -> None:
     found = verify_peer(who, at=2000.0, authority=OURS, known=known, is_mission_active=flies)
@@ -61,9 +61,7 @@ def test_one_that_has_ended_may_finish_if_it_is_known_and_flies(
 @pytest.mark.parametrize("kind", ["host", "person"])
 @pytest.mark.parametrize("known", ["new", "greeted", "linked"])
 @pytest.mark.parametrize("flies", [False, True])
-def test_one_that_is_revoked_keeps_no_link_but_that_of_a_host_that_flies(
-    kind: Kind, known: PeerStage, flies: bool
-) -> None:
+def test_revoked_peer_keeps_only_the_link_of_a_flying_host(kind: Kind, known: PeerStage, flies: bool) -> None:
     who = BRAVO if kind == "host" else ANNA
     found = verify_peer(who, at=1500.0, authority=OURS, revoked=LISTED, known=known, is_mission_active=flies)
     assert found.extent == ("finish" if (kind, known, flies) == ("host", "linked", True) else "nothing")
@@ -71,13 +69,13 @@ def test_one_that_is_revoked_keeps_no_link_but_that_of_a_host_that_flies(
     assert extent(replace(who, serial="c1"), revoked=LISTED) == "all"
 
 
-def test_one_that_has_not_begun_says_to_set_the_clock() -> None:
+def test_certificate_of_the_future_suggests_setting_the_clock() -> None:
     found = verify_peer(BRAVO, at=999.0, authority=OURS, known="linked", is_mission_active=True)
     assert found.extent == "nothing"
     assert "set the clock" in found.why
 
 
-def test_strangers_and_those_of_another_authority_get_nothing() -> None:
+def test_anonymous_and_foreign_peers_are_refused() -> None:
     assert extent(ANONYMOUS, known="linked", is_mission_active=True) == "nothing"
     found = verify_peer(
         replace(BRAVO, authority=THEIRS), at=1500.0, authority=OURS, known="linked", is_mission_active=True
@@ -86,7 +84,7 @@ def test_strangers_and_those_of_another_authority_get_nothing() -> None:
     assert f"is of the authority {THEIRS[:12]}, and ours is {OURS[:12]}" in found.why
 
 
-def test_who_is_dialled_must_answer() -> None:
+def test_answer_of_another_host_is_refused() -> None:
     assert extent(BRAVO, expected="bravo") == "all"
     found = verify_peer(BRAVO, at=1500.0, authority=OURS, expected="alpha")
     assert found == AdmissionDecision(
@@ -96,11 +94,11 @@ def test_who_is_dialled_must_answer() -> None:
     assert extent(replace(ANNA, name="alpha"), expected="alpha") == "nothing"
 
 
-def test_the_kernel_vouches_for_users_of_this_computer() -> None:
+def test_local_user_is_admitted() -> None:
     assert extent(Identity("local", "root", ALL_RIGHTS), at=1e12) == "all"
 
 
-def test_what_is_left_of_rights() -> None:
+def test_remaining_rights_by_extent() -> None:
     assert AdmissionDecision("all").remaining_rights(ALL_RIGHTS) == ALL_RIGHTS
     assert AdmissionDecision("finish").remaining_rights(ALL_RIGHTS) == {Right.OBSERVE, Right.STOP}
     assert AdmissionDecision("finish").remaining_rights(frozenset({Right.COMMAND})) == NO_RIGHTS
@@ -111,7 +109,7 @@ def signer(who: Identity = ANNA, signed: float = 1200.0, at: float = 1500.0, **o
     return verify_signer(who, signed, at=at, authority=OURS, **options)
 
 
-def test_who_may_command_may_sign() -> None:
+def test_only_persons_with_command_may_sign() -> None:
     assert signer() == AdmissionDecision("all")
     may_not = replace(ANNA, may=ALL_RIGHTS - {Right.COMMAND})
     assert signer(may_not) == AdmissionDecision(
@@ -122,12 +120,12 @@ def test_who_may_command_may_sign() -> None:
     assert signer(ANONYMOUS).extent == "nothing"
 
 
-def test_a_signature_is_of_a_time_in_which_the_certificate_held() -> None:
+def test_signature_outside_the_validity_period_is_refused() -> None:
     for signed in (999.0, 2000.0):
         assert "was not valid" in signer(signed=signed, runs=True).why
 
 
-def test_what_runs_already_goes_on_when_its_signer_ends() -> None:
+def test_running_bundle_continues_after_its_signer_expires() -> None:
     for options in ({"at": 2000.0}, {"revoked": LISTED}):
         found = signer(**options)
         assert found.extent == "nothing"
@@ -136,11 +134,11 @@ def test_what_runs_already_goes_on_when_its_signer_ends() -> None:
         assert (going_on.extent, going_on.why) == ("all", found.why)
 
 
-def test_times_for_people() -> None:
+def test_time_format() -> None:
     assert format_time(1795464000.0) == "2026-11-23 20:00 UTC"
     assert format_time(math.inf) == format_time(math.nan) == format_time(1e300) == "at no time"
 
 
-def test_openssl_knows_the_flag_by_this_number() -> None:
+def test_no_check_time_flag_has_openssl_s_value() -> None:
     """x509_vfy.h: X509_V_FLAG_NO_CHECK_TIME."""
     assert NO_CHECK_TIME == 0x200000

@@ -1,4 +1,4 @@
-"""Key folders, and the folder of an authority: what is in them, who may read them, what is refused."""
+"""Key folders, and the folder of an authority: contents, permissions, refusals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def refused(folder: Path, words: str, holder="host") -> None:
         folders.read_keys(folder, holder)
 
 
-def test_who_has_no_home_has_no_keys_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_user_without_home_has_no_own_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", "")
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.setattr(os, "getuid", lambda: 54321)
@@ -48,7 +48,7 @@ def test_who_has_no_home_has_no_keys_in_it(tmp_path: Path, monkeypatch: pytest.M
         config_dir()
 
 
-def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(ledger: Ledger) -> None:
+def test_keys_are_read_back_and_the_private_key_is_protected(ledger: Ledger) -> None:
     before = os.umask(0)
     try:
         made = ledger.make("host", "alpha", (), AT, AT + DAY)
@@ -68,7 +68,7 @@ def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(le
 
 
 @pytest.mark.parametrize("bits", [0o640, 0o604, 0o610, 0o601])
-def test_a_private_key_that_others_may_read_is_refused(ledger: Ledger, bits: int) -> None:
+def test_private_key_readable_by_others_is_refused(ledger: Ledger, bits: int) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     key = made.folder / "host.key"
     key.chmod(bits)
@@ -77,7 +77,7 @@ def test_a_private_key_that_others_may_read_is_refused(ledger: Ledger, bits: int
     folders.read_keys(made.folder, "host")
 
 
-def test_what_others_may_write_to_is_not_believed(ledger: Ledger) -> None:
+def test_key_files_writable_by_others_are_refused(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     (made.folder / "authority.pem").chmod(0o664)
     refused(made.folder, r"authority.pem cannot be used: others may write to it")
@@ -86,7 +86,7 @@ def test_what_others_may_write_to_is_not_believed(ledger: Ledger) -> None:
     refused(made.folder, "others may write to the folder")
 
 
-def test_files_that_are_not_there_are_links_or_too_large(ledger: Ledger, tmp_path: Path) -> None:
+def test_missing_linked_or_too_large_key_files_are_refused(ledger: Ledger, tmp_path: Path) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     key = made.folder / "host.key"
     key.rename(tmp_path / "elsewhere")
@@ -101,7 +101,7 @@ def test_files_that_are_not_there_are_links_or_too_large(ledger: Ledger, tmp_pat
     refused(made.folder, "too large")
 
 
-def test_a_link_to_a_folder_is_followed_and_what_counts_is_the_folder(ledger: Ledger, tmp_path: Path) -> None:
+def test_link_to_a_key_folder_is_followed_and_checked(ledger: Ledger, tmp_path: Path) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     link = tmp_path / "link"
     link.symlink_to(made.folder)
@@ -110,7 +110,7 @@ def test_a_link_to_a_folder_is_followed_and_what_counts_is_the_folder(ledger: Le
     refused(link, "others may write to the folder")
 
 
-def test_a_host_without_a_list_was_copied_by_halves(ledger: Ledger) -> None:
+def test_host_keys_without_a_revocation_list_are_refused(ledger: Ledger) -> None:
     host, person = (
         ledger.make(kind, "alpha", (), AT, AT + DAY).folder
         for kind in ("host", "person")  # type: ignore[arg-type]
@@ -123,7 +123,7 @@ def test_a_host_without_a_list_was_copied_by_halves(ledger: Ledger) -> None:
 
 @given(data=st.data())
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_copy_that_was_cut_short_anywhere_is_refused_or_is_the_whole(ledger: Ledger, data) -> None:
+def test_truncated_copy_of_keys_is_refused(ledger: Ledger, data) -> None:
     folder, who = _copied(ledger)
     path = data.draw(st.sampled_from(sorted(folder.iterdir())))
     whole = path.read_bytes()
@@ -133,15 +133,15 @@ def test_a_copy_that_was_cut_short_anywhere_is_refused_or_is_the_whole(ledger: L
         found = verify_keys(folders.read_keys(folder, who.kind))
     except KeysError:
         found = None
-    (told,) = health(folder, AT)
+    (finding,) = health(folder, AT)
     path.write_bytes(whole)
-    # A PEM text is whole without the newline at its end.
+    # A PEM text is complete without the newline at its end.
     assert found == (who if path.suffix != ".crl" and not whole[length:].strip() else None)
-    assert told.state == ("problem" if found is None else "warning")
+    assert finding.state == ("problem" if found is None else "warning")
 
 
 def _copied(ledger: Ledger) -> tuple[Path, Identity]:
-    """The folder of a host that is not the only one, made once."""
+    """The folder of one of two hosts, created once."""
     if not ledger.rows(AT):
         ledger.make("host", "bravo", (), AT, AT + DAY)
         ledger.make("host", "alpha", (), AT, AT + DAY)
@@ -150,7 +150,7 @@ def _copied(ledger: Ledger) -> tuple[Path, Identity]:
 
 
 @pytest.mark.parametrize("holder", ["host", "person"])
-def test_a_list_of_no_bytes_was_cut_short(ledger: Ledger, holder) -> None:
+def test_empty_revocation_list_is_refused(ledger: Ledger, holder) -> None:
     folder = ledger.make(holder, "alpha", (), AT, AT + DAY).folder
     (folder / "revoked.crl").write_bytes(b"")
     refused(folder, r"revoked.crl is empty: it was cut short when it was copied", holder)
@@ -160,7 +160,7 @@ def test_a_list_of_no_bytes_was_cut_short(ledger: Ledger, holder) -> None:
 
 
 @pytest.mark.parametrize("part", [0, 0.5])
-def test_a_file_of_an_authority_that_was_cut_short_is_named(ledger: Ledger, part: float) -> None:
+def test_truncated_file_of_an_authority_is_named(ledger: Ledger, part: float) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
     for path in (*ledger.folder.glob("issued/*"), *ledger.folder.glob("*.*")):
         named = path if part == 0 or path.stem != "authority" else ledger.folder
@@ -171,7 +171,7 @@ def test_a_file_of_an_authority_that_was_cut_short_is_named(ledger: Ledger, part
         path.write_bytes(whole)
 
 
-def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) -> None:
+def test_authority_without_its_revocation_list_is_refused(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
     gone = ledger.revoke("host", "alpha", AT)
     kept = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
@@ -185,7 +185,7 @@ def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) ->
         assert again.revoked.serials == {who.serial for who in gone}
 
 
-def test_where_keys_are_found(ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_folder_search_order(ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
     anna = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY).folder
     home, system = tmp_path / "home", tmp_path / "system"
@@ -216,7 +216,7 @@ def test_where_keys_are_found(ledger: Ledger, tmp_path: Path, monkeypatch: pytes
         found("person", "me", LFIELD_KEYS="/nowhere")
 
 
-def test_no_name_of_a_host_leads_out_of_the_folder(
+def test_host_name_cannot_leave_the_key_folder(
     ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
@@ -226,14 +226,14 @@ def test_no_name_of_a_host_leads_out_of_the_folder(
     assert folders.find_keys("host", "..", None, {}, below) is None
 
 
-# --- the authority's own ----------------------------------------------------------------------------------
+# --- the authority's ledger --------------------------------------------------------------------------------
 
 
 def states(ledger: Ledger, at: float = AT) -> list[tuple[str, str]]:
     return [(str(row.who), row.state) for row in ledger.rows(at)]
 
 
-def test_an_authority_is_begun_once(ledger: Ledger) -> None:
+def test_authority_is_created_once(ledger: Ledger) -> None:
     with pytest.raises(KeysError, match="has an authority already"):
         create_ledger(ledger.folder, AT, AT + DAY)
     with open_ledger(ledger.folder) as again:
@@ -245,7 +245,7 @@ def test_an_authority_is_begun_once(ledger: Ledger) -> None:
         pass
 
 
-def test_an_authority_whose_key_others_may_read_is_refused(ledger: Ledger) -> None:
+def test_authority_key_readable_by_others_is_refused(ledger: Ledger) -> None:
     (ledger.folder / "authority.key").chmod(0o644)
     with pytest.raises(KeysError, match="it is secret"), open_ledger(ledger.folder):
         pass
@@ -257,13 +257,13 @@ def test_an_authority_whose_key_others_may_read_is_refused(ledger: Ledger) -> No
 @pytest.mark.parametrize(
     "name", ["", ".", "..", "a/b", "-x", ".alpha", "a b", "al\npha", "ä", "[::1", "x" * 129]
 )
-def test_names_are_those_of_deployments_and_of_folders(ledger: Ledger, name: str) -> None:
+def test_invalid_name_is_refused(ledger: Ledger, name: str) -> None:
     with pytest.raises(KeysError, match="is not a valid name"):
         ledger.make("host", name, (), AT, AT + DAY)
     assert not (ledger.folder / "issued").exists()
 
 
-def test_hosts_may_be_addresses(ledger: Ledger) -> None:
+def test_host_name_may_be_an_address(ledger: Ledger) -> None:
     for name in ("10.42.0.11", "[fd00::1]", "rover-7.local"):
         assert (
             verify_keys(folders.read_keys(ledger.make("host", name, (), AT, AT + DAY).folder, "host")).name
@@ -271,7 +271,7 @@ def test_hosts_may_be_addresses(ledger: Ledger) -> None:
         )
 
 
-def test_who_has_keys_renews_them(ledger: Ledger) -> None:
+def test_existing_keys_are_renewed_not_created_again(ledger: Ledger) -> None:
     old = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
     before = folders.read_keys(old.folder, "person")
     with pytest.raises(KeysError, match="'lfield keys renew person anna' makes them last longer"):
@@ -287,20 +287,20 @@ def test_who_has_keys_renews_them(ledger: Ledger) -> None:
     assert verify_keys(keys) == other.who
 
 
-def test_renewing_does_without_a_private_key_that_was_taken_away(ledger: Ledger) -> None:
+def test_keys_are_renewed_without_a_stored_private_key(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     (made.folder / "host.key").unlink()
     ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
     assert not (made.folder / "host.key").exists()
 
 
-def test_keys_that_ended_make_room_for_new_ones(ledger: Ledger) -> None:
+def test_expired_keys_can_be_created_again(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.make("host", "alpha", (), AT + DAY, AT + 2 * DAY)
     assert states(ledger, AT + DAY) == [("host alpha", "ended"), ("host alpha", "good")]
 
 
-def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Ledger) -> None:
+def test_revocation_covers_all_keys_and_updates_every_folder(ledger: Ledger) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY)
     bravo = ledger.make("host", "bravo", (), AT, AT + DAY)
@@ -314,14 +314,14 @@ def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Le
         ledger.revoke("host", "alpha", AT + 2)
     with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
         ledger.renew("host", "alpha", AT + 3, AT + DAY)
-    anew = ledger.make("host", "alpha", (), AT + 3, AT + DAY)
-    assert folders.read_keys(anew.folder, "host").revoked == folders.read_crl(ledger.folder)
+    remade = ledger.make("host", "alpha", (), AT + 3, AT + DAY)
+    assert folders.read_keys(remade.folder, "host").revoked == folders.read_crl(ledger.folder)
     with open_ledger(ledger.folder) as again:
         again.revoke("host", "bravo", AT + 4)
         assert (again.revoked.number, len(again.revoked.serials)) == (int(AT) + 4, 3)
 
 
-def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
+def test_one_certificate_is_revoked_by_its_serial_number(ledger: Ledger) -> None:
     old = ledger.make("host", "alpha", (), AT, AT + DAY).who
     new = ledger.renew("host", "alpha", AT + 1, AT + 9 * DAY).who
     assert ledger.revoke_serial(new.serial, AT + 2) == [new]
@@ -336,7 +336,7 @@ def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
             ledger.revoke_serial(serial, AT + 3)
 
 
-def test_numbers_grow_also_where_a_copy_of_the_authority_is_put_back(ledger: Ledger, tmp_path: Path) -> None:
+def test_list_numbers_increase_after_restoring_a_backup(ledger: Ledger, tmp_path: Path) -> None:
     anna, bob = (ledger.make("person", name, (), AT, AT + DAY).who for name in ("anna", "bob"))
     copy = shutil.copytree(ledger.folder, tmp_path / "copy")
     ledger.revoke("person", "anna", AT + 2)
@@ -345,12 +345,12 @@ def test_numbers_grow_also_where_a_copy_of_the_authority_is_put_back(ledger: Led
     with open_ledger(copy) as back:
         back.revoke("person", "bob", AT + 60)
         assert back.revoked.number > ledger.revoked.number
-        # What it does not know any more is revoked by its whole number, of which the hosts tell.
+        # A certificate missing in the backup is revoked by its full number, which the hosts report.
         assert back.revoke_serial(anna.serial, AT + 61)[0].serial == anna.serial
         assert back.revoked.serials == ledger.revoked.serials
 
 
-def test_a_certificate_that_a_copy_does_not_know_is_revoked_by_its_whole_number(ledger: Ledger) -> None:
+def test_unknown_certificate_is_revoked_by_its_full_number(ledger: Ledger) -> None:
     gone = f"{1 << 158:x}"
     (made,) = ledger.revoke_serial(gone, AT)
     assert (str(made), ledger.revoked.serials) == ("a stranger", {gone})
@@ -360,14 +360,14 @@ def test_a_certificate_that_a_copy_does_not_know_is_revoked_by_its_whole_number(
         ledger.revoke_serial(gone, AT)
 
 
-def test_an_authority_is_renewed_and_all_that_it_made_stays_good(ledger: Ledger) -> None:
+def test_issued_keys_stay_valid_after_renewing_the_authority(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew_authority(AT + 1, AT + 9999 * DAY)
     assert verify_keys(folders.read_keys(made.folder, "host")) == made.who
     assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.valid_until == AT + 9000 * DAY
 
 
-def test_a_clock_that_went_back_makes_nothing(ledger: Ledger) -> None:
+def test_ledger_refuses_changes_after_the_clock_went_back(ledger: Ledger) -> None:
     ledger.make("host", "alpha", (), AT + DAY, AT + 2 * DAY)
     for what in (
         lambda: ledger.make("host", "bravo", (), AT, AT + DAY),

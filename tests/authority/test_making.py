@@ -1,4 +1,4 @@
-"""Certificates and lists as they are made, read again, and seen by OpenSSL on both ends of a link."""
+"""Certificates and revocation lists: issued, read back, and checked by OpenSSL on both ends of a link."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def authority() -> CertificateAuthority:
 
 
 @pytest.fixture(scope="module")
-def stranger() -> CertificateAuthority:
+def other_authority() -> CertificateAuthority:
     return new_authority(AT, AT + 3650 * DAY)
 
 
@@ -46,7 +46,7 @@ def keys_of(
     return Keys(holder, authority.certificate, issued.certificate, issued.key)
 
 
-def test_what_is_made_names_whom_it_is_for(authority: CertificateAuthority) -> None:
+def test_issued_keys_name_their_holder(authority: CertificateAuthority) -> None:
     who = verify_keys(keys_of(authority, "alpha"))
     assert (who.kind, who.name, who.may) == ("host", "alpha", frozenset())
     assert (who.valid_from, who.valid_until, who.authority) == (AT, AT + DAY, authority.fingerprint)
@@ -55,7 +55,7 @@ def test_what_is_made_names_whom_it_is_for(authority: CertificateAuthority) -> N
     assert fingerprint_in(authority.certificate) == authority.fingerprint
 
 
-def test_nothing_lasts_longer_than_its_authority_nor_ends_before_it_begins(
+def test_validity_is_limited_by_the_authority_and_not_negative(
     authority: CertificateAuthority,
 ) -> None:
     assert verify_keys(keys_of(authority, ends=AT + 1e12)).valid_until == authority.valid_until
@@ -65,7 +65,7 @@ def test_nothing_lasts_longer_than_its_authority_nor_ends_before_it_begins(
         keys_of(authority, "al\npha")
 
 
-def test_renewing_keeps_the_key_or_takes_a_new_one(authority: CertificateAuthority) -> None:
+def test_renewed_certificate_keeps_the_key(authority: CertificateAuthority) -> None:
     old = keys_of(authority)
     renewed = authority.issue("host", "alpha", at=AT + 1, ends=AT + 9 * DAY, renews=old.certificate)
     assert renewed.key == b""
@@ -74,8 +74,8 @@ def test_renewing_keeps_the_key_or_takes_a_new_one(authority: CertificateAuthori
     assert verify_keys(both).serial != verify_keys(old).serial
 
 
-def test_an_authority_is_read_and_renewed_with_the_same_key(
-    authority: CertificateAuthority, stranger
+def test_authority_is_read_and_renewed_with_the_same_key(
+    authority: CertificateAuthority, other_authority
 ) -> None:
     old = keys_of(authority)
     again = read_authority(authority.certificate, authority.key)
@@ -84,11 +84,11 @@ def test_an_authority_is_read_and_renewed_with_the_same_key(
     assert identity_in(old.certificate, later.certificate) == verify_keys(old)
     assert verify_keys(keys_of(later, ends=AT + 9000 * DAY)).valid_until == AT + 9000 * DAY
     with pytest.raises(KeysError, match=r"authority.key is not the key of authority.pem"):
-        read_authority(authority.certificate, stranger.key)
+        read_authority(authority.certificate, other_authority.key)
 
 
-def test_keys_that_do_not_fit_one_another_are_refused(
-    authority: CertificateAuthority, stranger: CertificateAuthority
+def test_mismatched_keys_are_refused(
+    authority: CertificateAuthority, other_authority: CertificateAuthority
 ) -> None:
     alpha, bravo = keys_of(authority), keys_of(authority, "bravo")
     for wrong, words in (
@@ -100,7 +100,7 @@ def test_keys_that_do_not_fit_one_another_are_refused(
             Keys("person", alpha.authority, alpha.certificate, alpha.key),
             "is not that of a person, but of h",
         ),
-        (Keys("host", stranger.certificate, alpha.certificate, alpha.key), "is not of this authority"),
+        (Keys("host", other_authority.certificate, alpha.certificate, alpha.key), "is not of this authority"),
         (Keys("host", alpha.authority, b"x", alpha.key), "not a certificate"),
         (Keys("host", alpha.authority, alpha.certificate, b"x"), "not a private key"),
         (Keys("host", alpha.authority, alpha.certificate, alpha.key, b"x"), "revocation list cannot be read"),
@@ -116,29 +116,29 @@ def test_keys_of_another_kind_are_refused(authority: CertificateAuthority) -> No
         read_authority(authority.certificate, pem)
 
 
-def test_the_authority_itself_is_nobody(authority: CertificateAuthority) -> None:
+def test_authority_certificate_is_no_identity(authority: CertificateAuthority) -> None:
     with pytest.raises(KeysError, match="cannot be read"):
         identity_in(authority.certificate, authority.certificate)
 
 
-def test_a_private_key_is_not_printed(authority: CertificateAuthority) -> None:
+def test_private_key_is_not_printed(authority: CertificateAuthority) -> None:
     assert "PRIVATE" not in repr(keys_of(authority))
 
 
 # --- lists ------------------------------------------------------------------------------------------------
 
 
-def test_a_list_is_read_as_it_was_made(authority: CertificateAuthority) -> None:
+def test_revocation_list_is_read_back(authority: CertificateAuthority) -> None:
     revoked = RevocationList(7, frozenset({"1", "a1b", "f" * 39}), AT + 5)
     assert revoked_in(authority.revocation_list(revoked), authority.certificate) == revoked
-    nobody = RevocationList(1, frozenset(), AT)
-    assert revoked_in(authority.revocation_list(nobody), authority.certificate) == nobody
+    empty = RevocationList(1, frozenset(), AT)
+    assert revoked_in(authority.revocation_list(empty), authority.certificate) == empty
 
 
-def test_a_list_of_another_authority_or_with_a_bit_changed_is_refused(authority, stranger) -> None:
+def test_foreign_or_changed_revocation_list_is_refused(authority, other_authority) -> None:
     data = authority.revocation_list(RevocationList(7, frozenset({"a1b"}), AT))
     with pytest.raises(KeysError, match="not signed by this authority"):
-        revoked_in(data, stranger.certificate)
+        revoked_in(data, other_authority.certificate)
     for at in range(len(data)):
         for bit in (1, 128):
             wrong = data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :]
@@ -149,13 +149,13 @@ def test_a_list_of_another_authority_or_with_a_bit_changed_is_refused(authority,
             revoked_in(wrong, authority.certificate)
 
 
-def test_a_list_that_is_full_says_what_to_do(authority: CertificateAuthority) -> None:
+def test_full_revocation_list_names_the_remedy(authority: CertificateAuthority) -> None:
     many = frozenset(f"{n:x}" for n in range(1 << 80, (1 << 80) + 3000))
     with pytest.raises(KeysError, match="begin a new authority"):
         authority.revocation_list(RevocationList(9, many, AT))
 
 
-def test_a_certificate_with_any_byte_changed_is_refused(authority: CertificateAuthority) -> None:
+def test_certificate_with_any_changed_byte_is_refused(authority: CertificateAuthority) -> None:
     der = der_of(keys_of(authority).certificate)
     for at in range(len(der)):
         for bit in (1, 128):
@@ -165,15 +165,13 @@ def test_a_certificate_with_any_byte_changed_is_refused(authority: CertificateAu
 
 
 @given(st.binary(max_size=300))
-def test_bytes_from_anywhere_are_no_certificate_and_no_list(
-    authority: CertificateAuthority, data: bytes
-) -> None:
+def test_random_bytes_are_no_certificate_and_no_list(authority: CertificateAuthority, data: bytes) -> None:
     for read in (identity_in_der, identity_in, revoked_in):
         with pytest.raises(KeysError):
             read(data, authority.certificate)
 
 
-# --- as TLS sees them -------------------------------------------------------------------------------------
+# --- checked by TLS ---------------------------------------------------------------------------------------
 
 
 def context(keys: Keys, *, server: bool) -> ssl.SSLContext:
@@ -189,8 +187,8 @@ def context(keys: Keys, *, server: bool) -> ssl.SSLContext:
     return made
 
 
-def shaken(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
-    """Whom each side sees after a handshake in memory: the called one, the caller."""
+def handshake(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
+    """The identities after a handshake in memory: of the server as seen by the client, and of the client."""
     one, other = ssl.MemoryBIO(), ssl.MemoryBIO()
     client = context(caller, server=False).wrap_bio(one, other)
     server = context(called, server=True).wrap_bio(other, one, server_side=True)
@@ -206,46 +204,46 @@ def shaken(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
     return identity_of(client.getpeercert() or {}), identity_of(server.getpeercert() or {})
 
 
-def test_both_ends_of_a_link_see_the_same_identities_as_the_reader(authority: CertificateAuthority) -> None:
-    """Though the certificates ended long ago: that is the judge's."""
+def test_tls_peers_see_the_identities_of_the_certificates(authority: CertificateAuthority) -> None:
+    """Also for expired certificates: admission checks the validity."""
     alpha, bravo = (keys_of(authority, name, ends=AT + 1) for name in ("alpha", "bravo"))
-    assert shaken(alpha, bravo) == (verify_keys(bravo), verify_keys(alpha))
+    assert handshake(alpha, bravo) == (verify_keys(bravo), verify_keys(alpha))
     anna = keys_of(authority, "anna", "person", may=ALL_RIGHTS)
-    assert shaken(anna, bravo)[1] == verify_keys(anna)
+    assert handshake(anna, bravo)[1] == verify_keys(anna)
 
 
 def test_tls_refuses_keys_of_another_authority(
-    authority: CertificateAuthority, stranger: CertificateAuthority
+    authority: CertificateAuthority, other_authority: CertificateAuthority
 ) -> None:
     with pytest.raises(ssl.SSLError, match="verify failed"):
-        shaken(keys_of(authority), keys_of(stranger))
+        handshake(keys_of(authority), keys_of(other_authority))
 
 
-def test_a_person_cannot_be_called(authority: CertificateAuthority) -> None:
+def test_tls_refuses_a_person_as_server(authority: CertificateAuthority) -> None:
     with pytest.raises(ssl.SSLError, match="unsuitable certificate purpose"):
-        shaken(keys_of(authority), keys_of(authority, "bravo", "person", may=ALL_RIGHTS))
+        handshake(keys_of(authority), keys_of(authority, "bravo", "person", may=ALL_RIGHTS))
 
 
-def test_a_host_cannot_sign_for_another(authority: CertificateAuthority) -> None:
-    """A certificate that a host's key has signed is of no authority, whatever it says."""
+def test_host_key_cannot_issue_certificates(authority: CertificateAuthority) -> None:
+    """A certificate signed by a host's key belongs to no authority."""
     alpha = keys_of(authority)
     forged = read_authority(alpha.certificate, alpha.key).issue("host", "bravo", at=AT, ends=AT + DAY)
     with pytest.raises(KeysError, match="not of this authority"):
         identity_in(forged.certificate, authority.certificate)
 
 
-# --- thrown away ------------------------------------------------------------------------------------------
+# --- ephemeral --------------------------------------------------------------------------------------------
 
 
-def test_keys_of_a_run_are_of_one_authority_that_nobody_else_has() -> None:
+def test_ephemeral_keys_share_one_private_authority() -> None:
     minted = EphemeralCa.for_hosts(["alpha", "bravo"], AT, "anna")
     assert [(name, verify_keys(keys).name) for name, keys in minted.hosts.items()] == [
         ("alpha", "alpha"),
         ("bravo", "bravo"),
     ]
     assert (verify_keys(minted.operator).name, verify_keys(minted.operator).may) == ("anna", ALL_RIGHTS)
-    assert shaken(minted.operator, minted.hosts["alpha"])[0].name == "alpha"
+    assert handshake(minted.operator, minted.hosts["alpha"])[0].name == "alpha"
     other = EphemeralCa.for_hosts(["alpha"], AT)
     with pytest.raises(ssl.SSLError):
-        shaken(minted.hosts["bravo"], other.hosts["alpha"])
-    assert ANONYMOUS not in shaken(minted.hosts["bravo"], minted.hosts["alpha"])
+        handshake(minted.hosts["bravo"], other.hosts["alpha"])
+    assert ANONYMOUS not in handshake(minted.hosts["bravo"], minted.hosts["alpha"])

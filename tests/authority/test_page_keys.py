@@ -1,4 +1,4 @@
-"""Keys of pages: who believes them, for what names, and that on a link between hosts they prove nothing."""
+"""Keys of web pages: trust by browsers, names, and refusal on links between hosts."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def page(root: BrowserCa) -> IssuedCertificate:
 
 
 def opened(root: bytes, page: IssuedCertificate, name: str) -> str:
-    """The version of TLS by which whoever believes a root opens a page of that name. Raises ssl.SSLError."""
+    """The TLS version with which a browser that trusts `root` opens the page. Raises ssl.SSLError."""
     browser, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    # Times are these tests' own, and OpenSSL would look at those of the computer.
+    # The tests use their own times; OpenSSL would use the computer's clock.
     browser.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
     browser.load_verify_locations(cadata=root.decode())
     with as_file(page.certificate) as certificate, as_file(page.key) as key:
@@ -55,34 +55,36 @@ def opened(root: bytes, page: IssuedCertificate, name: str) -> str:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_has_the_root_opens_a_page_by_each_of_its_names(
+def test_browser_with_the_root_opens_a_page_by_each_name(
     root: BrowserCa, page: IssuedCertificate, name: str
 ) -> None:
     assert opened(root.certificate, page, name) == "TLSv1.3"
 
 
-def test_who_has_it_not_and_another_name_are_refused(root: BrowserCa, page: IssuedCertificate) -> None:
-    stranger = new_browser_ca(AT, AT + DAY)
+def test_browser_without_the_root_or_another_name_is_refused(
+    root: BrowserCa, page: IssuedCertificate
+) -> None:
+    other_root = new_browser_ca(AT, AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match=r"self.signed|unable to get local issuer"):
-        opened(stranger.certificate, page, NAMES[0])
+        opened(other_root.certificate, page, NAMES[0])
     with pytest.raises(ssl.SSLCertVerificationError, match="mismatch"):
         opened(root.certificate, page, "192.168.1.21")
 
 
 @pytest.mark.parametrize("name", ["bank.example", "notlocal", "8.8.8.8", "2001:db8::1"])
-def test_a_root_that_was_stolen_can_pass_for_nothing_of_the_internet(
+def test_stolen_root_cannot_sign_for_public_names(
     root: BrowserCa, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(KeysError, match="is in no private network"):
         root.issue([name], at=AT, ends=AT + DAY)
-    # A thief has no such scruples, and browsers see what the root may.
+    # A thief would skip this check, but browsers check the name constraints of the root.
     monkeypatch.setattr(browser_ca, "is_private_name", lambda name: True)
     forged = root.issue([name], at=AT, ends=AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
         opened(root.certificate, forged, name)
 
 
-def test_nothing_lasts_longer_than_the_root(root: BrowserCa) -> None:
+def test_page_certificate_expires_with_the_root(root: BrowserCa) -> None:
     short = new_browser_ca(AT, AT + DAY)
     made = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
     assert parse_web_keys(made.certificate, made.key).valid_until == AT + DAY
@@ -90,7 +92,7 @@ def test_nothing_lasts_longer_than_the_root(root: BrowserCa) -> None:
         short.issue(NAMES, at=AT + DAY, ends=AT + 2 * DAY)
 
 
-def test_the_root_is_read_again(root: BrowserCa, page: IssuedCertificate) -> None:
+def test_root_is_read_back(root: BrowserCa, page: IssuedCertificate) -> None:
     again = read_browser_ca(root.certificate, root.key)
     assert opened(root.certificate, again.issue(NAMES, at=AT, ends=AT + DAY), NAMES[0])
     for certificate, key in ((root.certificate, page.key), (page.certificate, root.key)):
@@ -101,8 +103,8 @@ def test_the_root_is_read_again(root: BrowserCa, page: IssuedCertificate) -> Non
 # --- on links between hosts -------------------------------------------------------------------------------
 
 
-def shaken(near: TlsIdentity, far: TlsIdentity) -> None:
-    """A link between two, as far as it comes. Raises HandshakeError."""
+def handshake(near: TlsIdentity, far: TlsIdentity) -> None:
+    """A TLS handshake between two identities. Raises HandshakeError."""
     calling, called = near.channel(calls=True), far.channel(calls=False)
     for _ in range(3):
         list(called.receive(calling.data_to_send()))
@@ -110,22 +112,22 @@ def shaken(near: TlsIdentity, far: TlsIdentity) -> None:
 
 
 def links(root: BrowserCa, page: IssuedCertificate) -> Iterator[tuple[TlsIdentity, TlsIdentity]]:
-    """A host and a page's keys, each calling the other; the page believes whom it must to be let in."""
+    """Pairs of a host and page keys, each as client and server; the page keys trust the team's authority."""
     team = new_authority(AT, AT + DAY)
     alpha = team.issue("host", "alpha", at=AT, ends=AT + DAY)
     host = TlsIdentity(Keys("host", team.certificate, alpha.certificate, alpha.key))
-    shaken(host, host)
+    handshake(host, host)
     for pem, key in ((page.certificate, page.key), (root.certificate, root.key)):
         intruder = TlsIdentity(Keys("host", team.certificate, pem, key))
         yield intruder, host
         yield host, intruder
 
 
-def test_neither_a_page_nor_its_root_opens_a_link(root: BrowserCa, page: IssuedCertificate) -> None:
+def test_page_keys_and_root_are_refused_on_host_links(root: BrowserCa, page: IssuedCertificate) -> None:
     tried = 0
     for near, far in links(root, page):
         with pytest.raises(HandshakeError, match=r"peer certificate rejected"):
-            shaken(near, far)
+            handshake(near, far)
         tried += 1
     assert tried == 4
 
@@ -142,7 +144,7 @@ def test_neither_a_page_nor_its_root_opens_a_link(root: BrowserCa, page: IssuedC
         ("ground-2", "ground-2"),
     ],
 )
-def test_a_name_has_one_spelling(text: str, name: str) -> None:
+def test_name_is_normalised(text: str, name: str) -> None:
     assert normalised(text) == name
 
 
@@ -170,14 +172,14 @@ def test_a_name_has_one_spelling(text: str, name: str) -> None:
         "[a]",
     ],
 )
-def test_what_no_browser_opens_is_no_name(text: str) -> None:
+def test_invalid_page_name_is_refused(text: str) -> None:
     with pytest.raises(KeysError, match=r"such as 192\.168\.1\.20"):
         normalised(text)
 
 
 @given(st.text(max_size=30))
 @example("1" * 5000)
-def test_any_text_has_a_spelling_that_stays_or_is_refused(text: str) -> None:
+def test_normalised_name_is_stable_or_refused(text: str) -> None:
     try:
         name = normalised(text)
     except KeysError:
@@ -200,7 +202,7 @@ def test_any_text_has_a_spelling_that_stays_or_is_refused(text: str) -> None:
         ("::", False),
     ],
 )
-def test_what_a_private_network_is(name: str, is_private: bool) -> None:
+def test_private_names(name: str, is_private: bool) -> None:
     assert is_private_name(name) is is_private
 
 
@@ -215,16 +217,14 @@ def test_what_a_private_network_is(name: str, is_private: bool) -> None:
         ("*.0.0.2", "127.0.0.2", False),
     ],
 )
-def test_a_star_is_one_label(pattern: str, name: str, fits: bool) -> None:
+def test_wildcard_matches_one_label(pattern: str, name: str, fits: bool) -> None:
     assert is_match(pattern, name) is fits
 
 
 # --- a folder ---------------------------------------------------------------------------------------------
 
 
-def test_a_folder_is_read_and_says_where_and_until_when_it_serves(
-    page: IssuedCertificate, tmp_path: Path
-) -> None:
+def test_page_keys_report_names_and_validity(page: IssuedCertificate, tmp_path: Path) -> None:
     write_web_keys(tmp_path / "page", page.certificate, page.key)
     keys = read_web_keys(tmp_path / "page")
     assert keys.names == NAMES
@@ -238,14 +238,16 @@ def test_a_folder_is_read_and_says_where_and_until_when_it_serves(
     assert "set the clock" in keys.refusal(NAMES[0], 0.0)
 
 
-def test_a_key_that_others_may_read_is_refused(page: IssuedCertificate, tmp_path: Path) -> None:
+def test_page_key_readable_by_others_is_refused(page: IssuedCertificate, tmp_path: Path) -> None:
     write_web_keys(tmp_path / "page", page.certificate, page.key)
     (tmp_path / "page" / "page.key").chmod(0o640)
     with pytest.raises(KeysError, match=r"run 'chmod 600 .*page\.key'"):
         read_web_keys(tmp_path / "page")
 
 
-def test_what_is_no_page_is_told(root: BrowserCa, page: IssuedCertificate, tmp_path: Path) -> None:
+def test_invalid_page_keys_are_refused_with_a_reason(
+    root: BrowserCa, page: IssuedCertificate, tmp_path: Path
+) -> None:
     with pytest.raises(KeysError, match="'lfield keys page ADDRESS' makes some"):
         read_web_keys(tmp_path)
     other = root.issue(NAMES, at=AT, ends=AT + DAY)
@@ -264,6 +266,8 @@ def test_what_is_no_page_is_told(root: BrowserCa, page: IssuedCertificate, tmp_p
             read_web_keys(tmp_path / "page")
 
 
-def test_of_a_chain_the_first_counts_and_all_is_kept(root: BrowserCa, page: IssuedCertificate) -> None:
+def test_certificate_chain_is_kept_and_its_first_one_checked(
+    root: BrowserCa, page: IssuedCertificate
+) -> None:
     keys = parse_web_keys(page.certificate + root.certificate, page.key)
     assert (keys.names, keys.certificate) == (NAMES, page.certificate + root.certificate)

@@ -1,4 +1,4 @@
-"""Signatures of bundles: whose they are, and that nobody has changed what was signed."""
+"""Signatures of bundles: the signer, and detection of changes."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def signature(minted: EphemeralCa) -> bytes:
     return sign_bundle(DIGEST, minted.operator, AT + 7.5)
 
 
-def test_who_signed_is_read_with_the_time(minted: EphemeralCa, signature: bytes) -> None:
+def test_signature_has_the_signer_and_the_time(minted: EphemeralCa, signature: bytes) -> None:
     assert verify_bundle(DIGEST, signature, minted.authority) == (verify_keys(minted.operator), AT + 7.0)
     assert len(signature) < 1000
 
 
-def test_who_may_not_command_does_not_sign(minted: EphemeralCa) -> None:
+def test_signing_without_command_right_is_refused(minted: EphemeralCa) -> None:
     with pytest.raises(KeysError, match="host alpha may not sign bundles"):
         sign_bundle(DIGEST, minted.hosts["alpha"], AT)
     authority = new_authority(AT, AT + DAY)
@@ -44,7 +44,7 @@ def test_who_may_not_command_does_not_sign(minted: EphemeralCa) -> None:
         sign_bundle(DIGEST, Keys("person", authority.certificate, issued.certificate, issued.key), AT)
 
 
-def test_nobody_signs_outside_of_the_time_of_a_certificate(minted: EphemeralCa) -> None:
+def test_signing_outside_the_validity_period_is_refused(minted: EphemeralCa) -> None:
     for at in (AT - 1.0, AT + 1e9):
         with pytest.raises(KeysError, match="is not valid at the present time"):
             sign_bundle(DIGEST, minted.operator, at)
@@ -55,7 +55,7 @@ def refused(digest: bytes, signature: bytes, authority: bytes, words: str = ".")
         verify_bundle(digest, signature, authority)
 
 
-def test_a_signature_of_another_bundle_or_authority_is_refused(minted: EphemeralCa, signature: bytes) -> None:
+def test_signature_of_another_bundle_or_authority_is_refused(minted: EphemeralCa, signature: bytes) -> None:
     other = hashlib.sha256(b"another").digest()
     refused(other, signature, minted.authority, "it has changed after anna signed it")
     refused(DIGEST, b"", minted.authority, "it is not signed: sign it with 'lfield sign'")
@@ -64,14 +64,14 @@ def test_a_signature_of_another_bundle_or_authority_is_refused(minted: Ephemeral
     refused(DIGEST, signature, foreign, "is not accepted: the certificate is not of this authority")
 
 
-def test_no_bit_of_a_signature_can_be_changed(minted: EphemeralCa, signature: bytes) -> None:
+def test_signature_with_a_changed_bit_is_refused(minted: EphemeralCa, signature: bytes) -> None:
     for at in range(len(signature)):
         wrong = signature[:at] + bytes([signature[at] ^ 1]) + signature[at + 1 :]
         refused(DIGEST, wrong, minted.authority)
 
 
 @given(st.data())
-def test_no_bytes_can_be_taken_away_or_put_in(
+def test_signature_with_removed_or_added_bytes_is_refused(
     minted: EphemeralCa, signature: bytes, data: st.DataObject
 ) -> None:
     at = data.draw(st.integers(0, len(signature) - 1))
@@ -80,5 +80,5 @@ def test_no_bytes_can_be_taken_away_or_put_in(
 
 
 @given(st.binary(min_size=1, max_size=400))
-def test_bytes_from_anywhere_are_no_signature(minted: EphemeralCa, data: bytes) -> None:
+def test_random_bytes_are_no_signature(minted: EphemeralCa, data: bytes) -> None:
     refused(DIGEST, data, minted.authority)

@@ -1,4 +1,4 @@
-"""Calls that a host gives up, by who waits for them."""
+"""Calls that a host cancels, by the waiting thread."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ LOWER = Instruction("lower", effect="idempotent", blocking=True, cancel=NEVER)
 STEER = Instruction("steer")
 
 
-def begun(calls: PendingDeviceCalls, instruction: Instruction, thread: int) -> tuple[int, list[object]]:
-    """The token of a call, and what its caller gets."""
+def start_call(calls: PendingDeviceCalls, instruction: Instruction, thread: int) -> tuple[int, list[object]]:
+    """The token of a started call, and the list of its answers."""
     answers: list[object] = []
     call = calls.start(ARM, instruction, [], answers.append, 1.0, 9.0, thread)
     return call.token, answers
 
 
-def test_the_call_that_a_thread_waits_for_is_given_up():
+def test_call_of_the_waiting_thread_is_cancelled():
     calls = PendingDeviceCalls()
-    begun(calls, MOVE, 1)
-    token, answers = begun(calls, MOVE, 2)
+    start_call(calls, MOVE, 1)
+    token, answers = start_call(calls, MOVE, 2)
     assert calls.cancel("crane", 2, 1.5) == CancelInstruction(token, 1.5)
     calls.on_refused(token, CANCELLED, "move() was cancelled, and stop() is done")
     (error,) = answers
@@ -35,30 +35,30 @@ def test_the_call_that_a_thread_waits_for_is_given_up():
 
 
 @pytest.mark.parametrize("instruction", [LOWER, STEER])
-def test_what_may_never_be_cancelled_is_not(instruction: Instruction):
+def test_instruction_with_cancel_never_is_not_cancelled(instruction: Instruction):
     calls = PendingDeviceCalls()
-    begun(calls, instruction, 1)
+    start_call(calls, instruction, 1)
     assert calls.cancel("crane", 1, 1.5) is None
 
 
 @pytest.mark.parametrize(("agent", "thread"), [("crane", 2), ("other", 1)])
-def test_what_another_waits_for_goes_on(agent: str, thread: int):
+def test_call_of_another_thread_or_agent_is_not_cancelled(agent: str, thread: int):
     calls = PendingDeviceCalls()
-    begun(calls, MOVE, 1)
+    start_call(calls, MOVE, 1)
     assert calls.cancel(agent, thread, 1.5) is None
 
 
-def test_what_has_its_answer_cannot_be_cancelled():
+def test_answered_call_cannot_be_cancelled():
     calls = PendingDeviceCalls()
-    token, answers = begun(calls, MOVE, 1)
+    token, answers = start_call(calls, MOVE, 1)
     calls.on_done(token, None)
     assert calls.cancel("crane", 1, 1.5) is None
     assert answers == [None]
 
 
-def test_a_guard_that_dies_with_a_cancel_under_way_leaves_no_call_without_an_answer():
+def test_guard_loss_during_a_cancel_answers_the_call():
     calls = PendingDeviceCalls()
-    _, answers = begun(calls, MOVE, 1)
+    _, answers = start_call(calls, MOVE, 1)
     calls.cancel("crane", 1, 1.5)
     calls.on_guard_lost(9)
     assert [str(error) for error in answers] == ["arm: move() is lost: the guard ended with status 9"]

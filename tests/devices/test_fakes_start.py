@@ -1,4 +1,4 @@
-"""A fake that does not start says why: the extra that is missing, or its own last words."""
+"""A fake that does not start reports the missing extra or its last output."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.errors import PluginError
 
 pytestmark = pytest.mark.process
 
-#: As on a computer where the extras were not installed: these modules are nowhere to be found.
+#: Simulates a computer without the extras: these modules are not found.
 WITHOUT = """
 import sys
 from importlib.machinery import PathFinder
@@ -53,25 +53,25 @@ def binding(driver: str) -> DeviceBinding:
 
 
 def refused(sims: Sims, driver: str) -> str:
-    """What is said of a fake that does not start."""
-    with pytest.raises(PluginError) as told:
+    """The error text of a fake that does not start."""
+    with pytest.raises(PluginError) as error:
         asyncio.run(start_fake(sims, [binding(driver)]))
-    return str(told.value)
+    return str(error.value)
 
 
 @pytest.fixture
 def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes that are started find no vendor library."""
+    """Started processes find no vendor library."""
     missing = {name for names in VENDORS.values() for name in names}
     (tmp_path / "sitecustomize.py").write_text(WITHOUT.format(missing=missing), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
 
 @pytest.mark.parametrize("driver", ["mavlink", "can"])
-def test_a_fake_without_its_library_names_the_extra(bare: None, driver: str) -> None:
-    said = refused(discover_sims(), driver)
-    assert said.startswith("sky.fc: the simulated device ")
-    assert said.endswith(f"pip install 'lfield[{driver}]'")
+def test_fake_without_its_library_names_the_extra(bare: None, driver: str) -> None:
+    output = refused(discover_sims(), driver)
+    assert output.startswith("sky.fc: the simulated device ")
+    assert output.endswith(f"pip install 'lfield[{driver}]'")
 
 
 @pytest.mark.few(3)
@@ -88,16 +88,16 @@ def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, com
     }[command]
     if (command, driver) == ("sim", "dynamixel"):
         pytest.skip("this fake needs no library")
-    status, said = lfield_here(*words)
-    # Without a mission a missing library is only worth a word: perhaps nothing needs it.
+    status, output = lfield_here(*words)
+    # Without a mission a missing library is only a warning: it may not be needed.
     assert status == (0 if command == "doctor" else 69)
-    assert f"pip install 'lfield[{driver}]'" in said
-    assert "Traceback" not in said
+    assert f"pip install 'lfield[{driver}]'" in output
+    assert "Traceback" not in output
 
 
 @pytest.fixture
 def lfield_here(tmp_path: Path):
-    """`lfield_here(*words)`: the status of a command, and all that it says."""
+    """`lfield_here(*words)`: the status and the output of a command."""
     import subprocess
 
     def run(*words: str) -> tuple[int, str]:
@@ -112,7 +112,7 @@ def lfield_here(tmp_path: Path):
 
 
 def made(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
-    """A fake of our own that does this when it runs."""
+    """A fake that executes `body` when it runs."""
     text = f"""
     import sys
     class Odd:
@@ -143,14 +143,14 @@ def made(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
         ("pass", ", without output"),
     ],
 )
-def test_its_last_words_are_told(
+def test_error_has_the_last_output_of_the_fake(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str
 ) -> None:
-    said = refused(made(tmp_path, body, monkeypatch), "mavlink")
-    assert said == f"sky.fc: the simulated device 'mavlink' did not start{words}"
+    output = refused(made(tmp_path, body, monkeypatch), "mavlink")
+    assert output == f"sky.fc: the simulated device 'mavlink' did not start{words}"
 
 
-async def test_what_it_says_later_is_passed_on(
+async def test_later_output_of_a_fake_is_forwarded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
     body = "print('early', file=sys.stderr); print('ready here', flush=True); sys.stdin.read(); "
@@ -160,7 +160,7 @@ async def test_what_it_says_later_is_passed_on(
     assert capsys.readouterr().err == "early\nlate\n"
 
 
-def test_every_driver_says_what_it_needs() -> None:
+def test_every_driver_declares_its_required_libraries() -> None:
     for name, installed in discover().by_driver.items():
         assert installed.plugin.requires == VENDORS[name]
         assert installed.plugin.extra == name

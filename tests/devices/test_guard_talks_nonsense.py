@@ -1,4 +1,4 @@
-"""A guard loads foreign code: what it says and cannot be ends that guard with a sentence, not its host."""
+"""Invalid messages of a guard, which loads foreign code, end that guard with a note, not the host."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SEEN = Observation(1.0, 1.0)
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "report"),
     [
         (CallDone(7, None), "an answer to call 7, which is not pending"),
         (Refused(7, "DeviceException", "no"), "an answer to call 7, which is not pending"),
@@ -54,7 +54,7 @@ SEEN = Observation(1.0, 1.0)
         (DevicesOpened({"a.x": "a lamp", "b.y": "another"}), "devices that it does not guard: a.x, b.y"),
     ],
 )
-def test_it_is_killed_and_its_host_goes_on(message, told):
+def test_invalid_guard_message_kills_the_guard_not_the_host(message, report):
     notes, killed, raised = [], [], []
 
     async def story():
@@ -67,12 +67,12 @@ def test_it_is_killed_and_its_host_goes_on(message, told):
         guard.pipe_data_received(1, encode(message))
 
     run_jumping(story())
-    assert [note.partition(" sent ")[2] for note in notes] == [f"invalid bytes: {told}; restarting it"]
+    assert [note.partition(" sent ")[2] for note in notes] == [f"invalid bytes: {report}; restarting it"]
     assert (killed, raised) == ([True], [])
 
 
-def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_a_pause(monkeypatch):
-    """Its autopilot hears no station meanwhile."""
+def test_restart_is_immediate_after_a_long_life_else_delayed(monkeypatch):
+    """During the delay the autopilot receives no heartbeats."""
     started = []
 
     async def story():
@@ -102,8 +102,8 @@ def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_
     assert [round(at - first, 3) for at in again] == [6.0, 6.7, 12.5]
 
 
-def test_a_host_that_stops_while_a_guard_is_started_again_asks_it_to_open_its_devices_first(monkeypatch):
-    """The process exists before the loop tells its starter: a stop may come between."""
+def test_stop_during_a_guard_restart_is_sent_after_open_devices(monkeypatch):
+    """The process exists before its starter resumes: a stop may arrive between."""
     received = []
 
     async def story():

@@ -1,4 +1,4 @@
-"""What a host refuses before any guard is started, what bindings say of fakes, and stops of all guards."""
+"""Refusals before any guard is started, bindings of fakes, and stops of all guards."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def plugins() -> Plugins:
     return found
 
 
-def test_two_drivers_for_one_port(plugins):
+def test_two_drivers_for_one_port_are_refused(plugins):
     vehicle = DeviceBinding(
         agent="car", field="fc", type="Mavlink", driver="mavlink", endpoint=SERVO.endpoint, safe_state="hold"
     )
@@ -44,19 +44,19 @@ def test_two_drivers_for_one_port(plugins):
     )
 
 
-def test_theconditions_of_a_fake_are_aimed_at_its_device():
+def test_fault_options_of_a_fake_name_its_device():
     soft = msgspec.structs.replace(SERVO, sim=["obstacle=-0.1", "unplug@2=true"])
     assert fault_options([soft]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
 
 
-def test_a_devices_file_says_what_its_fake_is_like(plugins, tmp_path):
+def test_devices_file_sets_the_faults_of_a_fake(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
     path.write_text('agents:\n  arm: {devices: {wrist: {driver: dynamixel, sim: ["hot=true"]}}}\n')
     bound = read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins, simulate=True)
     assert bound.devices["arm"]["wrist"].sim == ["hot=true"]
 
 
-def test_a_waiver_that_nobody_knows_is_an_error(plugins, tmp_path):
+def test_unknown_waiver_is_an_error(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
     device = "{driver: dynamixel, endpoint: 'serial:/dev/x:1', waivers: [care]}"
     path.write_text(f"agents: {{arm: {{devices: {{wrist: {device}}}}}}}\n")
@@ -64,7 +64,7 @@ def test_a_waiver_that_nobody_knows_is_an_error(plugins, tmp_path):
         read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins)
 
 
-def test_a_file_that_an_option_names_is_seen_from_the_devices_file(plugins, tmp_path):
+def test_path_option_is_relative_to_the_devices_file(plugins, tmp_path):
     (tmp_path / "keys").mkdir()
     (tmp_path / "keys" / "secret").write_text("00" * 32)
     path = tmp_path / "m.devices.yaml"
@@ -78,7 +78,7 @@ def test_a_file_that_an_option_names_is_seen_from_the_devices_file(plugins, tmp_
         read_bindings(path, needed, plugins)
 
 
-def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
+def test_wrong_device_type_of_a_driver_is_refused(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
     device = "{driver: dynamixel, type: Dynamixel, endpoint: 'serial:/dev/x:1'}"
     path.write_text(f"agents: {{arm: {{devices: {{joints: {device}}}}}}}\n")
@@ -107,7 +107,7 @@ class LateGuard:
         self.latched_devices.on_change()
 
 
-def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
+def test_two_emergency_stops_both_get_the_result(plugins):
     async def story() -> float:
         guards, loop = DeviceGuards(plugins, ManualClock(), print), asyncio.get_running_loop()
         guards._guards = [LateGuard(2.0)]
@@ -119,7 +119,7 @@ def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
     assert run_jumping(story()) == pytest.approx(2.0)
 
 
-def test_who_was_safe_before_and_is_not_heard_any_more_is_not_called_safe(plugins):
+def test_silent_device_is_not_reported_safe(plugins):
     async def story() -> dict[str, str]:
         guards = DeviceGuards(plugins, ManualClock(), print)
         guards._guards = [LateGuard(0.1, lost=3.0)]

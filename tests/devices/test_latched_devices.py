@@ -1,4 +1,4 @@
-"""The log of devices in their safe states names what they do there."""
+"""The log of devices in their safe states names the action."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROVER = DeviceBinding(
         ({"two.fc": {"land": "hold"}}, "", "land"),
     ],
 )
-def test_the_action_in_a_safe_state_is_logged(actions, state, shown) -> None:
+def test_action_in_a_safe_state_is_logged(actions, state, shown) -> None:
     lines: list[LogLine] = []
     pulse = HeartbeatJitter(JitterMonitor(JitterLimit(1.0)))
     latched = LatchedDevices({"one.fc": ROVER}, SystemClock(), lines.append, pulse)

@@ -1,4 +1,4 @@
-"""A computer that is late, before its host opens devices and while they fly."""
+"""A computer with scheduling delays, before devices are opened and during a flight."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lfield.testing.driver_bench import guarded, running_fake
 
 
 class Hiccups(LoopClock):
-    """The time of a computer that now and then stands still, for `late` seconds at each of some times."""
+    """The clock of a computer that pauses for `late` seconds at each of some times."""
 
     def __init__(self, late, *times):
         self.late, self.times, self.begun = late, list(times), None
@@ -47,7 +47,7 @@ def bound(endpoint):
     return msgspec.structs.replace(device, endpoint=endpoint)
 
 
-def test_a_computer_in_time_is_measured_in_a_second():
+def test_measurement_without_delay_takes_one_second():
     async def story():
         begun = LoopClock().monotonic()
         assert await measure_jitter(JitterLimit(0.1), LoopClock()) == pytest.approx(0.0, abs=1e-6)
@@ -56,15 +56,15 @@ def test_a_computer_in_time_is_measured_in_a_second():
     run_jumping(story())
 
 
-def test_one_hiccup_is_measured_and_allowed():
+def test_single_short_delay_is_measured_and_accepted():
     assert run_jumping(measure_jitter(JitterLimit(0.1), Hiccups(0.02, 0.4))) == pytest.approx(0.02, abs=1e-6)
 
 
-def test_a_computer_that_is_late_once_gets_another_second():
+def test_measurement_is_repeated_after_a_long_delay():
     assert run_jumping(measure_jitter(JitterLimit(0.1), Hiccups(0.12, 0.4))) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_computer_that_is_late_each_time_is_refused_before_anything_is_opened():
+def test_computer_with_repeated_delays_is_refused_before_opening():
     late = Hiccups(0.12, *(0.4 * count for count in range(1, 3 * TRIES)))
     with pytest.raises(DevicesError) as refused:
         run_jumping(require_timely(JitterLimit(0.1), [bound("udp:127.0.0.1:1")], late))
@@ -78,16 +78,16 @@ def test_a_computer_that_is_late_each_time_is_refused_before_anything_is_opened(
     )
 
 
-def test_fakes_and_hosts_without_devices_ask_for_nothing():
+def test_no_measurement_for_fakes_or_without_devices():
     class Never(SystemClock):
         def monotonic(self):
-            raise AssertionError("it is measured")
+            raise AssertionError("a measurement was made")
 
     for devices in ([], [bound(f"{SIMULATED}lead.fc")]):
         asyncio.run(require_timely(JitterLimit(0.1), devices, Never()))
 
 
-def test_the_doctor_measures_and_advises(monkeypatch):
+def test_doctor_measures_delays_and_advises(monkeypatch):
     monkeypatch.setattr(event_loop, "may_raise_timer_priority", lambda: False)
     late = Hiccups(0.12, *(0.4 * count for count in range(1, 3 * TRIES)))
     found = run_jumping(scheduling_lateness(0.1, late, bound=True))
@@ -103,14 +103,14 @@ def test_the_doctor_measures_and_advises(monkeypatch):
 
 
 @pytest.mark.process
-def test_a_latch_for_silence_says_that_this_computer_was_late():
+def test_latch_after_silence_names_the_delay_of_this_computer():
     async def story():
         with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", "--climb", "8") as fake:
             async with guarded(bound(fake.endpoint), silence=0.5) as (flight,):
-                # A computer that is late in earnest may have its guard latch meanwhile, for the same reason.
+                # On a really delayed computer the guard may latch earlier, for the same reason.
                 with suppress(DeviceError):
                     await flight.call("arm")
-                # The loop is held: neither a beat nor anything else goes out.
+                # The loop is blocked: no heartbeat or other message is sent.
                 time.sleep(1.5)
                 why = "the host was silent for over 500 ms, since this computer was late"
                 await flight.until_note(f"in safe state 'land': {why}")

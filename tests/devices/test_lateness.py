@@ -1,4 +1,4 @@
-"""How late a computer is and may be: the rule, the figures and the warnings, on time that is given."""
+"""Scheduling delays: the limit, the figures and the warnings, on given times."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from lfield.devices.scheduling_jitter import (
 SILENCE = 0.2
 
 
-@pytest.mark.parametrize("prompt", [False, True], ids=["guards wait", "guards come first"])
+@pytest.mark.parametrize("prompt", [False, True], ids=["normal priority", "real-time priority"])
 @pytest.mark.parametrize(
     ("silence", "late", "keeps"),
     [
         (0.1, 0.0, True),
-        (0.1, 0.02, True),  # one hiccup of a healthy small computer
+        (0.1, 0.02, True),  # one delay of a healthy small computer
         (0.1, 0.05, False),
         (0.1, 0.12, False),
         (0.2, 0.05, True),
@@ -34,19 +34,19 @@ SILENCE = 0.2
         (10.0, 9.96, False),
     ],
 )
-def test_which_silence_a_computer_keeps(silence, late, keeps, prompt):
+def test_maximum_delay_by_silence_and_priority(silence, late, keeps, prompt):
     assert (late <= JitterLimit(silence, prompt).max_jitter) is keeps
 
 
 @given(st.floats(0.0, 20.0), st.booleans())
-def test_what_it_could_keep_it_keeps_and_a_tenth_less_it_does_not(late, prompt):
+def test_shortest_silence_is_sufficient_and_minimal(late, prompt):
     kept = JitterLimit(SILENCE, prompt).shortest_silence(late)
     assert kept >= 0.1
     assert late <= JitterLimit(kept, prompt).max_jitter + 1e-6
     assert kept == 0.1 or late > JitterLimit(kept - 0.1, prompt).max_jitter - 1e-6
 
 
-def test_what_is_not_kept_is_told_with_what_could_be_and_what_to_do():
+def test_report_and_remedy_name_the_shortest_silence():
     limit = JitterLimit(0.1)
     assert limit.report(0.12) == (
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
@@ -60,7 +60,7 @@ def test_what_is_not_kept_is_told_with_what_could_be_and_what_to_do():
     assert limit.report(0.004) == "heartbeats to guards up to 4 ms late: fast enough for 'silence: 0.1'"
 
 
-def test_guards_that_come_first_count_less_and_need_not_be_let():
+def test_real_time_priority_shortens_the_silence_and_the_remedy():
     limit = JitterLimit(0.2, prompt=True)
     assert limit.shortest_silence(0.12) == 0.3
     assert limit.shortest_silence(0.09) == 0.2 < JitterLimit(0.2).shortest_silence(0.09)
@@ -70,7 +70,7 @@ def test_guards_that_come_first_count_less_and_need_not_be_let():
     )
 
 
-def test_no_silence_is_named_that_could_not_be_written():
+def test_report_names_no_silence_beyond_the_maximum():
     assert JitterLimit(10.0).report(6.0).endswith("up to 6.00 s late, and no silence is long enough")
     assert JitterLimit(10.0, prompt=True).remedy(7.0) == "reduce the load of this computer"
 
@@ -79,7 +79,7 @@ def test_no_silence_is_named_that_could_not_be_written():
 
 
 class Run:
-    """Beats on a clock that is given, each as late as is said."""
+    """Heartbeats on a given clock, each with a given delay."""
 
     def __init__(self, silence=SILENCE):
         self.now = 1000.0
@@ -94,20 +94,20 @@ class Run:
         return [word for _ in range(round(seconds / HEARTBEAT_INTERVAL)) if (word := self.beat())]
 
 
-def test_beats_in_time_say_nothing():
+def test_punctual_heartbeats_give_no_warning():
     run = Run()
     assert run.beats(100.0) == []
     assert run.lateness.longest < 1e-6
     assert run.lateness.last_minute(run.now) < 1e-6
 
 
-def test_a_beat_that_comes_early_is_not_late():
+def test_early_heartbeat_has_no_delay():
     lateness = JitterMonitor(JitterLimit(SILENCE))
     assert lateness.sample(5.0, 4.9) is None
     assert lateness.longest == 0.0
 
 
-def test_a_lateness_near_the_limit_is_warned_of_with_what_happens_then():
+def test_delay_near_the_limit_gives_a_warning():
     run = Run()
     assert run.beat(0.07) is None
     assert run.beat(0.08) == (
@@ -116,7 +116,7 @@ def test_a_lateness_near_the_limit_is_warned_of_with_what_happens_then():
     )
 
 
-def test_it_warns_once_a_minute_and_again_when_it_gets_worse():
+def test_warning_is_repeated_per_minute_or_when_worse():
     run = Run()
     assert run.beat(0.08)
     assert [run.beat(0.08) for _ in range(100)] == [None] * 100
@@ -127,7 +127,7 @@ def test_it_warns_once_a_minute_and_again_when_it_gets_worse():
     assert "late by 80 ms (longest so far 0.14 s)" in run.beat(0.08)
 
 
-def test_the_figure_of_the_last_minute_forgets_and_the_longest_ever_does_not():
+def test_last_minute_figure_expires_and_the_longest_stays():
     run = Run()
     run.beat(0.3)
     run.beats(30.0)
@@ -141,7 +141,7 @@ def test_the_figure_of_the_last_minute_forgets_and_the_longest_ever_does_not():
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=60))
-def test_the_figures_are_those_of_all_samples_and_warnings_are_few(steps):
+def test_figures_match_all_samples_and_warnings_are_limited(steps):
     run, kept, warned = Run(), [], []
     for pause, late in steps:
         due = run.now + pause
@@ -158,7 +158,7 @@ def test_the_figures_are_those_of_all_samples_and_warnings_are_few(steps):
     assert warned or all(length <= run.lateness.limit.max_jitter for _, length in kept)
 
 
-def test_a_silence_is_the_computers_fault_and_never_the_vehicles():
+def test_silence_is_explained_by_the_computer_s_delay():
     run = Run()
     run.beat(0.31)
     assert (
@@ -172,7 +172,7 @@ def test_a_silence_is_the_computers_fault_and_never_the_vehicles():
     )
 
 
-def test_a_guard_may_tell_of_a_silence_before_the_late_beat_has_gone():
+def test_silence_reported_before_the_late_heartbeat_is_explained():
     pulse = HeartbeatJitter(JitterMonitor(JitterLimit(SILENCE)))
     assert [pulse.on_heartbeat(when) for when in (5.0, 5.05, 5.1)] == [None, None, None]
     silent = "the host was silent for over 200 ms"
@@ -182,7 +182,7 @@ def test_a_guard_may_tell_of_a_silence_before_the_late_beat_has_gone():
     assert pulse.explain(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
 
 
-def test_beats_that_were_not_to_be_are_not_late():
+def test_paused_heartbeats_are_not_late():
     pulse = HeartbeatJitter(lateness := JitterMonitor(JitterLimit(SILENCE)))
     pulse.on_heartbeat(5.0)
     pulse.pause()

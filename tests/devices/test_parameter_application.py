@@ -1,4 +1,4 @@
-"""Parameter files written into a device: refused as a whole, saved before, read back after."""
+"""Parameter files written to a device: refused as a whole, backed up before, read back after."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfield.errors import DevicesError, MissionFileError, UsageError
 
 
 class Lamp:
-    """A device without files of settings."""
+    """A device without parameter files."""
 
     binding = DeviceBinding(
         agent="a", field="l", type="Lamp", driver="lamp", endpoint="lamp", safe_state="off"
@@ -28,7 +28,7 @@ class Lamp:
 
 
 class Store(Lamp):
-    """A device with two settings, of which writing LEVEL changes COLOUR if it is `coupled`."""
+    """A device with two settings; if `coupled`, writing LEVEL changes COLOUR."""
 
     def __init__(self, *refusals, coupled=False, writes=10):
         self.kept = {"LEVEL": 1.0, "COLOUR": 2.0}
@@ -62,14 +62,14 @@ def write(plan, folder):
     return lines
 
 
-def test_the_plan_lists_everything():
+def test_plan_lists_changes_unknown_kept_and_restart():
     lines = list(plan(Store()).lines())
     assert lines[1:3] == ["    COLOUR from 2 to 6", "    LEVEL from 1 to 5"]
     assert "and 8 more" in lines[3]
     assert [line.rpartition(" ")[2] for line in lines[4:]] == ["AGE", "LEVEL"]
 
 
-def test_written_after_a_backup(tmp_path):
+def test_parameters_are_written_after_a_backup(tmp_path):
     store = Store()
     lines = write(plan(store), tmp_path / "own")
     assert store.kept == {"LEVEL": 5.0, "COLOUR": 6.0}
@@ -83,18 +83,18 @@ def test_written_after_a_backup(tmp_path):
     assert asyncio.run(stored_values(Lamp().found(), ["LEVEL"])) == {}
 
 
-def test_a_value_that_another_write_changes_is_found(tmp_path):
+def test_value_changed_by_another_write_is_found(tmp_path):
     with pytest.raises(DevicesError, match=r"^a\.l: COLOUR is not 6 any more"):
         write(plan(Store(coupled=True)), tmp_path / "own")
 
 
-def test_a_write_that_fails_leaves_a_backup(tmp_path):
+def test_failed_write_leaves_a_backup(tmp_path):
     with pytest.raises(DevicesError, match="it is gone"):
         write(plan(Store(writes=1)), tmp_path / "own")
     assert len(read_backup(tmp_path / "own" / "setup-1.json")) == 1
 
 
-def test_refusals():
+def test_refused_plan_raises_and_prints_every_reason():
     lines = []
     with pytest.raises(MissionFileError):
         check_permitted(plan(Store("LEVEL is too high", "COLOUR is wrong")), lines.append)

@@ -1,4 +1,4 @@
-"""Settings of devices: the old values are in a file first, and are restored to the same device only."""
+"""Settings of devices: old values are saved first, and restored to the same device only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lfield.errors import DevicesError, InputFileError
 
 
 class Lamp:
-    """A device that keeps a colour and a level; after `writes` of them it is gone."""
+    """A device with a colour and a level; it fails after `writes` writes."""
 
     def __init__(self, name="lamp", writes=10, in_use=False, serial="no 7"):
         self.binding = DeviceBinding(
@@ -68,11 +68,11 @@ def restore(entry, lamp):
     return [change.name for change in plan.writes], asyncio.run(apply_restore(plan, print))
 
 
-def test_old_values_are_in_a_file_before_the_first_write(folder):
+def test_old_values_are_saved_before_the_first_write(folder):
     lamp, other = Lamp(writes=1), Lamp("other")
     with pytest.raises(DevicesError, match=r"^lamp\.l: it is gone$"):
         set_up(folder, lamp, other)
-    # Only one of two was written, and the other device all the same.
+    # Only one of two settings was written, and the other device was set up nevertheless.
     assert lamp.kept == {"LEVEL": 5.0, "COLOUR": 2.0}
     assert other.kept == other.wanted
     entries = read_backup(folder / "setup-1.json")
@@ -85,7 +85,7 @@ def test_old_values_are_in_a_file_before_the_first_write(folder):
     assert restore(entries[0], lamp) == ([], [])
 
 
-def test_a_run_never_overwrites_the_file_of_another(folder):
+def test_concurrent_backups_never_overwrite_each_other(folder):
     def add(name):
         return [write_backup(folder, [BackupEntry(name, name, [], Lamp(name).binding)]) for _ in range(3)]
 
@@ -97,7 +97,7 @@ def test_a_run_never_overwrites_the_file_of_another(folder):
 
 
 @pytest.mark.parametrize("serial", ["no 8", ""])
-def test_nothing_is_restored_to_another_device(folder, serial):
+def test_settings_are_not_restored_to_another_device(folder, serial):
     mine, other = Lamp(), Lamp(serial=serial)
     (entry,) = set_up(folder, mine)
     other.kept = dict(mine.kept)
@@ -107,7 +107,7 @@ def test_nothing_is_restored_to_another_device(folder, serial):
     assert other.kept == mine.kept
 
 
-def test_a_setting_that_was_changed_since_is_left_alone(folder):
+def test_setting_changed_since_the_backup_is_not_restored(folder):
     lamp = Lamp(serial="")
     (entry,) = set_up(folder, lamp)
     lamp.kept["LEVEL"] = 9.0
@@ -117,14 +117,14 @@ def test_a_setting_that_was_changed_since_is_left_alone(folder):
     assert lamp.kept == {"LEVEL": 9.0, "COLOUR": 2.0}
 
 
-def test_a_failed_write_is_reported(folder):
+def test_failed_write_of_a_restore_is_reported(folder):
     lamp = Lamp()
     (entry,) = set_up(folder, lamp)
     lamp.writes = 1
     assert restore(entry, lamp) == (["LEVEL", "COLOUR"], ["lamp.l: it is gone"])
 
 
-def test_nothing_is_written_while_a_device_is_in_use(folder):
+def test_no_setting_is_written_while_a_device_is_in_use(folder):
     lamp, shining = Lamp(), Lamp("shining", in_use=True)
     with pytest.raises(DevicesError, match=r"shining\.l: nothing was written: it shines"):
         set_up(folder, lamp, shining)
@@ -138,7 +138,7 @@ def test_nothing_is_written_while_a_device_is_in_use(folder):
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"version": 1, "entries": []}', "[" * 10000])
-def test_a_file_that_cannot_be_read_is_reported(folder, text):
+def test_invalid_backup_file_is_reported_and_not_overwritten(folder, text):
     folder.mkdir(mode=0o700)
     path = folder / "setup-1.json"
     path.write_text(text)

@@ -1,4 +1,4 @@
-"""When a device counts as lost: every device type that is installed, at the same pace."""
+"""The silence after which a device counts as lost, for every installed device type."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TYPES = [(found, name) for found in discover().by_driver.values() for name in fo
 
 
 @pytest.mark.parametrize(("installed", "device_type"), TYPES, ids=[name for _, name in TYPES])
-def test_a_device_that_has_fallen_silent_is_lost_soon(installed, device_type):
+def test_silent_device_is_lost_after_the_silence_limit(installed, device_type):
     clock = ManualClock()
     binding = DeviceBinding(
         agent="a",
@@ -27,8 +27,8 @@ def test_a_device_that_has_fallen_silent_is_lost_soon(installed, device_type):
     snapshots = Snapshots(installed, [binding], clock)
     assert snapshots.silent_since("a.thing") is None
     snapshots.on_snapshot(TelemetrySnapshot("a.thing", {}, clock.now))
-    heard = clock.monotonic()
+    last_contact = clock.monotonic()
     clock.advance(SILENCE_LIMIT - 0.1)
     assert snapshots.silent_since("a.thing") is None
     clock.advance(2.2)
-    assert snapshots.silent_since("a.thing") == heard
+    assert snapshots.silent_since("a.thing") == last_contact

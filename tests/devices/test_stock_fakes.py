@@ -1,4 +1,4 @@
-"""Every resource that a driver ships runs on a fake that fits it, though no devices file says what it is."""
+"""Every resource of a driver runs on a matching fake without a devices file."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ ROOT = Path(__file__).parents[2]
 STOCK = sorted(
     f"{file.parts[-3].removeprefix('lfield_')}/{file.name}" for file in ROOT.glob("drivers/*/L/*.L")
 )
-#: What a fake must tell of itself, where a driver has several.
+#: The kind that a fake must report, for a driver with several kinds.
 KINDS = {"mavlink/copter.L": "copter", "mavlink/rover.L": "rover"}
 
 
 def mission(folder: Path, program: str, resource: str) -> Mission:
-    """A mission with one agent, bound nowhere, on fakes."""
+    """A mission with one agent without bindings, on fakes."""
     (folder / "m.L").write_text(program, encoding="utf-8")
     (folder / "m.dL").write_text(f"//{resource}:one@alpha\n", encoding="utf-8")
     return load_mission(folder / "m.dL", simulate=True)
 
 
 def stock_mission(folder: Path, include: str) -> Mission:
-    """That of a shipped resource, which is named like its file."""
+    """The mission of a shipped resource, which is named like its file."""
     return mission(folder, f"include <{include}>;\n", Path(include).stem.capitalize())
 
 
 @pytest.mark.process
 @pytest.mark.few(4)
 @pytest.mark.parametrize("include", STOCK)
-def test_it_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
+def test_stock_resource_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
     found: list[DiagnosticFinding] = []
     devices = stock_mission(tmp_path, include).bindings.all
     asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
@@ -48,8 +48,8 @@ def test_it_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
     assert KINDS.get(include, "") in found[0].what
 
 
-def test_a_bundle_knows_it_too(tmp_path: Path) -> None:
-    """A robot has neither L nor manifests; what it needs of them travels."""
+def test_bundle_keeps_the_kind_of_a_fake(tmp_path: Path) -> None:
+    """A robot has neither L files nor manifests; the bundle contains the required data."""
     built = stock_mission(tmp_path, "mavlink/rover.L")
     read = bundle.decode(bundle.encode(built))
     unbound = read.with_bindings(type(read.bindings)()).on_fakes()
@@ -75,21 +75,21 @@ def test_a_bundle_knows_it_too(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_which_fake_was_chosen_is_told_once(tmp_path: Path, resource: str, device: str, words: str) -> None:
+def test_chosen_fake_is_reported_once(tmp_path: Path, resource: str, device: str, words: str) -> None:
     built = mission(tmp_path, f"resource {resource} {{ {device} d; init(string[] arg) {{ }} }}\n", resource)
     assert built.warnings == (words,)
     assert bundle.decode(bundle.encode(built)).on_fakes().warnings == (words,)
 
 
-def test_of_devices_that_a_file_binds_nothing_is_told(tmp_path: Path) -> None:
+def test_bound_device_gives_no_warning(tmp_path: Path) -> None:
     (tmp_path / "m.devices.yaml").write_text(
         "agents: {one: {devices: {d: {driver: mavlink, kind: rover}}}}\n", encoding="utf-8"
     )
     assert mission(tmp_path, "resource Boat { Mavlink d; init(string[] arg) { } }\n", "Boat").warnings == ()
 
 
-def test_what_only_a_binding_can_know_is_asked_for(tmp_path: Path) -> None:
+def test_missing_option_without_default_is_requested(tmp_path: Path) -> None:
     program = "resource Jaw { CanSignals jaw; init(string[] arg) { } }\n"
-    with pytest.raises(BindingError) as told:
+    with pytest.raises(BindingError) as error:
         mission(tmp_path, program, "Jaw")
-    assert str(told.value) == "one.jaw (CanSignals) needs dbc also when simulated: bind it in a devices file"
+    assert str(error.value) == "one.jaw (CanSignals) needs dbc also when simulated: bind it in a devices file"

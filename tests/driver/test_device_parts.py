@@ -1,4 +1,4 @@
-"""A device of parts: each instruction is carried out in one place, by the device or by one of its parts."""
+"""A device of parts: each instruction is implemented once, by the device or by one of its parts."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Lamp(Device):
         self.on = on
 
 
-def test_a_part_carries_out_what_the_device_does_not():
+def test_part_executes_an_instruction_of_the_device():
     lamp = Lamp(Neck)
     check_methods(Lamp, MANIFEST, lamp.parts)
     assert asyncio.run(lamp.execute("turn", [1])) == -1.0
@@ -60,7 +60,7 @@ def test_a_part_carries_out_what_the_device_does_not():
     assert lamp.reports.values == {"angle": 1.0}
 
 
-def test_what_nobody_carries_out_is_asked_of_the_device():
+def test_missing_instruction_method_is_an_error():
     with pytest.raises(PluginError, match="Lamp needs 'async def do_turn' for 'turn'"):
         check_methods(Lamp, MANIFEST)
 
@@ -77,13 +77,13 @@ class Shade(Neck):
         ((Shade,), "Lamp and Shade both define do_release"),
     ],
 )
-def test_an_instruction_in_two_places_is_an_error(parts, words):
+def test_instruction_implemented_twice_is_an_error(parts, words):
     lamp = Lamp(*parts)
     with pytest.raises(PluginError, match=words):
         check_methods(Lamp, MANIFEST, lamp.parts)
 
 
-def test_a_part_must_take_what_the_manifest_gives():
+def test_part_method_must_have_the_parameters_of_the_manifest():
     class Stiff:
         def __init__(self, lamp: Device) -> None:
             pass

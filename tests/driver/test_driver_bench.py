@@ -1,4 +1,4 @@
-"""The public bench for drivers, by the driver that `lfield driver new` writes."""
+"""The public bench for drivers, tested with the driver that `lfield driver new` writes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MINUTE = 60.0
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    """The folder of a new driver, which is installed for whoever has it in the path."""
+    """The folder of a new driver, installed for processes with the folder in their path."""
     folder = tmp_path_factory.mktemp("project")
     write("lamp", folder)
     info = folder / "lfield_lamp-0.1.0.dist-info"
@@ -65,7 +65,7 @@ async def nothing(*devices):
     pass
 
 
-def test_a_binding_has_what_its_manifest_gives(lamp):
+def test_binding_has_the_defaults_of_its_manifest(lamp):
     plain = bind(lamp.PLUGIN)
     assert (plain.name, plain.type, plain.driver, plain.safe_state) == (
         "bench.device",
@@ -83,7 +83,7 @@ def test_a_binding_has_what_its_manifest_gives(lamp):
 
 
 @on_bench("make_bench", "one", "two")
-async def test_a_story_is_told_on_time_that_jumps(bench, one, two, /):
+async def test_story_runs_in_virtual_time(bench, one, two, /):
     start = one.clock.monotonic()
     await asyncio.sleep(MINUTE)
     await two.execute("moveTo", [0.5])
@@ -94,19 +94,19 @@ async def test_a_story_is_told_on_time_that_jumps(bench, one, two, /):
 
 
 @on_bench("make_bench", "device", opened=False)
-async def test_devices_may_be_left_closed(bench, device, /):
+async def test_devices_can_be_left_closed(bench, device, /):
     assert bench.values == {}
     assert await device.open() == "a lamp"
 
 
 @on_bench("make_bench", "device")
-async def test_what_a_driver_notes_is_kept(bench, device, /, fake):
+async def test_notes_of_a_driver_are_kept(bench, device, /, fake):
     fake.cut = True
     await bench.until(lambda: bench.notes != [])
     assert bench.notes == ["lost: tcp:memory:1: no answer"]
 
 
-def test_what_does_not_become_so_is_told_with_what_was_seen(make_bench):
+def test_until_timeout_reports_the_observed_values(make_bench):
     bench = make_bench("device")
 
     async def story(device):
@@ -118,7 +118,7 @@ def test_what_does_not_become_so_is_told_with_what_was_seen(make_bench):
         bench.run(story)
 
 
-def test_a_driver_that_breaks_where_nobody_waits_has_failed(make_bench):
+def test_failed_background_task_of_a_driver_fails_the_bench(make_bench):
     bench = make_bench("device")
 
     async def stumble():
@@ -132,7 +132,7 @@ def test_a_driver_that_breaks_where_nobody_waits_has_failed(make_bench):
         bench.run(story)
 
 
-def test_a_fake_that_breaks_is_told_beside_what_comes_of_it(make_bench, fake):
+def test_failure_of_a_fake_is_added_to_the_error(make_bench, fake):
     async def broken():
         fake.cut = True
         raise ValueError("stumbled")
@@ -142,7 +142,7 @@ def test_a_fake_that_breaks_is_told_beside_what_comes_of_it(make_bench, fake):
     assert error.value.__notes__ == ["meanwhile: the simulated device: ValueError('stumbled')"]
 
 
-def test_a_story_without_an_end_is_ended(make_bench):
+def test_story_that_exceeds_its_time_is_ended(make_bench):
     async def story(device):
         await asyncio.sleep(MINUTE)
 
@@ -150,7 +150,7 @@ def test_a_story_without_an_end_is_ended(make_bench):
         make_bench("device").run(story, within=10.0)
 
 
-def test_afterwards_nothing_runs_and_the_driver_is_closed(make_bench, fake):
+def test_bench_ends_tasks_and_closes_the_driver(make_bench, fake):
     ended = []
 
     async def living():
@@ -165,7 +165,7 @@ def test_afterwards_nothing_runs_and_the_driver_is_closed(make_bench, fake):
 
 
 @pytest.mark.process
-def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
+def test_fake_process_with_device_in_real_time_and_behind_a_guard():
     with running_fake("dynamixel", "--servo", "1:XL330-M288:arm.wrist") as fake:
         binding = bind(SERVOS, "Dynamixel", agent="arm", field="wrist", endpoint=fake.endpoint)
         bench = DriverBench(SERVOS, binding)
@@ -175,8 +175,8 @@ def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
             async with guarded(binding) as (wrist,):
                 assert await wrist.reads("torqueOn", lambda on: on is False) is False
                 assert fake.fault("hot@arm.wrist=true")["devices"] == {"1": "arm.wrist"}
-                with pytest.raises(CheckFailed, match=r"waited 0\.1 s for the note 'nobody says this'"):
-                    await wrist.until_note("nobody says this", 0.1)
+                with pytest.raises(CheckFailed, match=r"waited 0\.1 s for the note 'no such note'"):
+                    await wrist.until_note("no such note", 0.1)
                 assert wrist.guard_pid > 0
 
         asyncio.run(story())
@@ -186,7 +186,7 @@ def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
 
 
 @pytest.mark.process
-def test_what_does_not_start_says_why(capfd):
+def test_fake_or_device_that_fails_to_start_reports_why(capfd):
     words = "the simulated device 'dynamixel' did not start"
     with pytest.raises(AssertionError, match=words), running_fake("dynamixel", "--servo", "1:XM999"):
         pass
@@ -201,7 +201,7 @@ def test_what_does_not_start_says_why(capfd):
 
 
 @pytest.mark.process
-def test_the_tests_of_a_new_driver_pass(project):
+def test_tests_of_a_new_driver_pass(project):
     path = os.pathsep.join([str(project), os.environ.get("PYTHONPATH", "")])
     tests = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],

@@ -1,4 +1,4 @@
-"""What is an endpoint of a driver is known before anything is opened."""
+"""The endpoints of a driver are checked before anything is opened."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ ENDPOINTS = {
 
 
 @pytest.mark.parametrize("driver", ENDPOINTS)
-def test_what_is_an_endpoint_of_ours(driver):
+def test_endpoints_of_the_drivers_are_accepted_or_refused(driver):
     plugin = load_plugin(f"lfield_{driver}:PLUGIN")
     good, bad = ENDPOINTS[driver]
     assert [text for text in good if plugin.why_no_endpoint(text)] == []
     assert [text for text in bad if not plugin.why_no_endpoint(text)] == []
 
 
-def test_nobody_imports_a_vendor_library_for_that():
+def test_endpoint_check_imports_no_vendor_library():
     asks = "".join(
         f"load_plugin('lfield_{driver}:PLUGIN').why_no_endpoint({good[0]!r})\n"
         for driver, (good, _) in ENDPOINTS.items()
@@ -70,7 +70,7 @@ def parse(text: str) -> None:
 
 
 def anything(text: str) -> None:
-    """Takes what it gets."""
+    """Accepts any endpoint."""
 
 
 def plugin(function: str, requires: tuple[str, ...] = ()) -> Plugin:
@@ -78,7 +78,7 @@ def plugin(function: str, requires: tuple[str, ...] = ()) -> Plugin:
     return Plugin("thing", "thing", "thing:Thing", requires=requires, endpoint=path)
 
 
-def test_a_plugin_that_says_it_and_one_that_does_not():
+def test_plugin_with_and_without_an_endpoint_parser():
     assert plugin("parse").why_no_endpoint("thing:1") == ""
     assert plugin("parse").why_no_endpoint("") == "write thing:NUMBER"
     assert plugin("").why_no_endpoint("") == ""
@@ -90,13 +90,13 @@ def test_a_plugin_that_says_it_and_one_that_does_not():
 
 
 def heavier(bindings):
-    """Refuses all but the first."""
+    """Refuses all bindings except the first."""
     if bindings[0].endpoint == "broken":
         raise RuntimeError("a bug")
     return ((binding, "one too many") for binding in bindings[1:])
 
 
-def test_a_plugin_that_compares_its_bindings_and_one_that_does_not():
+def test_plugin_with_and_without_a_comparison_of_bindings():
     def compare(function, *endpoints, requires=()):
         plugin = Plugin(
             "thing", "t", "t:T", requires=requires, conflicts=function and f"{__name__}:{function}"
@@ -114,7 +114,7 @@ def test_a_plugin_that_compares_its_bindings_and_one_that_does_not():
 
 
 class Open:
-    """A bench with a device that is open there."""
+    """A bench with a device that is open at this endpoint."""
 
     confirmed = False
 
@@ -130,7 +130,7 @@ class Open:
         ("anything", "thing:1", "failed", "it accepts '' as an endpoint"),
     ],
 )
-async def test_the_kit_asks_it(function, endpoint, outcome, seen):
+async def test_kit_checks_the_endpoint_parser(function, endpoint, outcome, seen):
     kit = run_kit(Open(endpoint), [endpoint_check(plugin(function))], may_move=False)
     (finding,) = [finding async for finding in kit]
     assert (finding.check, finding.outcome, finding.seen) == ("endpoint", outcome, seen)

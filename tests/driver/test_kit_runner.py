@@ -1,4 +1,4 @@
-"""The runner of the kit and its standard checks, on a bench that only pretends."""
+"""The runner of the kit and its standard checks, on a simulated bench."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ telemetry:
 )
 
 
-class Pretended:
+class SimulatedBench:
     """A device that keeps its promises unless `breaks` names one."""
 
     identity, silence = "a servo", 0.2
@@ -84,8 +84,8 @@ def findings(bench, checks=STANDARD.checks, *, may_move=True):
     return {finding.check: finding for finding in asyncio.run(collect())}
 
 
-def test_a_device_that_keeps_its_promises_passes_everything():
-    found = findings(Pretended())
+def test_correct_device_passes_every_check():
+    found = findings(SimulatedBench())
     assert {finding.outcome for finding in found.values()} == {"passed"}
     assert found["identity"].seen == "a servo at here"
     assert found["telemetry"].seen == "1 quantities (not heat), last message 250 ms ago"
@@ -104,21 +104,21 @@ def test_a_device_that_keeps_its_promises_passes_everything():
         ("silence", "a host that stops responding", "waited for 'off' to be confirmed"),
     ],
 )
-def test_each_broken_promise_is_told(breaks, check, words):
-    found = findings(Pretended(breaks))
+def test_each_broken_promise_fails_its_check(breaks, check, words):
+    found = findings(SimulatedBench(breaks))
     assert found[check].outcome == "failed"
     assert words in found[check].seen
 
 
-def test_nothing_moves_unless_somebody_has_agreed():
-    found = findings(Pretended(), may_move=False)
+def test_checks_that_move_do_not_run_without_permission():
+    found = findings(SimulatedBench(), may_move=False)
     assert {f.check for f in found.values() if f.outcome == "passed"} == {
         "identity", "telemetry", "its own watchdog",
     }  # fmt: skip
     assert {f.outcome for f in found.values()} == {"passed", "not run"}
 
 
-def test_a_drivers_own_checks_run_for_their_types_and_a_broken_one_is_told():
+def test_driver_checks_run_for_their_types_and_broken_ones_fail():
     kit = Kit()
 
     @kit.check("mine", moves=False, types=("Servo",))
@@ -133,14 +133,14 @@ def test_a_drivers_own_checks_run_for_their_types_and_a_broken_one_is_told():
     async def broken(bench):
         return str(1 // 0)
 
-    found = findings(Pretended(), kit.checks)
+    found = findings(SimulatedBench(), kit.checks)
     assert list(found) == ["mine", "broken"]
     assert found["mine"].seen == "seen"
     assert "the check itself is broken: ZeroDivisionError" in found["broken"].seen
 
 
-def test_a_failed_check_leaves_the_device_free_for_the_next():
-    kit, bench = Kit(), Pretended()
+def test_failed_check_leaves_the_device_released():
+    kit, bench = Kit(), SimulatedBench()
 
     @kit.check("fails while it is latched", moves=True)
     async def fails(bench):
@@ -156,9 +156,9 @@ def test_a_failed_check_leaves_the_device_free_for_the_next():
     assert [f.outcome for f in found.values()] == ["failed", "passed"]
 
 
-def test_a_sensor_has_no_safe_state_to_be_tried_and_moves_nothing():
+def test_safe_state_checks_do_not_run_for_a_sensor():
     eye = b"driver: eye\ntype: Eye\ntelemetry: {angle: {type: real, rate: 20.0}}\n"
-    bench = Pretended()
+    bench = SimulatedBench()
     bench.manifest = load_manifest("m.yaml", eye)
     bench.binding = DeviceBinding(agent="a", field="s", type="Eye", driver="eye", endpoint="here")
     bench.kill_guard = bench.fall_silent = lambda *given: asyncio.sleep(0)

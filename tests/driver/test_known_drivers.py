@@ -1,4 +1,4 @@
-"""A robot's drivers: found by their names, nothing imported."""
+"""A robot's drivers are found by name, without an import."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ def here(*entries: EntryPoint) -> str:
     return installed_drivers(KNOWN, ["servo"], entries).by_driver["servo"].reference
 
 
-def test_a_driver_is_found_by_its_name_and_else_by_where_it_was() -> None:
+def test_driver_is_found_by_name_else_by_reference() -> None:
     assert here(entry("servo", "other_package:SERVO")) == "other_package:SERVO"
     assert here(entry("x", "lfield_servo:PLUGIN")) == "lfield_servo:PLUGIN"
     assert "other_package" not in sys.modules
 
 
-def test_a_driver_that_is_not_installed_says_what_to_install() -> None:
+def test_missing_driver_names_the_package_to_install() -> None:
     with pytest.raises(PluginError, match=r"driver 'servo' is not installed: install lfield-servo 1\.2"):
         here(entry("winch", "lfield_winch:PLUGIN"))
 
 
-def test_drivers_that_no_device_here_needs_are_not_looked_for() -> None:
+def test_unneeded_drivers_are_not_searched() -> None:
     assert installed_drivers(KNOWN, [], [entry("servo", "x:Y")]).by_driver == {}
 
 
-def test_what_is_known_of_the_installed_drivers() -> None:
+def test_installed_driver_has_manifests_files_and_distribution() -> None:
     can = discover().by_driver["can"]
     assert can.distribution.startswith("lfield ")
     assert (
@@ -56,7 +56,7 @@ def test_what_is_known_of_the_installed_drivers() -> None:
     check_same(can, can.plugin)
 
 
-def test_a_driver_with_another_manifest_is_refused() -> None:
+def test_driver_with_a_different_manifest_is_refused() -> None:
     known = DriverInfo("servo", "x:Y", {}, {"Servo": ManifestFile("servo.yaml", bytes(32))}, "")
     check_same(known, SimpleNamespace(has_manifest=lambda file: True))
     with pytest.raises(PluginError, match=r"\(servo.yaml differs\): install the package of x:Y, or build"):

@@ -27,7 +27,7 @@ telemetry:
 """
 
 
-def test_a_manifest_is_what_the_file_says():
+def test_manifest_has_the_values_of_its_file():
     manifest = load_manifest("m.yaml", SERVO)
     device = manifest.device
     assert (device.type, device.driver, device.safe_states) == ("Servo", "servo", ("hold", "off"))
@@ -75,7 +75,7 @@ telemetry:
 """
 
 
-def test_what_a_driver_for_a_team_needs_besides():
+def test_manifest_with_list_options_waivers_channels_and_rates():
     manifest = load_manifest("m.yaml", WINCH)
     device = manifest.device
     assert [(o.name, o.type, o.default) for o in manifest.options] == [
@@ -91,7 +91,7 @@ def test_what_a_driver_for_a_team_needs_besides():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "drawn"),
+    ("old", "new", "expected"),
     [
         (b"driver: servo\n", b"", "error[Y110]: a manifest needs 'driver'"),
         (b"type: Servo", b"type: servo", "m.yaml:2:7: error[Y113]: 'servo' cannot be a name in L here"),
@@ -129,27 +129,27 @@ def test_what_a_driver_for_a_team_needs_besides():
         (b"limits:\n", b"fakes: {any: {id: 3, wings: 2}}\nlimits:\n", "'any' has no key 'wings'"),
     ],
 )
-def test_mistakes_are_drawn_at_their_place(old, new, drawn):
+def test_manifest_error_is_reported_at_its_position(old, new, expected):
     assert old in SERVO
     with pytest.raises(PluginError) as error:
         load_manifest("m.yaml", SERVO.replace(old, new))
-    assert drawn in str(error.value)
+    assert expected in str(error.value)
 
 
-def test_a_fake_that_no_binding_describes_is_what_its_resource_needs():
+def test_fake_options_depend_on_the_resource():
     fakes = b"fakes: {Gripper: {id: 7, model: [1, 2]}, any: {id: 3}}\noptions:\n  model: {type: 'int[]'}\n"
     manifest = load_manifest("m.yaml", SERVO.replace(b"options:\n", fakes))
     assert manifest.fake_options("Gripper") == {"id": 7, "model": [1, 2]}
     assert manifest.fake_options("Servo") == {"id": 3}
 
 
-def test_all_mistakes_are_told_at_once():
+def test_all_manifest_errors_are_reported_at_once():
     with pytest.raises(PluginError) as error:
         load_manifest("m.yaml", SERVO.replace(b"driver: servo\n", b"").replace(b"  turn:", b"  Turn:"))
     assert str(error.value).count("error[") == 2
 
 
-def test_the_mavlink_manifest_has_what_the_language_needs():
+def test_mavlink_manifest_has_its_instructions_and_quantities():
     device = PLUGIN.read_manifests()["Mavlink"].device
     assert device.type == "Mavlink"
     names = {i.name for i in device.instructions}
@@ -180,12 +180,12 @@ telemetry:
 
 
 @pytest.mark.parametrize("written", [b"", b"safe_states: []\n"])
-def test_a_pure_sensor_needs_no_safe_state(written):
+def test_sensor_needs_no_safe_state(written):
     manifest = load_manifest("m.yaml", EYE + written)
     assert (manifest.device.safe_states, manifest.default_safe_state, manifest.waivers) == ((), "", ())
 
 
-def test_what_acts_needs_one():
+def test_device_that_acts_needs_a_safe_state():
     with pytest.raises(PluginError, match=r"at least one safe state because dim\(\) acts") as error:
         load_manifest(
             "m.yaml",

@@ -26,7 +26,7 @@ def entry(reference: str) -> EntryPoint:
 
 @pytest.fixture
 def plugin_at(tmp_path, monkeypatch):
-    """Write a plugin package and give its reference."""
+    """Writes a plugin package and returns its reference."""
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def make(package: str, name: str, device_type: str, *, code: str = "", manifest: str = MANIFEST) -> str:
@@ -42,7 +42,7 @@ def plugin_at(tmp_path, monkeypatch):
     return make
 
 
-def test_plugins_by_driver_and_by_type(plugin_at):
+def test_plugins_are_found_by_driver_and_by_type(plugin_at):
     plugins = discover([entry(plugin_at("plug_a", "a", "A")), entry(plugin_at("plug_b", "b", "B"))])
     assert sorted(plugins.by_driver) == ["a", "b"]
     assert sorted(plugins.device_types) == ["A", "B"]
@@ -55,18 +55,18 @@ def test_plugins_by_driver_and_by_type(plugin_at):
 @pytest.mark.parametrize(
     ("name", "device_type", "what"), [("a", "B", "driver 'a'"), ("b", "A", "device type 'A'")]
 )
-def test_duplicate_names_are_an_error(plugin_at, name, device_type, what):
+def test_duplicate_driver_or_device_type_is_an_error(plugin_at, name, device_type, what):
     first, second = plugin_at("dup_a", "a", "A"), plugin_at("dup_b", name, device_type)
     with pytest.raises(PluginError, match=f"dup_a:PLUGIN and dup_b:PLUGIN, both define the {what}"):
         discover([entry(first), entry(second)])
 
 
-def test_the_same_plugin_seen_twice_is_one(plugin_at):
+def test_plugin_listed_twice_counts_once(plugin_at):
     reference = plugin_at("twice", "a", "A")
     assert list(discover([entry(reference), entry(reference)]).by_driver) == ["a"]
 
 
-def test_broken_plugins_do_not_stop_the_others(plugin_at):
+def test_broken_plugins_do_not_affect_the_others(plugin_at):
     references = [
         plugin_at("good", "good", "Good"),
         plugin_at("crashes", "c", "C", code="raise RuntimeError('at import')"),
@@ -78,7 +78,7 @@ def test_broken_plugins_do_not_stop_the_others(plugin_at):
     plugins = discover([entry(r) for r in references])
     assert list(plugins.by_driver) == ["good"]
     assert len(plugins.problems) == 5
-    told = "\n".join(plugins.problems)
+    problems = "\n".join(plugins.problems)
     for words in (
         "at import",
         "error[Y101]",
@@ -86,10 +86,10 @@ def test_broken_plugins_do_not_stop_the_others(plugin_at):
         "not_there",
         "is not an lfield.driver.Plugin",
     ):
-        assert words in told
+        assert words in problems
 
 
-def test_a_missing_vendor_library_names_the_extra(monkeypatch):
+def test_missing_vendor_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     plugin = load_plugin("lfield_mavlink:PLUGIN")
     assert "Mavlink" in plugin.read_manifests()
@@ -97,12 +97,12 @@ def test_a_missing_vendor_library_names_the_extra(monkeypatch):
         plugin.load()
 
 
-def test_a_driver_that_cannot_be_imported():
+def test_driver_that_cannot_be_imported_is_an_error():
     with pytest.raises(PluginError, match="cannot be loaded from json:Nothing"):
         Plugin("x", "json", "json:Nothing", "x").load()
 
 
-def test_looking_at_plugins_and_fakes_imports_no_vendor_library():
+def test_discovery_of_plugins_and_fakes_imports_no_vendor_library():
     code = (
         "import sys; from lfield.driver.plugins import Plugins; from lfield.driver.sims import Sims\n"
         "p = Plugins(); p.add('lfield_mavlink:PLUGIN'); s = Sims(); s.add('lfield_sim.mavlink:SIM')\n"
@@ -113,7 +113,7 @@ def test_looking_at_plugins_and_fakes_imports_no_vendor_library():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
-def test_broken_and_duplicate_fakes(plugin_at):
+def test_broken_fakes_are_reported_and_duplicates_refused(plugin_at):
     reference = plugin_at("nofake", "n", "N")
     sims = discover_sims([entry("lfield_sim.mavlink:SIM"), entry(reference), entry("none:SIM")])
     assert list(sims) == ["mavlink"]
@@ -122,14 +122,14 @@ def test_broken_and_duplicate_fakes(plugin_at):
         discover_sims([entry("lfield_sim.mavlink:SIM"), entry("lfield_sim.mavlink:MavlinkSim")])
 
 
-def test_plugins_can_be_added_by_reference():
+def test_plugin_is_added_by_reference():
     plugins = Plugins()
     plugins.add("lfield_mavlink:PLUGIN")
     assert "Mavlink" in plugins.device_types
 
 
-def test_a_driver_of_ones_own_names_the_vendor_library_that_is_missing():
-    """It is in no extra of lfield."""
+def test_third_party_driver_names_the_missing_library():
+    """The library is in no extra of lfield."""
     plugin = Plugin("x", "json", "json:JSONDecoder", requires=("no_such_vendor", "json"))
     with pytest.raises(PluginError, match=r"driver 'x' needs no_such_vendor: pip install no_such_vendor$"):
         plugin.load()

@@ -1,4 +1,4 @@
-"""Framers of serial ports: any split gives the same frames, garbage never raises, memory is bounded."""
+"""Framers of serial ports: any split gives the same frames, garbage does not raise, memory is bounded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lfield.driver.serial import Lines, Packets
 
 LONGEST = 12
-#: Start AA 55, the length of what follows, that, and its sum.
+#: Start AA 55, length of the body, body, and its checksum.
 make_packets = {
     "lines": lambda: Lines(longest=LONGEST),
     "two bytes": lambda: Lines(b"\r\n", longest=LONGEST),
@@ -23,7 +23,7 @@ make_packets = {
         longest=LONGEST,
     ),
 }
-#: Bytes that mean something to one of them, and any others.
+#: Bytes with a meaning for one of the framers, and any others.
 noise = st.lists(
     st.sampled_from([b"\r", b"\n", b"\r\n", b"\xaa", b"\x55", b"\xaa\x55\x01\x07\x07"])
     | st.binary(max_size=9)
@@ -46,7 +46,7 @@ def test_any_split_gives_the_same_frames(kind, data, cuts):
 
 @pytest.mark.parametrize("kind", make_packets)
 @given(pieces=st.lists(st.binary(max_size=40)))
-def test_what_is_kept_is_bounded(kind, pieces):
+def test_partial_frames_use_bounded_memory(kind, pieces):
     framer = make_packets[kind]()
     for piece in pieces:
         assert all(len(frame) <= LONGEST for frame in framer.feed(piece))
@@ -54,21 +54,21 @@ def test_what_is_kept_is_bounded(kind, pieces):
 
 
 @given(st.lists(st.binary(max_size=LONGEST - 4)), st.binary(max_size=30))
-def test_sound_packets_are_found_behind_garbage(bodies, garbage):
+def test_valid_packets_are_found_after_garbage(bodies, garbage):
     framer = make_packets["packets"]()
     framer.feed(garbage)
-    framer.feed(bytes(LONGEST))  # whatever the garbage has begun is over
+    framer.feed(bytes(LONGEST))  # ends a frame that the garbage has started
     assert framer.feed(b"".join(map(packet, bodies))) == list(map(packet, bodies))
 
 
-def test_a_line_that_is_too_long_is_dropped_and_counted_once():
+def test_too_long_line_is_dropped_and_counted_once():
     framer = Lines(longest=4)
     assert framer.feed(b"abc\nabcdefgh") == [b"abc"]
     assert framer.feed(b"ijkl\n\nxy\n") == [b"", b"xy"]
     assert framer.dropped == 1
 
 
-def test_what_has_begun_is_forgotten_when_the_port_was_away():
+def test_reset_discards_a_partial_frame():
     for framer in (Lines(), make_packets["packets"]()):
         framer.feed(b"\xaa\x55\x02ab")
         framer.reset()
@@ -78,6 +78,6 @@ def test_what_has_begun_is_forgotten_when_the_port_was_away():
 @pytest.mark.parametrize(
     "wrong", [lambda: Lines(b""), lambda: Packets(b"ab", 1, len), lambda: Packets(b"", 1, len)]
 )
-def test_what_cannot_frame_is_said(wrong):
+def test_invalid_framer_options_are_refused(wrong):
     with pytest.raises(ValueError, match="requires a"):
         wrong()

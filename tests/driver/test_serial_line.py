@@ -1,4 +1,4 @@
-"""A serial line on a pseudo-terminal: frames, answers in time, one owner, an unplug."""
+"""A serial line on a pseudo-terminal: frames, answers in time, one owner, disconnection."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lfield.recording.ring_writer import RingWriter
 
 
 class Far:
-    """The far end of a pseudo-terminal behind a link, as a device behind its adapter."""
+    """The remote end of a pseudo-terminal behind a symbolic link, like a device behind its adapter."""
 
     def __init__(self, path) -> None:
         self.path, self.notes, self.frames = path, [], []
@@ -60,7 +60,7 @@ async def until(condition) -> None:
             await asyncio.sleep(0.002)
 
 
-async def test_frames_come_and_answers_go_to_who_asked(far):
+async def test_frames_are_delivered_and_answers_returned_to_the_caller(far):
     line = far.line()
     line.open()
     os.write(far.master, b"hel")
@@ -77,7 +77,7 @@ async def test_frames_come_and_answers_go_to_who_asked(far):
     line.close()
 
 
-async def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
+async def test_sent_and_received_bytes_are_logged(far, tmp_path):
     log = WireLog(ManualClock(1_609_459_200.5))
     log.start(lambda suffix, header: RingWriter(tmp_path, "wire", suffix, 1 << 20, pytest.fail, header))
     line = far.line(log)
@@ -95,7 +95,7 @@ async def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
     assert b"".join(data for *_, data in found) == b"=\n"
 
 
-async def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
+async def test_unplugged_port_fails_requests_and_is_reopened(far):
     line = far.line()
     line.open()
     asking = asyncio.create_task(line.ask(b"?\n", within=60.0))
@@ -115,7 +115,7 @@ async def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
         line.send(b"x")
 
 
-async def test_a_port_has_one_owner(far):
+async def test_serial_port_has_one_owner(far):
     line, rival = far.line(), far.line()
     line.open()
     with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
@@ -126,12 +126,12 @@ async def test_a_port_has_one_owner(far):
 
 
 @pytest.mark.parametrize("endpoint", ["serial:/dev/x", "serial::9600", "tcp:a:1", "serial:/dev/x:0", ""])
-def test_endpoints_that_are_none(endpoint):
+def test_invalid_serial_endpoint_is_refused(endpoint):
     with pytest.raises(DeviceError, match="is not a serial endpoint; write serial:PATH:BAUD"):
         parse_serial_endpoint(endpoint)
 
 
-def test_a_port_has_an_absolute_path():
+def test_relative_port_path_is_refused():
     with pytest.raises(DeviceError, match=r"write serial:/dev/ttyACM0:57600$"):
         parse_serial_endpoint("serial:ttyACM0:57600")
 
@@ -146,7 +146,7 @@ def test_a_port_has_an_absolute_path():
         ("/dev/null", "it is not a serial port$"),
     ],
 )
-def test_what_cannot_be_opened(path, words):
+def test_port_that_cannot_be_opened_is_reported(path, words):
     async def opened():
         SerialPort(path, 9600, None).open()
 
@@ -154,7 +154,7 @@ def test_what_cannot_be_opened(path, words):
         asyncio.run(opened())
 
 
-def test_no_permission_names_the_group_the_command_and_the_new_login(tmp_path, monkeypatch):
+def test_missing_permission_names_group_command_and_login(tmp_path, monkeypatch):
     path = tmp_path / "ttyUSB0"
     path.touch()
     group = grp.getgrgid(path.stat().st_gid).gr_name
@@ -174,14 +174,14 @@ def test_no_permission_names_the_group_the_command_and_the_new_login(tmp_path, m
     assert "log in again" in error.value.reason
 
 
-def test_without_pyserial_the_extra_is_named(monkeypatch):
+def test_missing_pyserial_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "serial", None)
     with pytest.raises(DeviceError, match=r"needs pyserial: pip install 'lfield\[serial\]'"):
         SerialPort("/dev/null", 9600, None).open()
 
 
-async def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypatch):
-    """It comes back under the same name, as `/dev/serial/by-id` has them, but another program has it."""
+async def test_each_reason_that_blocks_a_reopen_is_logged_once(far, monkeypatch):
+    """It returns under the same name, as in `/dev/serial/by-id`, but another program owns it."""
     monkeypatch.setattr("lfield.driver.serial.serial_port.REOPEN_INTERVAL", 0.01)
     line, rival = far.line(), far.line()
     line.open()

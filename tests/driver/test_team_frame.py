@@ -1,4 +1,4 @@
-"""The team's frame: poses there and back, and what a device tells and is told at its edge."""
+"""The team's frame: pose conversions, and telemetry and arguments of a device."""
 
 from __future__ import annotations
 
@@ -46,34 +46,34 @@ telemetry:
   battery: {type: real}
 """
 
-#: Its own north points to the team's east.
+#: The device's north is the team's east.
 EAST = Pose(10.0, 20.0, -1.0, math.pi / 2)
 
 
 class Cart(Device):
-    """Keeps what it was told; `frame` is asked anew each time."""
+    """Stores its last arguments."""
 
     def __init__(self, placement):
         binding = DeviceBinding(
             agent="a", field="f", type="Cart", driver="cart", endpoint="x", safe_state="stop", frame=placement
         )
         self.kept = KeptReports()
-        self.told = None
+        self.arguments = None
         super().__init__(binding, load_manifest("cart.yaml", MANIFEST), ManualClock(), self.kept)
 
     async def do_go_to(self, north, east):
-        self.told = (north, east)
+        self.arguments = (north, east)
 
     async def do_fly(self, *values):
-        self.told = values
+        self.arguments = values
 
     async def do_wait(self, seconds):
-        self.told = (seconds,)
+        self.arguments = (seconds,)
 
 
 def run(cart, name, *values):
     asyncio.run(cart.execute(name, values))
-    return cart.told
+    return cart.arguments
 
 
 metres = st.floats(-1e4, 1e4)
@@ -82,17 +82,17 @@ poses = st.builds(Pose, metres, metres, metres, st.floats(-math.tau, math.tau))
 
 
 @given(pose=poses, place=ways)
-def test_a_pose_leads_there_and_back(pose, place):
+def test_pose_conversion_and_back_is_exact(pose, place):
     assert pose.from_team(pose.to_team(place)) == pytest.approx(place, abs=1e-8)
 
 
 @given(pose=poses, one=ways, other=ways)
-def test_a_pose_changes_no_distance(pose, one, other):
+def test_pose_keeps_distances(pose, one, other):
     assert math.dist(pose.to_team(one), pose.to_team(other)) == pytest.approx(math.dist(one, other), abs=1e-8)
 
 
 @given(way=ways, heading=st.floats(-math.tau, math.tau))
-def test_who_turns_sees_a_way_turned_by_as_much(way, heading):
+def test_rotation_turns_a_vector_by_the_heading(way, heading):
     north, east, down = rotated(way, heading)
     assert math.hypot(north, east) == pytest.approx(math.hypot(*way[:2]), abs=1e-8)
     assert down == way[2]
@@ -101,20 +101,20 @@ def test_who_turns_sees_a_way_turned_by_as_much(way, heading):
         assert math.remainder(turn, math.tau) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_arguments_are_of_the_teams_frame_and_arrive_in_its_own():
+def test_arguments_are_converted_from_the_team_frame():
     cart = Cart(Placement(pose=EAST))
     # 3 m east of the team's (10, 20) is 3 m ahead of it.
     assert run(cart, "goTo", 10.0, 23.0) == pytest.approx((3.0, 0.0))
-    told = run(
+    arguments = run(
         cart, "fly", 0.5, 10.0, 20.0, -6.0, math.pi, [1.0, 0.0, 2.0], [10.0, 21.0, -1.0, 9.0, 20.0, 0.0]
     )
-    assert told[:5] == pytest.approx((0.5, 0.0, 0.0, -5.0, math.pi / 2))
-    assert told[5] == pytest.approx([0.0, -1.0, 2.0])
-    assert told[6] == pytest.approx([1.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+    assert arguments[:5] == pytest.approx((0.5, 0.0, 0.0, -5.0, math.pi / 2))
+    assert arguments[5] == pytest.approx([0.0, -1.0, 2.0])
+    assert arguments[6] == pytest.approx([1.0, 0.0, 0.0, 0.0, 1.0, 1.0])
     assert run(cart, "wait", 2.5) == (2.5,)
 
 
-def test_what_it_tells_is_in_the_teams_frame():
+def test_telemetry_is_converted_to_the_team_frame():
     cart = Cart(Placement(pose=EAST))
     cart.publish(position=[3.0, 0.0, 0.0], velocity=[1.0, 0.0, 0.5], heading=6.0, battery=0.5)
     cart.publish(attitude=[0.1, 0.2, math.pi - 0.1])
@@ -127,32 +127,32 @@ def test_what_it_tells_is_in_the_teams_frame():
 
 
 @given(pose=poses, place=ways)
-def test_who_is_sent_to_where_another_tells_to_be_is_there(pose, place):
+def test_goal_from_another_device_s_position_is_the_same_point(pose, place):
     one, other = Cart(Placement(pose=EAST)), Cart(Placement(pose=pose))
     one.publish(position=list(place))
-    told = run(other, "goTo", *one.kept.values["position"][:2])
-    there = pose.to_team((*told, 0.0))
+    arguments = run(other, "goTo", *one.kept.values["position"][:2])
+    there = pose.to_team((*arguments, 0.0))
     assert there[:2] == pytest.approx(EAST.to_team(place)[:2], abs=1e-7)
 
 
-def test_without_a_frame_all_is_as_it_is():
+def test_values_without_a_frame_are_unchanged():
     cart = Cart(None)
     cart.publish(position=[3.0, 0.0, 0.0], heading=6.0)
     assert cart.kept.values == {"position": [3.0, 0.0, 0.0], "heading": 6.0}
     assert run(cart, "goTo", 10.0, 23.0) == (10.0, 23.0)
 
 
-def test_who_does_not_know_where_it_is_tells_no_place_and_goes_to_none():
+def test_unknown_placement_publishes_no_position_and_refuses_goals():
     cart = Cart(Placement())
     cart.publish(position=[0.0, 0.0, 0.0], heading=0.0, battery=0.5)
     assert cart.kept.values == {"battery": 0.5}
     with pytest.raises(DeviceError, match=r"goTo refused: the position in the team's frame is not known yet"):
         run(cart, "goTo", 0.0, 0.0)
-    assert cart.told is None
+    assert cart.arguments is None
     assert run(cart, "wait", 2.5) == (2.5,)
 
 
-def test_only_numbers_can_be_about_a_frame():
+def test_frame_of_a_non_real_type_is_refused():
     wrong = MANIFEST.replace(b"battery: {type: real}", b"battery: {type: int, frame: place}")
     with pytest.raises(PluginError, match="the type int cannot be a place"):
         load_manifest("cart.yaml", wrong)
@@ -160,6 +160,6 @@ def test_only_numbers_can_be_about_a_frame():
         load_manifest("cart.yaml", MANIFEST.replace(b"frame: heading", b"frame: hedding"))
 
 
-def test_a_manifest_tells_whether_it_has_places():
+def test_manifest_reports_whether_it_has_positions():
     assert load_manifest("cart.yaml", MANIFEST).has_places
     assert not load_manifest("cart.yaml", MANIFEST.replace(b", frame: ", b", meaning: ")).has_places

@@ -1,4 +1,4 @@
-"""Two guards never own one endpoint, however each of them writes it."""
+"""Two guards never own one endpoint, for all spellings of the endpoint."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield.errors import DeviceError
 from lfield.guard import endpoint_lock
 from lfield.guard.endpoint_lock import EndpointLock, EndpointTarget, endpoint_targets
 
-#: Takes a lock, says so, and keeps it until it is killed.
+#: Acquires a lock, prints a line, and holds the lock until it is killed.
 HOLDER = """
 import asyncio, sys
 from lfield.guard.endpoint_lock import EndpointLock
@@ -49,7 +49,7 @@ asyncio.run(main())
         ("", []),
     ],
 )
-def test_what_an_endpoint_leads_to(endpoint, expected):
+def test_endpoint_targets_of_an_endpoint(endpoint, expected):
     assert endpoint_targets(endpoint) == expected
 
 
@@ -65,21 +65,21 @@ async def refusal(endpoint: str) -> str:
 
 
 @pytest.fixture
-def impatient(monkeypatch):
+def short_timeout(monkeypatch):
     monkeypatch.setattr(endpoint_lock, "LOCK_TIMEOUT", 0.05)
     monkeypatch.setattr(endpoint_lock, "RETRY_AFTER", 0.01)
 
 
 @pytest.fixture
 def port(tmp_path):
-    """Three names of one device."""
+    """Two names of one device."""
     device, other = tmp_path / "ttyX", tmp_path / "by-id"
     device.touch()
     other.symlink_to(device)
     return device, other
 
 
-@pytest.mark.usefixtures("impatient")
+@pytest.mark.usefixtures("short_timeout")
 @pytest.mark.parametrize(
     ("held", "wanted", "refused"),
     [
@@ -92,19 +92,19 @@ def port(tmp_path):
         ("virtual:one", "virtual:one", False),
     ],
 )
-async def test_one_place_has_one_owner(held, wanted, refused):
+async def test_endpoint_has_one_owner(held, wanted, refused):
     held, wanted = (endpoint.replace("OWN", own_address()) for endpoint in (held, wanted))
 
     lock = EndpointLock()
     await lock.acquire(held)
-    said = await refusal(wanted)
-    assert (f"{wanted} is in use by process {os.getpid()}, started by" in said) is refused
+    reason = await refusal(wanted)
+    assert (f"{wanted} is in use by process {os.getpid()}, started by" in reason) is refused
     lock.release()
     assert await refusal(wanted) == ""
 
 
-@pytest.mark.usefixtures("impatient")
-async def test_a_device_is_the_same_under_every_name(port):
+@pytest.mark.usefixtures("short_timeout")
+async def test_symbolic_link_to_a_device_is_the_same_endpoint(port):
     lock = EndpointLock()
     await lock.acquire(f"serial:{port[0]}:57600")
     assert "is in use by process" in await refusal(f"slcan:{port[1]}@115200")
@@ -113,7 +113,7 @@ async def test_a_device_is_the_same_under_every_name(port):
 
 @pytest.mark.process
 @pytest.mark.parametrize("hangs", [False, True])
-def test_another_process_is_named_and_its_death_frees_the_endpoint(hangs, monkeypatch):
+def test_owner_process_is_named_and_its_death_frees_the_endpoint(hangs, monkeypatch):
     endpoint = f"udp:{own_address()}:9"
     with subprocess.Popen([sys.executable, "-c", HOLDER, endpoint], stdout=subprocess.PIPE) as holder:
         try:
@@ -122,8 +122,8 @@ def test_another_process_is_named_and_its_death_frees_the_endpoint(hangs, monkey
             if hangs:
                 holder.send_signal(signal.SIGSTOP)
             for _ in range(3):
-                said = asyncio.run(refusal(endpoint))
-                assert f"process {holder.pid}, started by process {os.getpid()}" in said
+                reason = asyncio.run(refusal(endpoint))
+                assert f"process {holder.pid}, started by process {os.getpid()}" in reason
         finally:
             holder.kill()
     assert asyncio.run(refusal(endpoint)) == ""

@@ -1,4 +1,4 @@
-"""Telemetry is never older than the result, the exception or the latch that a program learns of."""
+"""Telemetry is sent before the result, exception or latch that depends on it."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Lift(Device):
 
     async def do_fail(self):
         self.publish(height=1.0)
-        raise self.error("it does not")
+        raise self.error("it failed")
 
     async def do_crash(self):
         self.publish(height=1.0)
@@ -83,9 +83,9 @@ def _binding():
 
 
 def _written(*names, wait=0.0, then=(), unread=0):
-    """What the guard writes for calls, one after the other, and for the messages `then`; a list per write.
+    """The messages that the guard writes for successive calls and then for `then`; a list per write.
 
-    `unread` bytes lie in the pipe, which the host does not read.
+    `unread` bytes are in the pipe, which the host does not read.
     """
     binding = _binding()
 
@@ -113,14 +113,14 @@ def _written(*names, wait=0.0, then=(), unread=0):
         return runner.run(story())
 
 
-def test_what_a_call_has_changed_comes_before_its_answer_and_with_it():
+def test_changed_telemetry_precedes_the_result_in_the_same_write():
     ((snapshot, done),) = _written("rise")
     assert isinstance(snapshot, TelemetrySnapshot)
     assert snapshot.values["height"].value == 2.0
     assert done == CallDone(1, None)
 
 
-def test_that_a_device_has_answered_waits_for_its_turn():
+def test_contact_without_new_values_is_sent_periodically():
     assert _written("answer", "answer", "answer") == [[CallDone(n, None)] for n in (1, 2, 3)]
     *answers, (snapshot,) = _written("answer", "answer", wait=2 / RATE)
     assert len(answers) == 2
@@ -128,7 +128,7 @@ def test_that_a_device_has_answered_waits_for_its_turn():
 
 
 @pytest.mark.parametrize("name", ["fail", "crash", "reject", "overshoot"])
-def test_what_caused_an_exception_comes_before_it_and_with_it(name):
+def test_telemetry_precedes_an_exception_in_the_same_write(name):
     (snapshot, refused, *rest), *_ = _written(name)
     assert isinstance(snapshot, TelemetrySnapshot)
     assert snapshot.values["height"].value == 1.0
@@ -138,29 +138,29 @@ def test_what_caused_an_exception_comes_before_it_and_with_it(name):
 
 
 @pytest.mark.parametrize(
-    "end", [RequestSafeState("alpha.thing", "somebody says so"), CancelInstruction(1, 0.0)]
+    "end", [RequestSafeState("alpha.thing", "an operator requested it"), CancelInstruction(1, 0.0)]
 )
-def test_a_call_that_others_end_has_its_telemetry_first(end):
+def test_telemetry_precedes_the_refusal_of_an_ended_call(end):
     writes = _written("hover", then=[end])
     kinds = [type(message) for write in writes for message in write]
     assert kinds.index(TelemetrySnapshot) < kinds.index(Refused)
 
 
-def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_same():
-    """Periodic telemetry waits, and its newest is not lost; the cause of an exception does not wait."""
-    safe = RequestSafeState("alpha.thing", "somebody says so")
+def test_telemetry_of_an_exception_ignores_backlog():
+    """Periodic telemetry waits, and the newest is kept; the cause of an exception does not wait."""
+    safe = RequestSafeState("alpha.thing", "an operator requested it")
     writes = _written("hover", then=[safe], unread=BACKLOG, wait=3 / RATE)
-    told = [message for write in writes for message in write]
-    snapshots = [message for message in told if isinstance(message, TelemetrySnapshot)]
+    sent_messages = [message for write in writes for message in write]
+    snapshots = [message for message in sent_messages if isinstance(message, TelemetrySnapshot)]
     assert [snapshot.values["height"].value for snapshot in snapshots] == [1.0]
-    assert told.index(snapshots[0]) < [type(message) for message in told].index(Refused)
+    assert sent_messages.index(snapshots[0]) < [type(message) for message in sent_messages].index(Refused)
 
 
-def test_periodic_telemetry_waits_for_a_host_that_does_not_read_and_is_kept():
+def test_periodic_telemetry_waits_for_a_slow_host():
     assert _written("hover", unread=BACKLOG, wait=5 / RATE) == []
 
 
-def test_a_lock_out_is_kept_until_an_operator_ends_it():
+def test_lock_out_lasts_until_an_operator_ends_it():
     now = LoopClock
 
     async def story():
@@ -182,9 +182,9 @@ def test_a_lock_out_is_kept_until_an_operator_ends_it():
         return output.received[:before], output.received[before:]
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
-        told, after = runner.run(story())
-    assert LockedOut("alpha.thing", "it crashed") in told
-    refused = {message.token: message.reason for message in told if isinstance(message, Refused)}
+        sent_messages, after = runner.run(story())
+    assert LockedOut("alpha.thing", "it crashed") in sent_messages
+    refused = {message.token: message.reason for message in sent_messages if isinstance(message, Refused)}
     assert refused.keys() == {1, 2, 3}
     assert [token for token in refused if "estop --lift" in refused[token]] == [2, 3], refused
     assert Released("alpha.thing") in after

@@ -1,4 +1,4 @@
-"""A driver that is broken in ways that have no caller: its devices go safe, and somebody is told."""
+"""Driver failures outside a call: the devices go safe, and the failure is reported."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def run(plugins, story):
     asyncio.run(main())
 
 
-def test_a_callback_that_raises_makes_the_device_safe(plugins):
+def test_exception_in_a_callback_makes_the_device_safe(plugins):
     async def story(bench):
         await bench.call("stumble")
         await bench.until(lambda: bench.confirmed, 60.0, "the safe state")
@@ -111,7 +111,7 @@ def test_a_callback_that_raises_makes_the_device_safe(plugins):
     run(plugins, story)
 
 
-async def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plugins):
+async def test_limit_breach_latches_only_the_device_that_caused_it(plugins):
     two = (binding("here"), binding("here", "u"))
     async with guarded(*two, plugins=plugins, silence=5.0) as (fast, calm):
         with suppress(DeviceError):
@@ -120,27 +120,27 @@ async def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plug
         assert (fast.latched, calm.latched) == ("it went too fast", "")
 
 
-def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):
+def test_failed_background_future_is_reported_without_a_latch(plugins):
     async def story(bench):
         await bench.call("forget")
-        told = "the driver driver task failed: RuntimeError('forgotten')"
-        await bench.until(lambda: told in bench.notes, 60.0, "a note")
+        note = "the driver driver task failed: RuntimeError('forgotten')"
+        await bench.until(lambda: note in bench.notes, 60.0, "a note")
         assert bench.latched == ""
 
     run(plugins, story)
 
 
-def test_a_callback_that_raises_while_the_device_is_opened(plugins):
+def test_exception_in_a_callback_during_open_fails_the_open(plugins):
     async def opening():
         async with guarded(binding("at once"), plugins=plugins):
-            raise AssertionError("it was opened")
+            raise AssertionError("the device was opened")
 
     with pytest.raises(DevicesError, match=r"the driver failed: RuntimeError\('stumbled'\)"):
         asyncio.run(opening())
 
 
 def tried(plugins, endpoint):
-    """A kit without checks."""
+    """The findings of a kit without checks."""
     return run_conformance(
         plugins, [binding(endpoint)], [], False, lambda finding: None, clock=SystemClock(), silence=5.0
     )
@@ -158,10 +158,10 @@ def tried(plugins, endpoint):
         ),
     ],
 )
-def test_who_was_not_left_safe_and_at_rest_is_the_last_finding_of_a_kit(plugins, endpoint, why):
+def test_device_not_left_safe_is_the_last_finding_of_a_kit(plugins, endpoint, why):
     (left,) = asyncio.run(tried(plugins, endpoint))
     assert (left.device, left.check, left.outcome, left.seen) == ("a.t", END_CHECK, "failed", why)
 
 
-def test_whoever_is_left_safe_and_at_rest_is_no_finding(plugins):
+def test_device_left_safe_and_at_rest_is_no_finding(plugins):
     assert asyncio.run(tried(plugins, "calm")) == []

@@ -1,4 +1,4 @@
-"""What becomes of a call that the host gives up: `GuardCore.on_cancel`, event by event."""
+"""Cancelled calls: `GuardCore.on_cancel`, event by event."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ FLYER = DeviceManifest(
 )
 
 
-class Given:
-    """A core with one device; every event comes from a host that is there."""
+class CancelRig:
+    """A core with one device and a connected host."""
 
     def __init__(self) -> None:
         self.clock = ManualClock()
         self.core = GuardCore([("a", FLYER, TTL, WITHIN)], self.clock, silence=SILENCE)
         self.core.on_opened("")
 
-    def call(self, token: int, instruction: str, *, begun: bool = True):
+    def call(self, token: int, instruction: str, *, started: bool = True):
         now = self.clock.monotonic()
         call = GuardCall(token, "a", instruction, [], now, now + TTL)
         effects = self.core.on_call(call)
-        if begun:
+        if started:
             assert self.core.mark_started(call) == ""
         return effects
 
@@ -55,8 +55,8 @@ class Given:
 
 
 def answers(effects):
-    told = [e.message for e in effects if isinstance(e, Notify)]
-    return [message for message in told if isinstance(message, CallDone | Refused)]
+    messages = [e.message for e in effects if isinstance(e, Notify)]
+    return [message for message in messages if isinstance(message, CallDone | Refused)]
 
 
 def executed(effects):
@@ -67,90 +67,90 @@ def interrupted(effects):
     return [e.token for e in effects if isinstance(e, Interrupt)]
 
 
-def test_the_instruction_of_the_manifest_is_carried_out_instead_and_its_end_is_the_answer():
-    given = Given()
-    given.call(1, "goTo")
-    effects = given.cancel(1)
+def test_cancel_executes_the_instruction_of_the_manifest():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    effects = rig.cancel(1)
     assert (interrupted(effects), executed(effects), answers(effects)) == ([1], ["hold"], [])
     (end,) = [e.call for e in effects if isinstance(e, Execute)]
-    assert given.core.mark_started(end) == ""
-    told = answers(given.core.on_finished(end.token, None))
-    assert told == [Refused(1, CANCELLED, "goTo() was cancelled, and hold() is done")]
-    assert given.live(10.0) == [], "nothing is latched, nothing is left to do"
+    assert rig.core.mark_started(end) == ""
+    expected = answers(rig.core.on_finished(end.token, None))
+    assert expected == [Refused(1, CANCELLED, "goTo() was cancelled, and hold() is done")]
+    assert rig.live(10.0) == [], "nothing is latched or pending"
 
 
-def test_to_cancel_twice_is_to_cancel_once():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    assert given.cancel(1) == []
-    given.core.on_finished(-1, None)
-    assert given.cancel(1) == []
+def test_second_cancel_has_no_effect():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    assert rig.cancel(1) == []
+    rig.core.on_finished(-1, None)
+    assert rig.cancel(1) == []
 
 
-def test_a_result_that_crosses_its_cancel_wins_once():
-    given = Given()
-    given.call(1, "goTo")
-    assert answers(given.core.on_finished(1, None)) == [CallDone(1, None)]
-    assert given.cancel(1) == []
+def test_result_before_the_cancel_is_the_answer():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    assert answers(rig.core.on_finished(1, None)) == [CallDone(1, None)]
+    assert rig.cancel(1) == []
 
 
-def test_the_driver_that_is_done_all_the_same_is_not_heard():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    assert given.core.on_finished(1, None) == []
-    assert given.core.on_refused(1, "DeviceException", "it was stopped") == []
+def test_result_after_the_cancel_is_ignored():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    assert rig.core.on_finished(1, None) == []
+    assert rig.core.on_refused(1, "DeviceException", "it was stopped") == []
 
 
-def test_what_has_not_begun_never_begins():
-    given = Given()
-    given.call(1, "goTo", begun=False)
-    effects = given.cancel(1)
+def test_cancelled_call_that_has_not_started_does_not_start():
+    rig = CancelRig()
+    rig.call(1, "goTo", started=False)
+    effects = rig.cancel(1)
     assert (interrupted(effects), executed(effects)) == ([1], [])
-    told = "goTo() was cancelled: it had not started; nothing was done"
-    assert answers(effects) == [Refused(1, CANCELLED, told)]
+    expected = "goTo() was cancelled: it had not started; nothing was done"
+    assert answers(effects) == [Refused(1, CANCELLED, expected)]
 
 
-def test_what_has_not_begun_but_has_replaced_another_is_ended_too():
-    """The device is on the way of the first, which nobody waits for any more."""
-    given = Given()
-    given.call(1, "goTo")
-    given.call(2, "goTo", begun=False)
-    assert executed(given.cancel(2)) == ["hold"]
+def test_cancel_of_an_unstarted_replacement_ends_the_motion():
+    """The device still executes the first motion, which has no caller any more."""
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.call(2, "goTo", started=False)
+    assert executed(rig.cancel(2)) == ["hold"]
 
 
 @pytest.mark.parametrize("instruction", ["land", "steer"])
-def test_what_may_never_be_cancelled_goes_on(instruction):
-    given = Given()
-    given.call(1, instruction)
-    assert given.cancel(1) == []
-    assert answers(given.core.on_finished(1, None)) == [CallDone(1, None)]
+def test_instruction_with_cancel_never_continues(instruction):
+    rig = CancelRig()
+    rig.call(1, instruction)
+    assert rig.cancel(1) == []
+    assert answers(rig.core.on_finished(1, None)) == [CallDone(1, None)]
 
 
-def test_what_is_only_left_commands_nothing():
-    given = Given()
-    given.call(1, "point")
-    effects = given.cancel(1)
+def test_cancel_leave_commands_nothing():
+    rig = CancelRig()
+    rig.call(1, "point")
+    effects = rig.cancel(1)
     assert (interrupted(effects), executed(effects)) == ([1], [])
     assert answers(effects) == [
         Refused(1, CANCELLED, "point() was cancelled: the motion that it started continues")
     ]
 
 
-def test_a_question_is_dropped():
-    given = Given()
-    given.call(1, "ask")
-    effects = given.cancel(1)
+def test_cancelled_query_is_dropped():
+    rig = CancelRig()
+    rig.call(1, "ask")
+    effects = rig.cancel(1)
     assert (interrupted(effects), executed(effects)) == ([1], [])
-    assert [told.kind for told in answers(effects)] == [CANCELLED]
+    assert [answer.kind for answer in answers(effects)] == [CANCELLED]
 
 
-def test_when_the_end_fails_the_device_goes_safe_and_the_answer_says_so():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    effects = given.core.on_refused(-1, "DeviceTimeoutException", "no answer")
+def test_failed_cancel_instruction_makes_the_device_safe():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    effects = rig.core.on_refused(-1, "DeviceTimeoutException", "no answer")
     why = "goTo() was cancelled, and hold() failed: no answer"
     assert answers(effects) == [Refused(1, CANCELLED, why)]
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
@@ -159,77 +159,77 @@ def test_when_the_end_fails_the_device_goes_safe_and_the_answer_says_so():
     ] == [why]
 
 
-def test_a_driver_that_breaks_in_the_end_has_its_device_made_safe():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    effects = given.core.on_crashed(-1, "the driver failed in hold(): KeyError()")
-    (told,) = answers(effects)
-    assert (told.token, told.kind) == (1, CANCELLED)
+def test_driver_crash_in_the_cancel_makes_the_device_safe():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    effects = rig.core.on_crashed(-1, "the driver failed in hold(): KeyError()")
+    (expected,) = answers(effects)
+    assert (expected.token, expected.kind) == (1, CANCELLED)
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
 
 
-def test_an_end_that_takes_longer_than_the_device_may_is_a_failure():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    assert given.live(WITHIN - 0.1) == []
-    assert given.core.due() <= given.clock.monotonic() + 0.11
-    effects = given.live(0.2)
+def test_cancel_instruction_that_exceeds_its_time_is_a_failure():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    assert rig.live(WITHIN - 0.1) == []
+    assert rig.core.due() <= rig.clock.monotonic() + 0.11
+    effects = rig.live(0.2)
     assert interrupted(effects) == [-1]
     assert [e.device for e in effects if isinstance(e, MakeSafe)] == ["a"]
     assert "hold() is not done after 5 s" in answers(effects)[0].reason
 
 
-def test_a_newer_call_replaces_the_end_and_is_answered_itself():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    effects = given.call(2, "land")
+def test_newer_call_replaces_the_cancel_instruction():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    effects = rig.call(2, "land")
     assert (interrupted(effects), executed(effects)) == ([-1], ["land"])
-    told = "goTo() was cancelled, and hold() was replaced by land()"
-    assert answers(effects) == [Refused(1, CANCELLED, told)]
-    assert answers(given.core.on_finished(2, None)) == [CallDone(2, None)]
+    expected = "goTo() was cancelled, and hold() was replaced by land()"
+    assert answers(effects) == [Refused(1, CANCELLED, expected)]
+    assert answers(rig.core.on_finished(2, None)) == [CallDone(2, None)]
 
 
-def test_in_its_safe_state_there_is_nothing_to_cancel():
-    given = Given()
-    given.call(1, "goTo")
-    given.core.latch("a", "asked")
-    assert given.cancel(1) == []
+def test_cancel_in_the_safe_state_has_no_effect():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.core.latch("a", "asked")
+    assert rig.cancel(1) == []
 
 
-def test_a_safe_state_stops_the_end_too():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    effects = given.core.latch("a", "the emergency stop was pressed")
+def test_safe_state_stops_the_cancel_instruction():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    effects = rig.core.latch("a", "the emergency stop was pressed")
     assert interrupted(effects) == [-1]
-    told = "goTo() was cancelled, and hold() was stopped, since the emergency stop was pressed"
-    assert answers(effects) == [Refused(1, CANCELLED, told)]
+    expected = "goTo() was cancelled, and hold() was stopped, since the emergency stop was pressed"
+    assert answers(effects) == [Refused(1, CANCELLED, expected)]
 
 
-def test_a_host_that_falls_silent_while_it_cancels_is_silent_as_ever():
-    given = Given()
-    given.call(1, "goTo")
-    given.cancel(1)
-    given.clock.advance(SILENCE)
-    assert [e.device for e in given.core.tick() if isinstance(e, MakeSafe)] == ["a"]
+def test_host_silence_during_a_cancel_makes_the_device_safe():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.cancel(1)
+    rig.clock.advance(SILENCE)
+    assert [e.device for e in rig.core.tick() if isinstance(e, MakeSafe)] == ["a"]
 
 
-def test_the_end_is_the_newest_on_its_channel_and_ends_a_setpoint():
-    given = Given()
-    given.call(1, "steer")
-    given.core.on_finished(1, None)
-    given.call(2, "goTo")
-    given.cancel(2)
-    given.core.on_finished(-2, None)
-    assert given.live(5 * TTL) == []
+def test_cancel_instruction_ends_a_setpoint_on_its_channel():
+    rig = CancelRig()
+    rig.call(1, "steer")
+    rig.core.on_finished(1, None)
+    rig.call(2, "goTo")
+    rig.cancel(2)
+    rig.core.on_finished(-2, None)
+    assert rig.live(5 * TTL) == []
 
 
-def test_other_channels_go_on():
-    given = Given()
-    given.call(1, "goTo")
-    given.call(2, "point")
-    given.cancel(1)
-    assert answers(given.core.on_finished(2, None)) == [CallDone(2, None)]
+def test_cancel_does_not_affect_other_channels():
+    rig = CancelRig()
+    rig.call(1, "goTo")
+    rig.call(2, "point")
+    rig.cancel(1)
+    assert answers(rig.core.on_finished(2, None)) == [CallDone(2, None)]

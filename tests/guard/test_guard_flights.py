@@ -1,4 +1,4 @@
-"""The guard of a vehicle in the air, on virtual time: setpoints that are over, the end, and its own death."""
+"""The guard of a flying vehicle, in virtual time: expired setpoints, the end, and guard restarts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def desk():
 
 @pytest.fixture
 def fly(desk):
-    """Run a story with a vehicle behind its guard: `fly(story, safe_state="hold")`."""
+    """Runs `story(flight)` with a vehicle behind its guard: `fly(story, safe_state="hold")`."""
 
     def run(story, **changes):
         state = changes.get("safe_state", "land")
@@ -40,7 +40,7 @@ async def mode_is(flight, mode):
     await flight.reads("mode", lambda now: now == mode)
 
 
-def test_a_setpoint_that_is_over_latches_the_safe_state(fly):
+def test_expired_setpoint_latches_the_safe_state(fly):
     async def story(flight):
         await up(flight, 3.0)
         await flight.call("setVelocity", 2.0, 0.0, 0.0)
@@ -54,7 +54,7 @@ def test_a_setpoint_that_is_over_latches_the_safe_state(fly):
     fly(story, ttl=1.0, safe_state="hold")
 
 
-def test_closing_lands_what_flies(desk, fly):
+def test_closing_the_host_lands_a_flying_vehicle(desk, fly):
     flights = []
 
     async def story(flight):
@@ -71,11 +71,11 @@ def test_closing_lands_what_flies(desk, fly):
     desk.run(look, flight.binding)
 
 
-# --- whose vehicle it is when its guard dies: the program's, unless somebody else is known to have it ------
+# --- control after a guard restart: the program's, unless another controller is known ------
 
 
 async def by_a_pilot(flight, mode):
-    """Somebody else at the same vehicle, by a link of his own."""
+    """A pilot changes the mode over a separate link."""
     _, host, port = flight.binding.endpoint.split(":")
     _, link = await asyncio.open_connection(host, int(port))
     numbers = {name: number for number, name in mavutil.mode_mapping_acm.items()}
@@ -85,7 +85,7 @@ async def by_a_pilot(flight, mode):
 
 
 async def in_a_mission(flight):
-    """On a long leg of a mission, in AUTO."""
+    """Starts a mission with a long leg, in AUTO."""
     north, east, _ = await flight.call("globalPosition")
     await flight.call("uploadMission", [north + 0.01, east, 5.0])
     flight.leg = asyncio.ensure_future(flight.call("startMission"))
@@ -98,11 +98,11 @@ async def in_a_circle(flight):
 
 
 @pytest.mark.parametrize("flown", [in_a_mission, in_a_circle])
-def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
+def test_guard_restart_lands_the_program_s_flight_in_any_mode(desk, fly, flown):
     async def story(flight):
         await up(flight)
         await flown(flight)
-        # Twice: the second guard knows no more than the first.
+        # Twice: the second guard has no more information than the first.
         for _ in range(2):
             dead = flight.guard_pid
             desk.kill(dead)
@@ -116,16 +116,16 @@ def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
+def test_guard_restart_leaves_a_pilot_in_control(desk, fly, times):
     async def story(flight):
-        # In LOITER without a transmitter a copter sinks at 2.5 m/s, and must not reach the ground meanwhile.
+        # In LOITER without a transmitter a copter sinks at 2.5 m/s; it must not reach the ground.
         await up(flight, 40.0)
         await by_a_pilot(flight, "LOITER")
         await mode_is(flight, "LOITER")
         for already in range(times):
             desk.kill(flight.guard_pid)
-            # Each guard must be back at work before the next one dies: without its heartbeats for 2 s the
-            # autopilot's own failsafe lands.
+            # Each guard must work before it is killed: after 2 s without heartbeats the autopilot's own
+            # failsafe lands.
             await flight.until(
                 lambda already=already: sum("not commanded: " in note for note in flight.notes) > already,
                 20.0,
@@ -141,7 +141,7 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
     fly(story, rest_within=2.0)
 
 
-def test_what_was_given_back_to_the_program_is_landed(desk, fly):
+def test_guard_restart_lands_a_flight_returned_to_the_program(desk, fly):
     async def story(flight):
         await up(flight)
         await by_a_pilot(flight, "LOITER")

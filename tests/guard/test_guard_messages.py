@@ -57,7 +57,7 @@ SAMPLES = [
 
 
 @pytest.mark.parametrize("size", [1, 3, 1000])
-def test_messages_survive_the_pipe_in_pieces_of_any_size(size):
+def test_messages_are_decoded_from_pieces_of_any_size(size):
     data = b"".join(map(encode, SAMPLES))
     reader = MessageReader()
     got = [m for i in range(0, len(data), size) for m in reader.feed(data[i : i + size])]
@@ -65,7 +65,7 @@ def test_messages_survive_the_pipe_in_pieces_of_any_size(size):
 
 
 @given(st.integers(0, 30), st.binary(max_size=60))
-def test_bytes_that_make_no_sense_are_a_wire_error(kind, payload):
+def test_random_bytes_are_decoded_or_a_wire_error(kind, payload):
     data = (len(payload) + 1).to_bytes(4, "big") + bytes([kind]) + payload
     try:
         messages = list(MessageReader().feed(data))
@@ -84,7 +84,7 @@ def test_bytes_that_make_no_sense_are_a_wire_error(kind, payload):
         ("x", "string", "x"),
     ],
 )
-def test_values_get_their_type(value, kind, result):
+def test_value_is_converted_to_its_type(value, kind, result):
     got = conform(value, kind)
     assert got == result
     assert type(got) is type(result)
@@ -102,12 +102,12 @@ def test_values_get_their_type(value, kind, result):
         ("ab", "int[]"),
     ],
 )
-def test_values_of_another_type_are_refused(value, kind):
+def test_value_of_another_type_is_refused(value, kind):
     with pytest.raises(ValueError, match="is not a"):
         conform(value, kind)
 
 
-def test_a_member_without_a_number_survives_the_pipe():
+def test_nan_member_of_a_list_survives_the_pipe():
     values = {"positions": Observation([0.5, math.nan], 1.0), "missing": Observation([2], 1.0)}
     (arrived,) = MessageReader().feed(encode(TelemetrySnapshot("arm.joints", values, 1.0)))
     assert arrived.values["missing"].value == [2]
@@ -126,7 +126,7 @@ DEVICE = BINDING.name
 REPORT = Note(DEVICE, *report_fields(log_messages.SERIAL_LOST.line(reason="unplugged")))
 
 
-def test_a_report_without_a_host_reads_as_in_the_log_of_a_host(orphan_log, capsys, monkeypatch):
+def test_report_without_a_host_has_the_text_of_a_host_log(orphan_log, capsys, monkeypatch):
     monkeypatch.delenv(JSON_LOG_HOST, raising=False)
     orphan_log.write(REPORT)
     orphan_log.write(Note(DEVICE, "warming up"))
@@ -139,7 +139,7 @@ def test_a_report_without_a_host_reads_as_in_the_log_of_a_host(orphan_log, capsy
     ]
 
 
-def test_a_report_without_a_host_keeps_its_code_in_json(orphan_log, capsys, monkeypatch):
+def test_report_without_a_host_keeps_its_code_in_json(orphan_log, capsys, monkeypatch):
     monkeypatch.setenv(JSON_LOG_HOST, "alpha")
     for message in (REPORT, Latched(DEVICE, "fog", True, "hold"), Stopped({DEVICE: "moves"})):
         orphan_log.write(message)

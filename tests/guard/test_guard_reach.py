@@ -1,4 +1,4 @@
-"""What a guard may touch, of its endpoint and options; and that a confined process touches no more."""
+"""The sandbox policy for an endpoint and options, and its enforcement on a process."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def needed(*endpoints, **options):
     return policy_for(devices, KNOWN, ["/code"], "/scratch")
 
 
-def test_a_port_of_the_board_is_the_one_file_that_it_writes():
+def test_board_port_is_the_only_writable_file():
     found = needed("serial:/dev/ttyAMA0:57600")
     assert set(found.writable) == {*PSEUDO_DEVICES, "/dev/ttyAMA0"}
     assert (found.folders, found.ports, found.has_internet, found.may_execute) == ((), (), False, False)
     assert found.readable == (*SYSTEM, "/code")
 
 
-def test_what_can_be_unplugged_comes_back_as_another_file_of_its_folder(tmp_path):
+def test_removable_port_makes_its_folder_accessible(tmp_path):
     (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
     for endpoint in ("slcan:/dev/ttyACM0@115200?bitrate=500000", f"serial:{tmp_path}/by-id:57600"):
         found = needed(endpoint)
@@ -67,12 +67,12 @@ def test_what_can_be_unplugged_comes_back_as_another_file_of_its_folder(tmp_path
         ("udp:10.0.0.7:14550, tcp:10.0.0.7:5760", (5760,), True),
     ],
 )
-def test_the_network_as_far_as_the_endpoint_says(endpoint, ports, internet):
+def test_network_access_by_endpoint(endpoint, ports, internet):
     found = needed(endpoint)
     assert (found.ports, found.has_internet, found.may_execute, found.folders) == (ports, internet, False, ())
 
 
-def test_what_an_endpoint_of_an_unknown_kind_needs_nobody_knows():
+def test_unknown_endpoint_kind_has_wide_access():
     found = needed("process:")
     assert (found.ports, found.has_internet, found.may_execute, found.folders) == (
         None,
@@ -83,7 +83,7 @@ def test_what_an_endpoint_of_an_unknown_kind_needs_nobody_knows():
     assert "/code" in found.readable
 
 
-def test_a_file_of_an_option_is_read_and_its_folder_written_where_this_user_may(tmp_path):
+def test_file_of_an_option_is_readable_and_its_folder_writable(tmp_path):
     found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
     assert str(tmp_path / "signing.key") in found.readable
     assert found.folders == (str(tmp_path),)
@@ -135,10 +135,8 @@ print(json.dumps({
 """
 
 
-@pytest.mark.skipif(
-    landlock_abi() < 6, reason="this kernel's Landlock is older than the facts that are tried"
-)
-def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
+@pytest.mark.skipif(landlock_abi() < 6, reason="this kernel's Landlock is older than the tested rules")
+def test_sandboxed_process_has_only_the_permitted_access(tmp_path):
     for name in ("own", "other", "host.key"):
         (tmp_path / name).write_bytes(b"secret")
     (tmp_path / "mine").mkdir()
@@ -166,7 +164,7 @@ def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
 
 @pytest.mark.process
 @pytest.mark.skipif(not landlock_abi(), reason="this kernel has no Landlock")
-def test_a_guard_has_no_file_of_its_host_and_no_internet_for_a_serial_port(tmp_path):
+def test_guard_of_a_serial_port_has_no_host_files_and_is_sandboxed(tmp_path):
     (tmp_path / "host.key").write_text("secret")
     with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as held:
         os.set_inheritable(held.fileno(), True)

@@ -1,4 +1,4 @@
-"""The timer of a guard's process on a loop whose timers are as coarse as uvloop's."""
+"""The timer of a guard's process on a loop with timers as coarse as uvloop's."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ GO = Instruction("go", (), effect="actuate", blocking=True)
 
 
 class CoarseLoop(JumpingLoop):
-    """Timers in whole milliseconds; what is due sooner runs at once, by a handle that knows no time.
+    """Timers in whole milliseconds; an earlier timer runs at once, by a handle without a time.
 
-    A little time passes whenever somebody looks at it: without that none would while handles run.
+    Each reading of the clock advances it slightly: otherwise no time would pass while handles run.
     """
 
     def time(self):
@@ -44,7 +44,7 @@ class Thing(Device):
         pass
 
 
-def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
+def test_messages_just_before_the_timer_do_not_delay_the_latch():
     binding = DeviceBinding(
         agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
         ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],

@@ -1,4 +1,4 @@
-"""A guard in this process with devices of a type Thing, whose driver a test writes: no pipe, no port."""
+"""An in-process guard with devices of type Thing, whose driver the test defines: no pipe, no port."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfield.simulate.jumping_loop import LoopClock
 
 
 class Output:
-    """The pipe to the host: keeps what is told."""
+    """The pipe to the host: stores the messages."""
 
     def __init__(self):
         self._reader, self.received, self.writes = MessageReader(), [], []
@@ -33,7 +33,7 @@ class Output:
 
 
 def guard_of(kind, output):
-    """A guard whose driver makes devices of this class, on a bus that needs no opening."""
+    """A guard whose driver creates devices of this class, on a bus that needs no opening."""
 
     class Bus(Driver):
         def _device(self, binding):
@@ -50,7 +50,7 @@ def guard_of(kind, output):
 
 
 def known_thing(*instructions, telemetry=()):
-    """What the host knows of that driver."""
+    """The host's information about that driver."""
     manifest = Manifest(DeviceManifest("Thing", "thing", instructions, telemetry, safe_states=("off",)))
     files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
     return DriverInfo("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")

@@ -1,4 +1,4 @@
-"""Inventory files: what is read of them, and the code and position of each error."""
+"""Inventory files: their content, and the code and position of each error."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def findings(folder: Path, text: str | bytes) -> list[tuple[str, int, int]]:
     return [(each.code, each.span.line, each.span.column) for each in caught.value.diagnostics]
 
 
-def test_a_full_file(tmp_path: Path) -> None:
+def test_complete_inventory_is_read(tmp_path: Path) -> None:
     found = read(tmp_path, FULL)
     assert list(found.hosts) == ["alpha", "bravo"]
     alpha, bravo = found.hosts.values()
@@ -81,7 +81,7 @@ def test_addresses_with_one_host_and_several_ports_have_one_service(tmp_path: Pa
         ("::1", "[::1]:8181"),
     ],
 )
-def test_normal_forms(text: str, normal: str) -> None:
+def test_address_is_normalised(text: str, normal: str) -> None:
     assert normal_address(text) == normal
     assert normal_address(normal) == normal
 
@@ -94,7 +94,7 @@ def test_normal_forms(text: str, normal: str) -> None:
         "[fd00::1]8181", "fd00:::1", "[fe80::1%]", "al pha", "-alpha", "alpha.", "alpha/24", "a:1,b:2", "ä",
     ],
 )  # fmt: skip
-def test_invalid_addresses(tmp_path: Path, text: str) -> None:
+def test_invalid_address_is_reported(tmp_path: Path, text: str) -> None:
     with pytest.raises(AddressError):
         normal_address(text)
     assert findings(tmp_path, f"hosts:\n  alpha:\n    addresses: [\n      '{text}']\n") == [("Y113", 4, 7)]
@@ -156,18 +156,20 @@ A, B = "hosts:\n  alpha: {addresses: ['10.0.0.1:1']", "}\n"
         ),
     ],
 )  # fmt: skip
-def test_errors(tmp_path: Path, text: str | bytes, expected: list[tuple[str, int, int]]) -> None:
+def test_inventory_errors_have_code_and_position(
+    tmp_path: Path, text: str | bytes, expected: list[tuple[str, int, int]]
+) -> None:
     assert findings(tmp_path, text) == expected
 
 
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_unreadable_inventory_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputFileError):
         read_inventory(tmp_path / "none.yaml")
     with pytest.raises(InputFileError):
         read_inventory(tmp_path)
 
 
-def test_which_file_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inventory_search_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     own, other, named = (tmp_path / name for name in ("config/lfield/inventory.yaml", "b.yaml", "c.yaml"))
     own.parent.mkdir(parents=True)
@@ -203,7 +205,7 @@ hosts:
 """
 
 
-def test_hosts_in_a_fabric(tmp_path: Path) -> None:
+def test_zenoh_hosts_and_settings_are_read(tmp_path: Path) -> None:
     found = read(tmp_path, FABRIC)
     alpha, bravo = found.hosts.values()
     assert found.zenoh is not None
@@ -221,7 +223,7 @@ def test_hosts_in_a_fabric(tmp_path: Path) -> None:
     assert found.own_sections == {"bravo": bravo.zenoh}
 
 
-def test_a_host_has_its_own_way_into_a_fabric(tmp_path: Path) -> None:
+def test_host_uses_its_own_zenoh_section(tmp_path: Path) -> None:
     file = tmp_path / "inventory.yaml"
     file.write_text(FABRIC)
     found = find_inventory(file, {})
@@ -247,16 +249,18 @@ def test_a_host_has_its_own_way_into_a_fabric(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_section_that_is_not_valid(tmp_path: Path, text: str, expected: list[tuple[str, int, int]]) -> None:
+def test_invalid_zenoh_section_is_reported(
+    tmp_path: Path, text: str, expected: list[tuple[str, int, int]]
+) -> None:
     assert findings(tmp_path, text) == expected
 
 
 @pytest.mark.parametrize("text", ["zenoh:a b", "zenoh:a/b", "zenoh:a:0", "zenoh:", "zenoh:a:http"])
-def test_what_is_no_address_in_a_fabric(text: str) -> None:
+def test_invalid_zenoh_address_is_refused(text: str) -> None:
     with pytest.raises(AddressError):
         normal_address(text)
 
 
-def test_a_host_named_zenoh_is_no_fabric() -> None:
+def test_host_named_zenoh_is_no_zenoh_address() -> None:
     assert normal_address("zenoh:8181") == "zenoh:8181"
     assert normal_address("zenoh:alpha") == "zenoh:alpha:8181"

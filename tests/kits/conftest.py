@@ -1,4 +1,4 @@
-"""Fakes on a desk of virtual time, and the kits run on them by the code of `lfield kit`."""
+"""Fakes in virtual time, and the driver kits run on them by the code of `lfield kit`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from lfield.testing.desk import Desk
 
 @pytest.fixture
 def desk():
-    """A desk on virtual time."""
+    """A desk in virtual time."""
     return Desk()
 
 
 @pytest.fixture
 def try_kit(desk, tmp_path):
-    """Run the kit of a driver, or some of its checks, on devices of the desk, by name, one after the other.
+    """Runs the kit of a driver, or some of its checks, on named devices of the desk, one after the other.
 
-    Each is as a line of a devices file has it; `frame` is that of them all, `origin` the team's. `first`
+    Each device is a line of a devices file; `frame` is that of all devices, `origin` the team's. `first`
     is called before the checks of each, `last` after them. Findings by device and check.
     """
 

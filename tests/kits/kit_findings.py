@@ -1,10 +1,10 @@
-"""What came out of a kit."""
+"""The results of a kit."""
 
 from __future__ import annotations
 
 
 def failed(findings):
-    """What failed, for people."""
+    """The failed checks, as readable lines."""
     return [f"{f.device}: {f.check}: {f.seen}" for f in findings.values() if f.outcome == "failed"]
 
 

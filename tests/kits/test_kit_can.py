@@ -1,4 +1,4 @@
-"""The kit of CAN devices on the fake: all of it passes, and faults are seen by the checks they are for."""
+"""The kit of CAN devices on the fake: every check passes, and each fault fails its check."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ DRIVE = "type: CanAxis, protocol: cia402, counts: 10000, homing_method: 37"
 ODRIVE = "type: CanAxis, protocol: odrive, waivers: [no_homing, device_watchdog]"
 
 
-def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(desk, try_kit):
-    # An endpoint has one guard, so each has a bus of its own.
+def test_drive_odrive_and_dbc_device_pass_the_kit(desk, try_kit):
+    # An endpoint has one guard, so each device has its own bus.
     drive, odrive, gripper = (desk.fake("can", "--device", d) for d in ("cia402:5", "odrive:3", f"dbc:{DBC}"))
     found = try_kit(
         "can",
         {
             "drive": f'endpoint: "{drive.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}',
-            # Its setpoints live for longer than the host may be silent: which is over first is no chance.
+            # Its TTL is longer than the silence limit, so the order of the two time-outs is fixed.
             "odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.6, limits: {{speed: 5.0}}',
             "gripper": f'endpoint: "{gripper.endpoint}", type: CanSignals, dbc: "{DBC}", '
             "commands: [GripperCommand], "
@@ -74,7 +74,7 @@ def test_protected_cyclic_commands_and_nodes_of_dronecan_pass(desk, try_kit):
     assert "has expired" in found["servo", "a setpoint that is not renewed ends"].seen
 
 
-def test_an_axis_that_does_not_do_it_fails(desk, try_kit):
+def test_faulty_axis_fails_its_checks(desk, try_kit):
     n5, n6, n7 = (desk.fake("can", "--device", f"cia402:{node}") for node in (5, 6, 7))
     n3 = desk.fake("can", "--device", "odrive:3")
     n5.fault("stuck@5=true")

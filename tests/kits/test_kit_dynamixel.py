@@ -1,4 +1,4 @@
-"""The kit of Dynamixel servos on the fake: all of it passes, and faults fail the checks they are for."""
+"""The kit of Dynamixel servos on the fake: every check passes, and each fault fails its check."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def servos(desk, *specs):
     return desk.fake("dynamixel", "--baud", "1000000", *options)
 
 
-def test_a_servo_and_a_group_pass(desk, try_kit):
+def test_servo_and_group_pass_the_kit(desk, try_kit):
     chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XM430-W350")
     where = f'endpoint: "{chain.endpoint}", ttl: 0.3, limits: {{speed: 4.0}}'
     found = try_kit(
@@ -45,7 +45,7 @@ def test_feetech_servos_pass_as_they_were_calibrated(desk, try_kit):
     assert {check for _, check in not_run(found)} == {"its watchdog stops it, and release() frees it"}
 
 
-def test_servos_that_do_not_do_it_fail(desk, try_kit):
+def test_faulty_servos_fail_their_checks(desk, try_kit):
     chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XL330-M288", "4:XM430-W350")
     where = f'endpoint: "{chain.endpoint}", ttl: 0.3'
     volts, turn, all_there = (

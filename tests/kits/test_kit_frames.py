@@ -1,4 +1,4 @@
-"""The kit of MAVLink vehicles whose bindings place them in a team's frame: the same checks pass there."""
+"""The kit of MAVLink vehicles with a team frame: the same checks pass."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from kit_findings import failed, not_run
 
 FAST = ("--climb", "8", "--cruise", "15", "--descend", "2.4", "--land", "1.9", "--acceleration", "15")
 LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
-#: Fakes are switched on 300 m north of this origin and 20 m above it; the pose is turned to the east.
+#: Fakes start 300 m north of this origin and 20 m above it; the pose is turned to the east.
 PLACES = {
     "origin": {"origin": "{latitude: 47.395044, longitude: 8.545594, altitude: 468.0}"},
     "pose": {"frame": "{north: 40.0, east: -7.0, down: 2.0, heading: 1.5707963}"},
@@ -20,7 +20,7 @@ SPEEDS = {
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("place", "stack"), [("origin", "px4"), ("pose", "ardupilot")])
-def test_a_copter_passes_wherever_its_team_counts_from(desk, try_kit, place, stack):
+def test_copter_passes_the_kit_in_a_team_frame(desk, try_kit, place, stack):
     link = desk.fake(
         "mavlink",
         "--listen",
@@ -34,6 +34,6 @@ def test_a_copter_passes_wherever_its_team_counts_from(desk, try_kit, place, sta
     found = try_kit("mavlink", {"copter": bound}, **PLACES[place])
     assert failed(found) == []
     assert not_run(found) == set()
-    told = found["copter", "position"].seen
-    assert ("(300.0, 0.0, -20.0)" if place == "origin" else "(40.0, -7.0, 2.0)") in told, told
-    assert "in the team's frame" in told
+    position = found["copter", "position"].seen
+    assert ("(300.0, 0.0, -20.0)" if place == "origin" else "(40.0, -7.0, 2.0)") in position, position
+    assert "in the team's frame" in position

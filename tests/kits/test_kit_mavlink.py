@@ -1,4 +1,4 @@
-"""The kit of MAVLink vehicles on the fake: all of it passes, and faults fail the checks they are for."""
+"""The kit of MAVLink vehicles on the fake: every check passes, and each fault fails its check."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
 
 
 def vehicles(desk, *specs):
-    """A vehicle at an endpoint of its own for each, set up as a binding of these wants it."""
+    """A vehicle at its own endpoint for each specification, set up for the bindings of these tests."""
     return [
         desk.fake("mavlink", "--listen", "udp:127.0.0.1:0", "--vehicle", *spec.split(), *FAST)
         for spec in specs
@@ -23,7 +23,7 @@ def vehicles(desk, *specs):
 
 
 def passes(try_kit, binding):
-    """The findings of the whole kit on a copter, all of which has run and passed."""
+    """The findings of the complete kit on a copter; every check must run and pass."""
     found = try_kit("mavlink", {"copter": f"{binding}, {LIMITS}"})
     assert failed(found) == []
     assert not_run(found) == set()
@@ -32,7 +32,7 @@ def passes(try_kit, binding):
     return found
 
 
-def test_a_copter_of_ardupilot_passes(desk, try_kit):
+def test_ardupilot_copter_passes_the_kit(desk, try_kit):
     (link,) = vehicles(desk, "1:copter:ardupilot --set-up --param WPNAV_SPEED=500")
     found = passes(try_kit, f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0')
     assert found["copter", "motors on and off"].seen == "armed in GUIDED, disarmed"
@@ -40,7 +40,7 @@ def test_a_copter_of_ardupilot_passes(desk, try_kit):
 
 
 @pytest.mark.few(0)
-def test_a_copter_of_px4_passes(desk, try_kit):
+def test_px4_copter_passes_the_kit(desk, try_kit):
     speeds = "--param MPC_XY_VEL_MAX=5 --param MPC_XY_CRUISE=5 --param MPC_VEL_MANUAL=5"
     (link,) = vehicles(desk, f"3:copter:px4 --set-up hold {speeds}")
     found = passes(try_kit, f'endpoint: "{link.endpoint}", system: 3, safe_state: hold, {FLIES_PLANS}')
@@ -48,7 +48,7 @@ def test_a_copter_of_px4_passes(desk, try_kit):
 
 
 @pytest.mark.few(0)
-def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit):
+def test_rovers_of_both_autopilots_pass_the_kit(desk, try_kit):
     rover, px4 = vehicles(
         desk,
         "2:rover:ardupilot --set-up --param WP_SPEED=5",
@@ -70,7 +70,7 @@ def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit
     assert "then it was in HOLD" in found["rover", ends].seen
 
 
-def test_a_vehicle_that_does_not_do_it_fails(desk, try_kit):
+def test_faulty_vehicle_fails_its_checks(desk, try_kit):
     links = vehicles(desk, "1 --set-up", "2 --set-up", "3 --set-up")
     faults = ("refuse_arming@1=compass not calibrated", "motor_failure@2=true", "gps_loss@3=true")
     for link, fault in zip(links, faults, strict=True):
@@ -89,7 +89,7 @@ def test_a_vehicle_that_does_not_do_it_fails(desk, try_kit):
     assert found["v1", "a short trip"].outcome == "failed"
     assert found["v1", "files"].outcome == "passed"
     assert found["v2", "motors on and off"].outcome == "passed"
-    # With a dead motor it tips over on the ground, and the autopilot says that it crashed.
+    # With a failed motor it tips over on the ground, and the autopilot reports a crash.
     assert found["v2", "a short trip"].outcome == "failed"
     assert "crashed" in found["v2", "a short trip"].seen
     assert found["v2", fence].outcome == "passed"
@@ -97,7 +97,7 @@ def test_a_vehicle_that_does_not_do_it_fails(desk, try_kit):
 
 
 async def another_station(endpoint, speed):
-    """One that tells a vehicle its speed again and again, behind the driver's back."""
+    """Another station that commands the vehicle's speed repeatedly."""
     _, host, port = endpoint.split(":")
     _, writer = await asyncio.open_connection(host, int(port))
     station = mavlink.MAVLink(writer, srcSystem=254)
@@ -106,10 +106,10 @@ async def another_station(endpoint, speed):
         await asyncio.sleep(0.05)
 
 
-def test_a_speed_beyond_the_limit_fails(desk, try_kit):
+def test_speed_beyond_the_limit_fails_its_check(desk, try_kit):
     (link,) = vehicles(desk, "1:copter:ardupilot --set-up --param WPNAV_SPEED=500")
     check = "its speed limit is enforced"
-    # The watch of the driver, which would correct it, looks away.
+    # The long `limit_time` disables the driver's own correction.
     device = f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0, limit_time: 30.0, {LIMITS}'
     found = try_kit(
         "mavlink",

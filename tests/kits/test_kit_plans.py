@@ -1,4 +1,4 @@
-"""The checks of plans leave a vehicle with the plan that it had, whatever happens to their own."""
+"""The plan checks restore the vehicle's plan after success, failure and cancellation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HELD = [47.0, 8.0, 30.0, 47.001, 8.0, 40.0]
 
 
 class Vehicle:
-    """A bench with a vehicle that holds one plan. `fault` is what is wrong with it, `written` what came."""
+    """A bench with a vehicle that stores one plan, with an optional `fault`; `written` are the uploads."""
 
     binding = DeviceBinding(
         agent="alpha", field="fc", type="Copter", driver="mavlink", endpoint="here", safe_state="hold"
@@ -49,7 +49,7 @@ class Vehicle:
         elif instruction == self.write:
             await self._take(*arguments)
         else:
-            raise AssertionError(f"nobody may call {instruction}()")
+            raise AssertionError(f"unexpected call of {instruction}()")
         return None
 
     async def _take(self, values):
@@ -64,7 +64,7 @@ class Vehicle:
 
 
 def tried(plan, vehicle, *, cancelled=False):
-    """The finding of the check of a plan; None when it was cancelled as soon as it waited."""
+    """The finding of a plan check; None if it was cancelled at its first wait."""
     checks = [check for check in PLANS.checks if check.name == plan[0]]
 
     async def check():
@@ -87,7 +87,7 @@ def tried(plan, vehicle, *, cancelled=False):
 
 @pytest.mark.parametrize("plan", [MISSION, RALLY])
 @pytest.mark.parametrize("held", [HELD, []])
-def test_a_plan_that_comes_back_passes(plan, held):
+def test_plan_check_passes_and_restores_the_plan(plan, held):
     vehicle = Vehicle(plan, held)
     finding = tried(plan, vehicle)
     assert finding.outcome == "passed"
@@ -98,7 +98,7 @@ def test_a_plan_that_comes_back_passes(plan, held):
 @pytest.mark.parametrize("plan", [MISSION, RALLY])
 @pytest.mark.parametrize("held", [HELD, []])
 @pytest.mark.parametrize(("fault", "words"), [("differs", "read back"), ("keeps", "remained after")])
-def test_what_was_there_is_back_when_the_check_fails(plan, held, fault, words):
+def test_failed_plan_check_restores_the_plan(plan, held, fault, words):
     vehicle = Vehicle(plan, held, fault)
     finding = tried(plan, vehicle)
     assert finding.outcome == "failed"
@@ -108,14 +108,14 @@ def test_what_was_there_is_back_when_the_check_fails(plan, held, fault, words):
 
 
 @pytest.mark.parametrize("plan", [MISSION, RALLY])
-def test_what_was_there_is_back_when_the_check_is_cancelled(plan):
+def test_cancelled_plan_check_restores_the_plan(plan):
     vehicle = Vehicle(plan, HELD, "hangs")
     assert tried(plan, vehicle, cancelled=True) is None
     assert len(vehicle.written) == 3
     assert vehicle.held == HELD
 
 
-def test_a_plan_that_could_not_be_given_back_is_not_touched():
+def test_plan_that_cannot_be_restored_is_not_changed():
     vehicle = Vehicle(MISSION, HELD, "limits")
     finding = tried(MISSION, vehicle)
     assert finding.outcome == "not run"
@@ -124,7 +124,7 @@ def test_a_plan_that_could_not_be_given_back_is_not_touched():
     assert vehicle.held == HELD
 
 
-def test_a_plan_that_was_not_given_back_is_told():
+def test_plan_that_was_not_restored_fails_the_check():
     finding = tried(MISSION, Vehicle(MISSION, HELD, "forgets"))
     assert finding.outcome == "failed"
     assert finding.seen == "its 2 waypoints were not given back: no room"

@@ -1,4 +1,4 @@
-"""A bench: the driver and fakes joined in memory, in time that jumps over every wait."""
+"""A bench: the driver and simulated vehicles joined in memory, in virtual time."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class MemoryLink:
         self.bench, self.number, self.on_data = bench, number, on_data
         self.cut = self.refused = False
         self.sent: list[bytes] = []
-        #: Says from which address what comes next is.
+        #: Sets the source address of the next packet.
         self.sender: Callable[[str], None] = lambda address: None
-        #: What was sent to one address only.
+        #: Packets that were sent to one address only.
         self.sent_to: list[tuple[str, bytes]] = []
 
     async def open(self) -> None:
@@ -99,7 +99,7 @@ class Bench(DriverBench):
         self.sent: list[bytes] = []
         self.links: list[MemoryLink] = []
         self.refused: set[int] = set()
-        #: What a packet of a fake goes through: may be replaced by a test.
+        #: Delivers a packet of a fake to the driver; a test may replace it.
         self.filter: Callable[[MemoryLink, bytes], None] = lambda link, packet: link.on_data(packet)
         given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
         bindings = [
@@ -153,7 +153,7 @@ def bench() -> type[Bench]:
 
 @pytest.fixture
 def jumping() -> Callable[[Any], Any]:
-    """Run a coroutine in jumping time."""
+    """Runs a coroutine in virtual time."""
 
     def run(work: Any) -> Any:
         return run_jumping(work)

@@ -14,7 +14,7 @@ from lfield_mavlink.link.dialect import Reader, Writer, dialect
 
 
 class Channel:
-    """Both directions of a link, in bytes, and the Peer of a service at its end.
+    """Both directions of a link, in bytes, and the Peer that a service uses.
 
     `vehicle` is called with each message; what it returns is sent.
     """
@@ -40,7 +40,7 @@ class Channel:
         self.check_link: Callable[[], None] = lambda: None
 
     def on(self, message_id: int, handler: Callable[[Any], None]) -> None:
-        """The service wants messages of this id."""
+        """Subscribes the service to messages of this id."""
         self.handlers[message_id].append(handler)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
@@ -75,12 +75,12 @@ class Channel:
                 handler(message)
 
     def kinds(self) -> list[str]:
-        """The names of what the service has sent."""
+        """The message types that the service has sent, in order."""
         return [message.get_type() for message in self.sent]
 
 
 def run(work: Any, seconds: float = 1e6) -> Any:
-    """Run in jumping time; it must end within `seconds` of it."""
+    """Runs `work` in virtual time; it must end within `seconds`."""
 
     async def bounded() -> Any:
         async with asyncio.timeout(seconds):

@@ -1,4 +1,4 @@
-"""The stock resource types check against the manifest, and so does a mission that includes them."""
+"""The stock resource types compile against the manifest, and so does a mission that includes them."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ coordinator Fetch {
 
 
 @pytest.mark.parametrize("name", ["copter", "rover"])
-def test_a_stock_resource_is_a_sound_program(name):
+def test_stock_resource_compiles_without_diagnostics(name):
     path = PLUGIN.source(f"{name}.L")
     assert path is not None
     checked = check_file(path, devices=DEVICES)
     assert [d.render() for d in checked.diagnostics] == []
 
 
-def test_a_mission_includes_them():
+def test_mission_that_includes_the_stock_resources_compiles():
     def find(path: str):
         return PLUGIN.source(path.removeprefix("mavlink/"))
 
@@ -63,10 +63,10 @@ def test_a_mission_includes_them():
 
 
 @on_bench("bench", opened=False)
-async def test_every_instruction_has_its_method(b, fc, /):
+async def test_every_instruction_of_the_manifest_has_a_method(b, fc, /):
     check_methods(type(fc), MANIFESTS["Mavlink"], fc.parts)
 
 
-def test_every_message_that_is_asked_for_has_a_rate():
+def test_every_requested_telemetry_message_has_a_rate():
     rates = {quantity.name: quantity.rate for quantity in DEVICES["Mavlink"].telemetry}
     assert all(max(rates[name] for name in names) > 0.0 for names in SOURCES.values())

@@ -1,4 +1,4 @@
-"""A bench of robots for the trials, and a desk with wheels for them."""
+"""A bench of robots for the tests, and a desk with wheels for them."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ class Trial:
         self.desk.write_inventory({robot.name: robot.address for robot in robots}, extra)
 
     def provision(self, *words: object) -> Outcome:
-        """Run `lfield provision` to its end."""
+        """Runs `lfield provision` to its end."""
         command = self.desk.provision("--json", *words)
         done = self.bench.run(command, self.desk.environment)
         reports = [json.loads(line) for line in done.stdout.splitlines()]
         return Outcome(done.returncode, reports, done.stderr)
 
     def kill_at(self, step: str) -> None:
-        """Run `lfield provision`, and kill it (SIGKILL) as soon as it has reported a step as running."""
+        """Runs `lfield provision`, and kills it (SIGKILL) when it reports a step as running."""
         self.provision_until(step, lambda process: process.kill())
 
     def provision_until(
         self, step: str, action: Callable[[subprocess.Popen[str]], object], *, signum: int = -signal.SIGKILL
     ) -> dict[str, object]:
-        """Run `lfield provision`, and do something once it reports a step as running; the last report."""
+        """Runs `lfield provision`, calls `action` when a step is running; returns the last report."""
         command = self.bench.command(self.desk.provision("--json"))
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True, env=self.desk.environment
@@ -74,7 +74,7 @@ class Trial:
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Wheels for all trials."""
+    """Wheels for all tests."""
     folder = tmp_path_factory.mktemp("wheels")
     make_wheels(folder)
     return folder

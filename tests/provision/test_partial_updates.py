@@ -1,4 +1,4 @@
-"""An update of lfield on robots of which one may not be updated: real ssh, users and processes."""
+"""An update of lfield for a team with a robot that must not be updated: real ssh, users, processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from robot_bench.robots import BenchRobot
 from lfield import __version__, exit_status
 
 CURRENT = Path("/opt/lfield/current")
-#: Another version of lfield, as far as provision can see: an environment with another name.
+#: Another version of lfield for provision: an environment with another name.
 OTHER = "0.3.9-earlier"
 OUTDATED = f"cp -a $(readlink -f {CURRENT}) /opt/lfield/{OTHER}; ln -sfn {OTHER} {CURRENT}"
 STATE = f"/var/lib/lfield/lfield-{__version__}"
@@ -29,12 +29,12 @@ while pgrep -u lfield -f '[l]field up' >/dev/null; do sleep 0.1; done
 
 
 def version(robot: BenchRobot) -> str:
-    """The environment that is active."""
+    """The active environment."""
     return robot.run(f"readlink {CURRENT}").strip()
 
 
 @pytest.mark.few(0)
-def test_no_robot_is_updated_while_one_has_a_coordinator_that_has_not_ended(trial) -> None:
+def test_no_robot_is_updated_while_one_has_an_active_coordinator(trial) -> None:
     robots = [trial.bench.add(name) for name in ("papa", "quebec")]
     trial.write_inventory(*robots)
     assert trial.provision().status == exit_status.DONE
@@ -47,7 +47,7 @@ def test_no_robot_is_updated_while_one_has_a_coordinator_that_has_not_ended(tria
     assert refused.status == exit_status.UNAVAILABLE
     assert refused.states("quebec")["mission"] == "refused"
     assert "tom" in str(refused.last("quebec")["message"])
-    # The other one, too, keeps its version, and says because of which robot.
+    # The other robot also keeps its version, and names the robot that is the reason.
     assert [version(robot) for robot in robots] == [OTHER, OTHER]
     assert "quebec" in str(refused.last("papa")["message"])
 

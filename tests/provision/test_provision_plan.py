@@ -89,14 +89,14 @@ def states(steps: list[Step]) -> dict[str, str]:
     return {step.name: step.state for step in steps}
 
 
-def test_a_bare_robot_needs_every_step():
+def test_bare_robot_needs_every_step():
     steps = plan(ROBOT, "pi", installation())
     assert [step.name for step in steps] == NAMES
     assert [step.name for step in steps if step.state == "done"] == ["python"]
     assert all(step.commands for step in steps if step.state == "todo")
 
 
-def test_after_all_steps_there_is_nothing_to_do():
+def test_provisioned_robot_needs_no_step():
     made = installation()
     assert set(states(plan(provisioned(ROBOT, made), "pi", made)).values()) == {"done"}
 
@@ -117,7 +117,7 @@ def test_wheels_are_sent_once_in_bounded_batches():
     ]
 
 
-def test_the_environment_is_named_after_all_that_is_in_it():
+def test_environment_name_depends_on_its_wheels():
     made = installation()
     assert made.payload.environment.startswith("0.4.0-")
     other = replace(made.payload, wheels=(replace(WHEELS[0], sha256="e" * 64), *WHEELS[1:]))
@@ -143,14 +143,14 @@ def test_the_environment_is_named_after_all_that_is_in_it():
         (lambda facts, made: {"versions": frozenset(), "wheels": {}}, {"environment", "wheels"}),
     ],
 )
-def test_only_what_differs_is_repaired(change, todo):
+def test_only_differences_are_repaired(change, todo):
     made = installation()
     facts = provisioned(ROBOT, made)
     steps = states(plan(replace(facts, **change(facts, made)), "pi", made))
     assert {name for name, state in steps.items() if state != "done"} == todo
 
 
-def test_a_changed_configuration_restarts_the_service():
+def test_changed_configuration_restarts_the_service():
     made = installation()
     facts = provisioned(ROBOT, made)
     other = replace(made, settings=(settings_file("service.env", b"LFIELD_HOST=bravo\n"),))
@@ -158,7 +158,7 @@ def test_a_changed_configuration_restarts_the_service():
     assert {name for name, state in steps.items() if state == "todo"} == {"settings", "service"}
 
 
-def test_steps_that_change_a_running_version_disturb_a_mission():
+def test_steps_that_change_the_running_version_disturb_a_mission():
     steps = plan(ROBOT, "pi", installation())
     assert [step.name for step in steps if step.disturbs_mission] == ["unit", "version", "service"]
 
@@ -168,14 +168,14 @@ def test_root_needs_no_group():
     assert states(plan(facts, "root", installation()))["user"] == "done"
 
 
-def test_without_an_authority_the_keys_of_the_robot_stay():
+def test_keys_of_the_robot_stay_without_an_authority():
     made = installation()
     without = replace(made, keys=())
     assert states(plan(provisioned(ROBOT, made), "pi", without))["keys"] == "note"
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
-def test_a_robot_that_is_another_host_is_taken_over_only_by_command():
+def test_robot_of_another_host_is_taken_over_only_by_command():
     """The inventory has its address under a wrong name."""
     made = installation()
     assert states(plan(replace(ROBOT, host="alpha"), "pi", made))["keys"] == "todo"
@@ -183,7 +183,7 @@ def test_a_robot_that_is_another_host_is_taken_over_only_by_command():
         (refused,) = plan(other, "pi", made)
         assert (refused.name, refused.state) == ("keys", "refused")
         assert "bravo" in refused.text
-        # Nor are its settings overwritten where there is no authority.
+        # Without an authority its settings are not overwritten either.
         assert {step.state for step in plan(other, "pi", replace(made, keys=()))} == {"refused"}
         assert states(plan(other, "pi", replace(made, takes_over=True)))["keys"] != "refused"
 
@@ -202,13 +202,13 @@ def test_keys_of_another_authority_are_replaced_only_by_command():
 @pytest.mark.parametrize(
     ("current", "is_downgrade"), [("0.10.0-0123456789ab", True), ("0.3.9-0123456789ab", False), ("", False)]
 )
-def test_a_downgrade_of_lfield_is_named(current, is_downgrade):
+def test_downgrade_of_lfield_is_named(current, is_downgrade):
     facts = replace(provisioned(ROBOT, installation()), current=current)
     step = plan(facts, "pi", installation())[NAMES.index("version")]
     assert (step.state, "downgrade" in step.text) == ("todo", is_downgrade)
 
 
-def test_without_systemd_the_command_that_starts_the_service_is_named():
+def test_start_command_is_named_without_systemd():
     step = plan(replace(ROBOT, has_systemd=False), "pi", installation())[-1]
     assert (step.name, step.state) == ("service", "note")
     assert "/opt/lfield/current/bin/lfield service --host alpha" in step.advice
@@ -222,12 +222,12 @@ def test_without_systemd_the_command_that_starts_the_service_is_named():
         ({"pythons": ()}, "python"),
     ],
 )
-def test_a_step_that_refuses_leaves_the_robot_as_it_is(changes, refused):
+def test_refused_step_leaves_the_robot_unchanged(changes, refused):
     steps = plan(replace(ROBOT, **changes), "pi", installation())
     assert states(steps) == {refused: "refused"}
 
 
-def test_a_full_disk_does_not_matter_once_all_is_there():
+def test_full_disk_is_accepted_on_a_provisioned_robot():
     made = installation()
     facts = replace(provisioned(ROBOT, made), free=0)
     assert set(states(plan(facts, "pi", made)).values()) == {"done"}
@@ -251,7 +251,7 @@ def test_systems_without_wheels_are_refused(changes, arch, state):
 @pytest.mark.parametrize(
     ("offset", "state"), [(0.0, "done"), (MAX_CLOCK_OFFSET, "done"), (61.0, "note"), (-1e9, "note")]
 )
-def test_a_wrong_clock_is_reported(offset, state):
+def test_wrong_clock_is_reported(offset, state):
     assert clock_step(replace(ROBOT, time=1e9 + offset), "alpha", 1e9).state == state
 
 
@@ -269,14 +269,14 @@ def test_a_wrong_clock_is_reported(offset, state):
         ([], "", STANDALONE),
     ],
 )
-def test_the_python_of_the_robot_is_used_if_there_are_wheels_for_it(versions, path, tag):
+def test_robot_python_is_used_if_wheels_support_it(versions, path, tag):
     facts = replace(ROBOT, pythons=tuple(RobotPython(*python) for python in versions))
     choice = choose_python(facts)
     assert (choice.path, choice.tag) == (path, tag)
     assert target_of(facts, choice) == WheelTarget("aarch64", tag)
 
 
-def test_a_standalone_python_is_brought_once():
+def test_standalone_python_is_installed_once():
     facts = replace(ROBOT, pythons=(RobotPython("/usr/bin/python3", (3, 10, 12), True),))
     made = installation(BROUGHT)
     first = plan(facts, "pi", made)
@@ -314,7 +314,7 @@ active\tinactive
 """
 
 
-def test_facts_are_read_from_the_output_of_the_script():
+def test_facts_are_parsed_from_the_script_output():
     facts = parse_facts(OUTPUT)
     assert (facts.arch, facts.glibc, facts.free, facts.time) == ("aarch64", (2, 36), 1024_000, 1.7e9)
     assert facts.pythons == (RobotPython("/usr/bin/python3", (3, 11, 2), True),)
@@ -326,12 +326,12 @@ def test_facts_are_read_from_the_output_of_the_script():
     assert (facts.has_private_keys_folder, facts.is_enabled, facts.is_active) == (True, True, False)
 
 
-def test_a_64_bit_kernel_may_run_32_bit_programs():
-    """Raspberry Pi OS of 32 bits on a Pi 4: `uname -m` is that of the kernel."""
+def test_32_bit_system_on_a_64_bit_kernel_is_recognized():
+    """32-bit Raspberry Pi OS on a Pi 4: `uname -m` is that of the kernel."""
     assert parse_facts(OUTPUT.replace("bits\t64", "bits\t32")).arch == "armv7l"
 
 
-def test_output_of_other_programs_is_refused():
+def test_output_of_another_program_is_refused():
     with pytest.raises(ValueError, match="not a robot"):
         parse_facts("not a robot\n")
     with pytest.raises(ValueError, match="no output"):

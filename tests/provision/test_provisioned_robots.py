@@ -1,6 +1,6 @@
 """`lfield provision` on robots with a real sshd, real users and sudo; systemctl is a script that records.
 
-No robot and no desk has a route to anywhere else. Each robot is a root of its own in memory (robot_bench).
+Robots and desk have no route to other networks. Each robot has its own root in memory (robot_bench).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).parents[2]
-#: What simulated autopilots need besides.
+#: Additional packages of simulated autopilots.
 SIMULATED = ("geographiclib", "lxml", "pymavlink", "pyserial", "wasmtime")
 #: All steps that change a robot.
 STEPS = ["user", "wheels", "environment", "keys", "settings", "unit", "version", "service"]
@@ -55,7 +55,7 @@ def alpha(trial):
     return robot
 
 
-def test_a_bare_robot_has_everything_after_an_interrupted_run_was_repeated(trial, alpha):
+def test_interrupted_provisioning_of_a_bare_robot_is_completed(trial, alpha):
     assert "Python" in alpha.run("/opt/lfield/current/bin/python --version")
     assert alpha.run("runuser -u lfield -- /opt/lfield/current/bin/lfield --version").startswith("lfield ")
     assert set(alpha.run("id -nG lfield").split()) == {"lfield", "dialout"}
@@ -73,7 +73,7 @@ def test_a_bare_robot_has_everything_after_an_interrupted_run_was_repeated(trial
     assert not list(alpha.path("/opt/lfield").glob(".stage.*"))
 
 
-def test_the_second_run_changes_nothing(trial, alpha):
+def test_second_run_changes_nothing(trial, alpha):
     listing = "find /opt/lfield /etc/lfield /etc/systemd/system/lfield.service -printf '%p %T@\\n' | sort"
     before = alpha.run(listing)
     again = trial.provision()
@@ -84,14 +84,14 @@ def test_the_second_run_changes_nothing(trial, alpha):
     assert {finding["code"] for finding in doctor["findings"]} >= {"python"}
 
 
-def test_what_was_changed_by_hand_is_repaired_but_not_while_a_mission_runs(trial, alpha):
+def test_manual_changes_are_repaired_unless_a_mission_runs(trial, alpha):
     alpha.path("/tmp/wait.L").write_text(
         "coordinator Wait { init(string[] arg) { while (true) { sleep(1.0); } } }\n"
     )
     alpha.path("/tmp/wait.dL").write_text("//Wait:tom@alpha\n")
     alpha.path("/etc/systemd/system/lfield.service").write_text("[Unit]\n")
     alpha.path(SERVICE_ENV).write_text("LFIELD_HOST=bravo\n")
-    # As the service's user, at another address than the service would start it.
+    # Runs as the service's user, at an address other than the service would use.
     alpha.run(
         "cd /tmp; export RUNTIME_DIRECTORY=/run/lfield HOME=/tmp; "
         "runuser -u lfield -- /opt/lfield/current/bin/lfield up --deploy wait.dL --all >up.log 2>&1 & "
@@ -116,7 +116,7 @@ def test_what_was_changed_by_hand_is_repaired_but_not_while_a_mission_runs(trial
 REFUSALS = {
     "password": (RobotKind(sudo="password"), "failed", "NOPASSWD: ALL"),
     "partial": (RobotKind(sudo="password", setup=PARTIAL_SUDO), "failed", "NOPASSWD: ALL"),
-    "stranger": (RobotKind(authorized="other"), "failed", "ssh-copy-id"),
+    "unauthorized": (RobotKind(authorized="other"), "failed", "ssh-copy-id"),
     "unknown": (RobotKind(), "failed", "ssh 10.77.0."),
     "full": (RobotKind(opt_size="20m"), "disk", "free disk space"),
     "foreign": (RobotKind(), "system", "`arch`"),
@@ -124,8 +124,8 @@ REFUSALS = {
 }
 
 
-def test_what_a_robot_lacks_is_said_with_the_remedy(trial):
-    """No prompt for a password, no half of an installation: each host ends with what to do."""
+def test_missing_requirements_are_reported_with_the_remedy(trial):
+    """No password prompt and no partial installation: each host ends with a remedy."""
     robots = [
         trial.bench.add(name, kind, is_known=name != "unknown") for name, (kind, *_) in REFUSALS.items()
     ]
@@ -149,13 +149,13 @@ def test_what_a_robot_lacks_is_said_with_the_remedy(trial):
 
 
 @pytest.mark.few(0)
-def test_a_run_that_is_interrupted_at_every_step_is_continued(trial):
-    """The desk is killed at each step, then stopped by Ctrl-C; then one run does the rest."""
+def test_run_interrupted_at_every_step_is_continued(trial):
+    """The desk is killed at each step, then stopped by Ctrl-C; then one run completes the steps."""
     robot = trial.bench.add("killed", RobotKind(has_systemd=False))
     trial.write_inventory(robot)
     for step in STEPS[: STEPS.index("environment")]:
         trial.kill_at(step)
-    # The robot loses all its processes while pip runs, as in a restart.
+    # All processes of the robot end while pip runs, as in a restart.
     restart = "until pgrep -f '[p]ip-.*whl/pip'; do sleep 0.05; done; kill -9 -1; true"
     lost = trial.provision_until(
         "environment", lambda process: robot.run(restart), signum=exit_status.UNAVAILABLE
@@ -173,7 +173,7 @@ def test_a_run_that_is_interrupted_at_every_step_is_continued(trial):
 
 
 @pytest.mark.few(0)
-def test_a_python_that_is_too_old_is_replaced(trial, wheels):
+def test_too_old_python_is_replaced(trial, wheels):
     script = "#!/bin/sh\\nprintf '3.10.12\\\\tyes\\\\n'\\n"
     old = f'rm -f /usr/bin/python3*; printf "{script}" >/usr/bin/python3; chmod 755 /usr/bin/python3'
     robot = trial.bench.add("jetson", RobotKind(setup=old))
@@ -198,7 +198,7 @@ def test_five_robots_are_provisioned_in_parallel(trial):
 
 
 @pytest.mark.few(0)
-def test_a_disk_that_fills_up_meanwhile_is_reported(trial):
+def test_disk_that_fills_during_the_run_is_reported(trial):
     robot = trial.bench.add("filling", RobotKind(opt_size="200m"))
     trial.write_inventory(robot)
     leave = "fallocate -l $(($(stat -f -c '%a*%S' /opt) - 8000000)) /opt/ballast"
@@ -211,8 +211,8 @@ def test_a_disk_that_fills_up_meanwhile_is_reported(trial):
 
 
 @pytest.mark.few(0)
-def test_a_service_that_ends_at_once_is_reported(trial):
-    """Doctor does not need it, and the unit starts it again and again."""
+def test_service_that_ends_at_once_is_reported(trial):
+    """Doctor does not need the service, and the unit restarts it repeatedly."""
     robot = trial.bench.add("crashing", RobotKind(setup=FULL_STATE))
     trial.write_inventory(robot)
     done = trial.provision()
@@ -223,7 +223,7 @@ def test_a_service_that_ends_at_once_is_reported(trial):
 
 
 @pytest.mark.few(0)
-def test_four_commands_lead_from_bare_robots_to_a_flying_team(trial, wheels, tmp_path):
+def test_four_commands_deploy_and_start_a_team_on_bare_robots(trial, wheels, tmp_path):
     """With simulated devices on the robots; the wheels of all drivers are those of this environment."""
     robots = [trial.bench.add(name) for name in ("alpha2", "bravo2")]
     desk = Desk(tmp_path)

@@ -1,4 +1,4 @@
-"""The remedies for what ssh, sudo and commands on a robot refuse."""
+"""The remedies for refusals of ssh, sudo and commands on a robot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ALPHA = SshDestination("10.0.0.11", "pi", 2222)
         ("something else", "ssh -p 2222 pi@10.0.0.11"),
     ],
 )
-def test_a_refused_connection_names_the_remedy(message, remedy):
+def test_refused_connection_names_the_remedy(message, remedy):
     error = connection_error("alpha", ALPHA, message)
     assert error.host == "alpha"
     assert remedy in error.advice
@@ -49,11 +49,11 @@ def test_a_refused_connection_names_the_remedy(message, remedy):
         ("Host key verification failed.", False),
     ],
 )
-def test_only_an_unreachable_address_is_followed_by_another(message, expected):
+def test_next_address_is_tried_only_for_unreachable_hosts(message, expected):
     assert is_unreachable(message) is expected
 
 
-def test_sudo_with_a_password_names_the_line_that_is_missing():
+def test_sudo_with_a_password_names_the_missing_line():
     error = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "password"))
     assert "pi ALL=(root) NOPASSWD: ALL" in error.advice
     assert "ssh -t -p 2222 pi@10.0.0.11" in error.advice
@@ -64,12 +64,12 @@ def test_sudo_with_a_password_names_the_line_that_is_missing():
 
 
 @pytest.mark.parametrize("noise", ["", "WELCOME\n", "hi", "WELCOME\nhi"])
-def test_what_a_login_shell_prints_is_not_output_of_a_command(noise):
+def test_output_of_the_login_shell_is_separated(noise):
     assert command_output(f"{noise}lfield-provision-output\nuser\tpi\n") == "user\tpi\n"
     assert command_output(f"{noise}lfield-provision-output\n") == ""
 
 
-def test_a_robot_that_another_desk_provisions_is_named():
+def test_concurrent_provisioning_is_named():
     assert "another provision" in command_error("alpha", "wheels", BUSY, "").reason
 
 
@@ -84,5 +84,5 @@ def test_a_robot_that_another_desk_provisions_is_named():
         ("Unmatched ''.", "chsh"),
     ],
 )
-def test_a_failed_command_names_the_remedy(message, remedy):
+def test_failed_command_names_the_remedy(message, remedy):
     assert remedy in command_error("alpha", "wheels", 1, message).advice

@@ -1,4 +1,4 @@
-"""Sessions of ssh whose process ends at once or never: a program in the place of ssh."""
+"""Sessions of ssh whose process ends at once or never, with a script in place of ssh."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield.provision.ssh_errors import SshDestination
 
 @pytest.fixture
 def connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """`connection(script)`: a connection by an ssh that is a script of sh."""
+    """`connection(script)`: a connection with a shell script as ssh."""
 
     def made(script: str) -> SshConnection:
         ssh = tmp_path / "ssh"
@@ -27,8 +27,8 @@ def connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return made
 
 
-def test_a_session_that_ends_before_it_has_read_its_files_is_an_error_of_this_robot_alone(connection) -> None:
-    """uvloop raised RuntimeError, which ended the provisioning of all robots."""
+def test_session_that_ends_early_is_an_error_of_its_robot(connection) -> None:
+    """Regression: uvloop raised RuntimeError, which ended the provisioning of all robots."""
     session = connection("echo 'tar: not found' >&2; exit 127")
 
     async def fail() -> int:
@@ -42,26 +42,26 @@ def test_a_session_that_ends_before_it_has_read_its_files_is_an_error_of_this_ro
     assert event_loop.run(fail()) == 20
 
 
-def test_a_session_gets_its_files(connection) -> None:
+def test_session_receives_its_files(connection) -> None:
     session = connection("wc -c")
     assert event_loop.run(session.run("wc -c", "wheels", bytes(3 << 20))).strip() == str(3 << 20)
     assert event_loop.run(session.run("wc -c", "facts")).strip() == "0"
 
 
-def test_a_login_shell_that_refuses_is_quoted(connection) -> None:
+def test_refusal_of_the_login_shell_is_quoted(connection) -> None:
     session = connection("echo 'This account is currently not available.'; exit 1")
     with pytest.raises(ProvisionError, match="not available"):
         event_loop.run(session.open([SshDestination("10.77.0.11")]))
 
 
-def test_a_login_shell_that_waits_for_input_is_not_waited_for(connection, monkeypatch) -> None:
+def test_login_shell_that_waits_for_input_times_out(connection, monkeypatch) -> None:
     monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", 0.2)
     session = connection("exec sleep 60")
     with pytest.raises(ProvisionError, match="no login within"):
         event_loop.run(session.open([SshDestination("10.77.0.11")]))
 
 
-def test_a_sudo_that_hangs_is_named(connection, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hanging_sudo_times_out(connection, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", 0.2)
     session = connection("exec sleep 60")
     with pytest.raises(ProvisionError, match="sudo"):

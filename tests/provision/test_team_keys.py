@@ -39,7 +39,7 @@ def robot_with(keys) -> RobotFacts:
     return replace(FACTS, files={file.path: file.sha256 for file in keys})
 
 
-def test_keys_are_made_once(authority):
+def test_keys_are_created_once(authority):
     first = team_keys(authority, ["alpha", "bravo"], NOW)
     assert set(files(first["alpha"])) == {"authority.pem", "host.pem", "host.key", "revoked.crl"}
     assert {file.mode for file in first["alpha"] if file.path.endswith(".key")} == {"600"}
@@ -47,7 +47,7 @@ def test_keys_are_made_once(authority):
     assert team_keys(authority, ["alpha", "bravo"], NOW + 1) == first
 
 
-def test_keys_are_renewed_before_they_end_and_after(authority):
+def test_keys_are_renewed_before_and_after_their_expiry(authority):
     first = files(team_keys(authority, ["alpha"], NOW)["alpha"])
     assert files(team_keys(authority, ["alpha"], NOW + VALIDITY - RENEWAL - 1)["alpha"]) == first
     for later in (NOW + VALIDITY - RENEWAL, NOW + 3 * VALIDITY):
@@ -64,14 +64,14 @@ def test_revoked_keys_are_not_replaced_silently(authority):
         team_keys(authority, ["alpha"], NOW)
 
 
-def test_a_list_of_revocations_is_installed_with_the_keys(authority):
+def test_revocation_list_is_installed_with_the_keys(authority):
     first = files(team_keys(authority, ["alpha", "bravo"], NOW)["alpha"])
     with open_ledger(authority) as ledger:
         ledger.revoke("host", "bravo", NOW)
     assert files(team_keys(authority, ["alpha"], NOW)["alpha"])["revoked.crl"] != first["revoked.crl"]
 
 
-def test_a_private_key_that_only_the_robot_has_stays_there(authority):
+def test_private_key_stored_only_on_the_robot_stays(authority):
     whole = team_keys(authority, ["alpha"], NOW)["alpha"]
     (authority / "hosts/alpha/host.key").unlink()
     rest = team_keys(authority, ["alpha"], NOW)["alpha"]
@@ -84,7 +84,7 @@ def test_a_private_key_that_only_the_robot_has_stays_there(authority):
     assert files(made)["host.key"] != files(whole)["host.key"]
 
 
-def test_a_dry_run_makes_no_keys(authority):
+def test_dry_run_creates_no_keys(authority):
     planned = planned_keys(authority, ["alpha"])["alpha"]
     assert "host.pem" in files(planned)
     assert not (authority / "hosts").exists()

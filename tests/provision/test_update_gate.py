@@ -1,4 +1,4 @@
-"""An update of lfield begins when all robots have been checked."""
+"""An update of lfield starts after the check of all robots."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import asyncio
 from lfield.provision.host_provisioning import UpdateGate
 
 
-def test_a_host_waits_until_all_have_been_checked_and_learns_which_refuse():
+def test_host_waits_for_all_checks_and_learns_the_refusing_hosts():
     async def story() -> None:
         gate = UpdateGate(["alpha", "bravo", "carol"])
         gate.on_checked("alpha")
@@ -15,7 +15,7 @@ def test_a_host_waits_until_all_have_been_checked_and_learns_which_refuse():
         gate.on_checked("bravo", refuses=True)
         await asyncio.sleep(0)
         assert not waiting.done()
-        # It cannot be reached.
+        # This host is unreachable.
         gate.on_checked("carol")
         assert await waiting == ["bravo"]
         # At its end each host is reported again, which changes nothing.

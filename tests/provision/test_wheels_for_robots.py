@@ -1,4 +1,4 @@
-"""Wheels for robots: which a platform needs, how they are collected, and lfield's own."""
+"""Wheels for robots: requirements of a platform, collection, and lfield's own wheel."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ def names(pins: list[Pin]) -> set[str]:
 # --- the lock file ------------------------------------------------------------------------------------------
 
 
-def test_the_lock_has_hashes_and_pip():
+def test_lock_has_hashes_and_pip():
     assert "pip" in names(PINS)
     assert all(pin.hashes for pin in PINS)
 
 
 @pytest.mark.parametrize(("arch", "has_engine"), [("aarch64", True), ("x86_64", True), ("armv7l", False)])
-def test_markers_are_those_of_the_robot_and_not_of_the_desk(arch, has_engine):
+def test_markers_are_evaluated_for_the_robot(arch, has_engine):
     found = names(needed_pins(PINS, WheelTarget(arch, "3.11")))
     assert ("wasmtime" in found) is has_engine
     assert {"lxml", "pymavlink", "uvloop"} <= found
 
 
-def test_a_lock_line_without_a_version_is_refused():
+def test_lock_line_without_a_version_is_refused():
     with pytest.raises(DamagedFileError):
         read_lock("rich>=13\n", "lock.txt")
 
 
-def test_pip_reads_what_is_left_of_the_lock():
+def test_pip_lock_text_is_readable_again():
     pins = [Pin("a", "1.0", "", frozenset({"0" * 64, "f" * 64}))]
     assert pip_lock(pins) == f"a==1.0 --hash=sha256:{'0' * 64} --hash=sha256:{'f' * 64}\n"
     assert read_lock(pip_lock(pins), "") == pins
@@ -72,11 +72,11 @@ def test_pip_reads_what_is_left_of_the_lock():
         ("notes.txt", False),
     ],
 )
-def test_wheels_made_by_hand_must_be_for_the_platform(file, expected):
+def test_custom_wheel_must_match_the_platform(file, expected):
     assert PI.accepts(file) is expected
 
 
-def test_the_options_of_pip_name_the_platform():
+def test_pip_options_name_the_platform():
     options = list(PI.pip_options())
     assert "manylinux_2_28_aarch64" in options
     assert "manylinux_2_39_aarch64" not in options
@@ -108,7 +108,7 @@ def cache(tmp_path, monkeypatch) -> WheelCache:
 
 
 class Index:
-    """Stands in for `pip download`: what was asked, and what it does not have."""
+    """Replaces `pip download`: counts requests, and lacks the `missing` packages."""
 
     def __init__(self, *missing: str) -> None:
         self.missing, self.asked = set(missing), 0
@@ -125,7 +125,7 @@ class Index:
 
 def collect(cache: WheelCache, target: WheelTarget = PI):
     async def both():
-        # Two robots of one platform ask at the same time.
+        # Two robots of one platform request it at the same time.
         return await asyncio.gather(*(cache.payload(target, brings_python=False) for _ in range(2)))
 
     first, second = asyncio.run(both())
@@ -148,7 +148,7 @@ def test_each_platform_is_collected_once(cache, monkeypatch, tmp_path):
     again.close()
 
 
-def test_robots_in_a_fabric_get_its_package_too(monkeypatch, cache, tmp_path):
+def test_robots_in_a_fabric_also_get_the_zenoh_package(monkeypatch, cache, tmp_path):
     monkeypatch.setattr(wheel_cache, "run_pip", Index().download)
     payload = collect(cache)
     in_fabric = WheelCache(tmp_path / "fabric", has_zenoh=True)
@@ -157,7 +157,7 @@ def test_robots_in_a_fabric_get_its_package_too(monkeypatch, cache, tmp_path):
     in_fabric.close()
 
 
-def test_a_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):
+def test_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):
     index = Index()
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     payload = collect(cache)
@@ -168,7 +168,7 @@ def test_a_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):
     again.close()
 
 
-def test_every_wheel_that_is_missing_is_named(cache, monkeypatch):
+def test_every_missing_wheel_is_named(cache, monkeypatch):
     index = Index("cffi", "msgspec")
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     with pytest.raises(ProvisionError) as found:
@@ -178,7 +178,7 @@ def test_every_wheel_that_is_missing_is_named(cache, monkeypatch):
     assert "--wheels" in found.value.advice
 
 
-def test_wheels_made_by_hand_fill_the_gaps(cache, monkeypatch, tmp_path):
+def test_custom_wheels_replace_missing_ones(cache, monkeypatch, tmp_path):
     index = Index("cffi")
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     (version,) = (pin.version for pin in PINS if pin.name == "cffi")
@@ -190,7 +190,7 @@ def test_wheels_made_by_hand_fill_the_gaps(cache, monkeypatch, tmp_path):
     assert [wheel.file for wheel in payload.wheels if wheel.file.startswith("cffi")] == [file]
 
 
-def test_without_a_package_index_the_remedy_is_to_prepare(cache, monkeypatch):
+def test_missing_package_index_suggests_prepare(cache, monkeypatch):
     index = Index(*names(PINS))
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     with pytest.raises(ProvisionError) as found:
@@ -203,7 +203,7 @@ def test_without_a_package_index_the_remedy_is_to_prepare(cache, monkeypatch):
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_an_installed_lfield_makes_the_wheel_from_which_it_was_installed(tmp_path):
+def test_installed_lfield_rebuilds_its_own_wheel(tmp_path):
     made, installed, again = tmp_path / "made", tmp_path / "installed", tmp_path / "again"
     for folder in (made, again):
         folder.mkdir()
@@ -212,7 +212,7 @@ def test_an_installed_lfield_makes_the_wheel_from_which_it_was_installed(tmp_pat
     (again / wheel.name).unlink()
     words = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", installed, wheel]
     subprocess.run([sys.executable, *map(str, words)], check=True, timeout=110)
-    # The installed lfield has neither sources nor a checkout around it.
+    # The installed lfield has neither sources nor a checkout.
     script = (
         "import asyncio, pathlib, sys; "
         "from lfield.provision.own_wheel import make_own_wheel, deployment_file; "
@@ -233,7 +233,7 @@ def test_an_installed_lfield_makes_the_wheel_from_which_it_was_installed(tmp_pat
     )
 
 
-def test_a_changed_file_of_an_installed_package_is_refused(tmp_path):
+def test_changed_file_of_an_installed_package_is_refused(tmp_path):
     folder = tmp_path / "thing-1.0.dist-info"
     folder.mkdir()
     (tmp_path / "thing.py").write_text("changed")
@@ -249,7 +249,7 @@ def test_a_changed_file_of_an_installed_package_is_refused(tmp_path):
         repack(PathDistribution(folder), tmp_path)
 
 
-def test_a_repacked_dependency_can_be_read(tmp_path):
+def test_repacked_dependency_is_a_complete_wheel(tmp_path):
     path = repack(distribution("rich"), tmp_path)
     assert path.name == f"rich-{distribution('rich').version}-py3-none-any.whl"
     listed = zipfile.ZipFile(path).namelist()
@@ -266,7 +266,7 @@ def _uv(folder: Path, body: str) -> None:
     (folder / "uv").chmod(0o755)
 
 
-def test_a_standalone_python_is_collected_through_uv_once(tmp_path, monkeypatch):
+def test_standalone_python_is_collected_with_uv_once(tmp_path, monkeypatch):
     _uv(
         tmp_path / "bin",
         'echo "$*" >>"$(dirname "$0")/calls"; build=cpython-3.12.9-linux-aarch64-gnu; '
@@ -283,7 +283,7 @@ def test_a_standalone_python_is_collected_through_uv_once(tmp_path, monkeypatch)
     assert [path.name for path in (tmp_path / "python").iterdir()] == [found.archive.name]
 
 
-def test_what_uv_refuses_is_said_with_the_remedy(tmp_path, monkeypatch):
+def test_uv_error_is_reported_with_the_remedy(tmp_path, monkeypatch):
     _uv(tmp_path / "bin", "echo 'error: no network' >&2; exit 1")
     monkeypatch.setattr(standalone_python, "find_uv", lambda: str(tmp_path / "bin/uv"))
     with pytest.raises(ProvisionError) as found:
@@ -292,8 +292,8 @@ def test_what_uv_refuses_is_said_with_the_remedy(tmp_path, monkeypatch):
     assert "UV_PYTHON_INSTALL_MIRROR" in found.value.advice
 
 
-def test_the_index_of_a_collection_is_named_after_its_lock(tmp_path):
-    """Another lock file is another collection in the same folder."""
+def test_collection_index_is_named_after_its_lock(tmp_path):
+    """Another lock file gives another collection in the same folder."""
     pins = needed_pins(PINS, PI)
     assert text_digest(pip_lock(pins)) != text_digest(pip_lock(pins[1:]))
     wheel = Wheel("a-1.0-py3-none-any.whl", "0" * 64, 1)

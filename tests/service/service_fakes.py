@@ -1,4 +1,4 @@
-"""A service without disk, processes and mission: what surrounds it, in memory."""
+"""A service with disk, processes and mission in memory."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ WALKER = UnfinishedCoordinator("walker", "parked", "bravo", "patrol")
 
 
 class ServiceKilled(BaseException):
-    """The service ends here, as by SIGKILL."""
+    """The service ends here, as after SIGKILL."""
 
 
 def ballot(number: int = 1, digest: bytes = NEW, hosts: list[str] = HOSTS) -> Ballot:
@@ -53,14 +53,14 @@ class FakeProcesses:
     def __init__(self) -> None:
         self.boot = "first boot"
         self.started: list[bytes] = []
-        #: The bundle of each process, b"" for one that is no host.
+        #: The bundle of each process, b"" for a process that is no host.
         self.alive: dict[int, bytes] = {}
         self.ends: dict[int, asyncio.Future[HostEnd]] = {}
         self.on_change: Callable[[], None] = lambda: None
         #: Raised by the next starts.
         self.trouble: Exception | None = None
         self.terminated: list[int] = []
-        #: Whether a process ends when it is asked to.
+        #: Whether a process ends after a termination request.
         self.obeys = True
 
     def start(self, bundle: bytes) -> ProcessId:
@@ -89,7 +89,7 @@ class FakeProcesses:
             self.end(0, "", process.pid)
 
     def end(self, status: int, reason: str = "", pid: int = 0) -> None:
-        """The process, or the only one, ends."""
+        """Ends a process, by default the only one."""
         pid = pid or next(iter(self.alive))
         del self.alive[pid]
         self.on_change()
@@ -146,7 +146,7 @@ class FakeFiles:
 
 @dataclass
 class FakeProbe:
-    """See `MissionProbe`: what the mission of this computer does."""
+    """See `MissionProbe`: the state of the mission on this computer."""
 
     motion: str = ""
     waiting: list[UnfinishedCoordinator] = field(default_factory=list)
@@ -231,7 +231,7 @@ class Robot:
         return BundleInfo(sha256(data).digest(), data.decode(), hosts=HOSTS, coordinators=HOMES)
 
     def kill_service(self) -> None:
-        """Only what is on disk stays."""
+        """Only the state on disk remains."""
         self.runner.detach()
 
     # --- what desks and other services send ------------------------------------------------------------
@@ -274,7 +274,7 @@ def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
 
 
 async def running(robot: Robot) -> None:
-    """Start the service of a robot and its mission."""
+    """Starts the service of a robot and its mission."""
     robot.boot_service()
     await robot.start()
     assert robot.runner.is_running

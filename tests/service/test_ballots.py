@@ -1,4 +1,4 @@
-"""Votes of one host: proposals, queries that close, votes of others, and what is remembered."""
+"""Votes of one host: proposals, closing queries, votes of others, and stored ballots."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def decided(state: ActivationState, number: int, digest: bytes, votes: dict[str,
     return ballots.learn(ballots.propose(state, "alpha", proposal, ""), "alpha", proposal.id, votes)
 
 
-def test_a_yes_binds_until_all_votes_are_known() -> None:
+def test_yes_vote_binds_until_all_votes_are_known() -> None:
     state = voted()
     assert state.open_ballot is not None
     assert state.open_ballot.missing == ["bravo", "carol"]
@@ -42,7 +42,7 @@ def test_a_yes_binds_until_all_votes_are_known() -> None:
     assert ballots.answer(state, "alpha", ballot().id).votes == ALL_YES
 
 
-def test_a_refusal_aborts_and_does_not_bind() -> None:
+def test_refusal_aborts_the_ballot_and_does_not_bind() -> None:
     state = voted(refusal="a vehicle flies " * 100)
     known = ballots.answer(state, "alpha", ballot().id)
     assert (known.outcome, known.votes) == ("aborted", {"alpha": "no"})
@@ -50,7 +50,7 @@ def test_a_refusal_aborts_and_does_not_bind() -> None:
     assert state.open_ballot is None
 
 
-def test_one_no_aborts_although_others_are_unknown() -> None:
+def test_one_no_vote_aborts_the_ballot() -> None:
     state = ballots.learn(voted(), "alpha", ballot().id, {"carol": "no"})
     assert state.open_ballot is None
     assert ballots.answer(state, "alpha", ballot().id).outcome == "aborted"
@@ -58,17 +58,17 @@ def test_one_no_aborts_although_others_are_unknown() -> None:
 
 
 @pytest.mark.parametrize("refusal", ["", "it flies"])
-def test_a_repeated_proposal_changes_nothing(refusal: str) -> None:
+def test_repeated_proposal_changes_nothing(refusal: str) -> None:
     state = voted(refusal=refusal)
     assert ballots.propose(state, "alpha", ballot(), "" if refusal else "it flies now") == state
 
 
-def test_a_host_that_does_not_take_part_is_not_bound() -> None:
+def test_host_outside_the_ballot_is_not_bound() -> None:
     state = ballots.propose(ActivationState(), "dora", ballot(), "")
     assert state == ActivationState()
 
 
-def test_a_query_closes_a_ballot_only_before_the_vote() -> None:
+def test_query_closes_a_ballot_only_before_the_vote() -> None:
     state = ballots.close(ActivationState(), ballot().id)
     assert ballots.answer(state, "alpha", ballot().id).votes == {"alpha": "no"}
     late = ballots.propose(state, "alpha", ballot(), "")
@@ -77,12 +77,12 @@ def test_a_query_closes_a_ballot_only_before_the_vote() -> None:
     assert ballots.close(voted(), ballot().id) == voted()
 
 
-def test_an_unknown_ballot_is_open() -> None:
+def test_unknown_ballot_is_open() -> None:
     known = ballots.answer(ActivationState(), "alpha", ballot().id)
     assert known == BallotState(ballot().id, None, {}, {}, "open")
 
 
-def test_a_bound_host_refuses_another_ballot_and_stays_bound() -> None:
+def test_bound_host_refuses_another_ballot_and_stays_bound() -> None:
     state = ballots.propose(voted(1, X), "alpha", ballot(2, Y), "")
     assert ballots.answer(state, "alpha", ballot(2).id).outcome == "aborted"
     bound = state.open_ballot
@@ -90,7 +90,7 @@ def test_a_bound_host_refuses_another_ballot_and_stays_bound() -> None:
     assert bound.id == ballot(1).id
 
 
-def test_a_lost_host_that_comes_back_learns_the_vote_that_an_operator_gave_for_it() -> None:
+def test_returning_host_learns_the_vote_given_by_an_operator() -> None:
     others = ballots.learn(voted(), "alpha", ballot().id, {"bravo": "yes", "carol": "no"})
     known = ballots.answer(others, "alpha", ballot().id)
     lost = ballots.propose(ActivationState(), "carol", ballot(), "")
@@ -99,7 +99,7 @@ def test_a_lost_host_that_comes_back_learns_the_vote_that_an_operator_gave_for_i
     assert lost.active == b""
 
 
-def test_a_yes_of_its_own_is_not_learnt_from_others() -> None:
+def test_own_yes_vote_is_not_learnt_from_others() -> None:
     state = ballots.learn(ActivationState(), "alpha", ballot().id, ALL_YES)
     assert state == ActivationState()
 
@@ -109,20 +109,20 @@ def test_votes_of_hosts_outside_the_ballot_do_not_count() -> None:
     assert state.open_ballot is not None
 
 
-def test_a_vote_against_closes_a_ballot_whose_proposal_has_not_arrived() -> None:
+def test_no_vote_closes_a_ballot_before_its_proposal() -> None:
     state = ballots.learn(ActivationState(), "alpha", ballot().id, {"bravo": "no"})
     assert ballots.answer(state, "alpha", ballot().id).votes == {"alpha": "no"}
     assert ballots.learn(ActivationState(), "alpha", ballot().id, {"bravo": "yes"}) == ActivationState()
 
 
-def test_a_decision_does_not_change_afterwards() -> None:
+def test_decision_does_not_change() -> None:
     state = decided(ActivationState(), 1, X, ALL_YES)
     assert ballots.learn(state, "alpha", ballot().id, {"carol": "no"}) == state
 
 
 @pytest.mark.parametrize("votes", [ALL_YES, {"bravo": "no"}], ids=["activated", "aborted"])
-def test_the_votes_of_an_earlier_ballot_are_remembered(votes: dict[str, Vote]) -> None:
-    """Another host may still be bound by it: it must not get a vote against on demand."""
+def test_votes_of_an_earlier_ballot_are_stored(votes: dict[str, Vote]) -> None:
+    """Another host may still be bound by it, and must not receive a no vote on request."""
     state = decided(ActivationState(), 1, X, votes)
     before = ballots.answer(state, "alpha", ballot(1).id)
     state = decided(state, 2, Y, ALL_YES)
@@ -134,7 +134,7 @@ def test_the_votes_of_an_earlier_ballot_are_remembered(votes: dict[str, Vote]) -
     assert repeated.active == Y
 
 
-def test_earlier_bundles_are_remembered_once_per_activation() -> None:
+def test_earlier_bundles_are_stored_once_per_activation() -> None:
     state = decided(ActivationState(), 1, X, ALL_YES)
     assert state.previous == b""
     state = decided(state, 2, X, ALL_YES)
@@ -146,7 +146,7 @@ def test_earlier_bundles_are_remembered_once_per_activation() -> None:
     assert (state.active, state.previous, state.earlier) == (X, Y, (X, Y))
 
 
-def test_all_lists_are_bounded() -> None:
+def test_stored_lists_are_bounded() -> None:
     state = ActivationState()
     for number in range(2 * MAX_PAST):
         state = ballots.close(state, ballot(10_000 + number).id)
@@ -157,7 +157,7 @@ def test_all_lists_are_bounded() -> None:
     assert _decoder.decode(_encoder.encode(ServiceRecord(state))).activation == state
 
 
-def test_two_desks_at_once_may_both_fail_but_never_both_succeed() -> None:
+def test_at_most_one_of_two_concurrent_proposals_is_activated() -> None:
     """Host by host in all orders: each host says yes to the first of two proposals only."""
     for pattern in range(8):
         states = {host: ActivationState() for host in HOSTS}

@@ -80,7 +80,7 @@ def vote_binds(state: ActivationState) -> bool:
 
 
 def steps(team: Team) -> Iterator[tuple[str, ...] | tuple[str, str, int, bool]]:
-    """What may happen next: a proposal arrives; a bound host asks; an answer gets lost after a close."""
+    """The possible next steps: a proposal arrives; a bound host asks; an answer is lost after a close."""
     for host, (number, proposal) in product(team.states, enumerate(team.proposals)):
         if host in proposal.hosts and own_vote(team.states[host], host, proposal.id) is None:
             yield "propose", host, str(number)
@@ -117,7 +117,7 @@ def perform(team: Team, step: tuple) -> None:  # type: ignore[type-arg]
     ],
     ids=["two", "three", "two ballots", "one without a host"],
 )
-def test_all_orders_of_a_small_team_agree_and_end(hosts: int, sets: list[list[str]]) -> None:
+def test_all_message_orders_of_a_small_team_agree_and_end(hosts: int, sets: list[list[str]]) -> None:
     proposals = [ballot(number, some) for number, some in enumerate(sets, 1)]
     start = {name: ActivationState() for name in NAMES[:hosts]}
     known = set[bytes]()
@@ -150,7 +150,7 @@ def stories(draw: st.DrawFn) -> tuple[int, list[list[str]], list[tuple[int, int,
 
 @given(stories())
 @settings(max_examples=1000)
-def test_late_repeated_and_lost_messages_lead_to_one_outcome(
+def test_late_repeated_and_lost_messages_give_one_outcome(
     story: tuple[int, list[list[str]], list[tuple[int, int, int, int]]],
 ) -> None:
     hosts, sets, events = story

@@ -16,7 +16,7 @@ DATA = random.Random(1).randbytes(200_000)
 
 
 @given(st.binary(max_size=20_000))
-def test_the_pieces_make_the_data_and_are_bounded(data: bytes) -> None:
+def test_pieces_join_to_the_data_and_are_bounded(data: bytes) -> None:
     pieces = list(split(data))
     assert b"".join(pieces) == data
     assert all(1 <= len(piece) <= MAX_PIECE for piece in pieces)
@@ -34,7 +34,7 @@ def test_pieces_of_special_data_are_bounded(data: bytes) -> None:
 @pytest.mark.parametrize(
     "change", [b"", b"longer by some", b"x" * 3000], ids=["cut", "longer", "much longer"]
 )
-def test_a_small_change_leaves_most_pieces(at: int, change: bytes) -> None:
+def test_small_change_keeps_most_pieces(at: int, change: bytes) -> None:
     changed = DATA[:at] + change + DATA[at + 1 :]
     old = {piece_of(piece) for piece in split(DATA)}
     new = [piece_of(piece) for piece in split(changed)]
@@ -42,7 +42,7 @@ def test_a_small_change_leaves_most_pieces(at: int, change: bytes) -> None:
     assert len(new) > 100
 
 
-def test_a_piece_is_identified_by_its_bytes() -> None:
+def test_piece_is_identified_by_its_bytes() -> None:
     piece = piece_of(DATA[:1000])
     assert (len(piece.digest), piece.size) == (PIECE_DIGEST_SIZE, 1000)
     assert piece_of(DATA[:1000]) == piece
@@ -50,14 +50,14 @@ def test_a_piece_is_identified_by_its_bytes() -> None:
 
 
 @given(st.binary(max_size=MAX_PIECE))
-def test_a_piece_survives_its_transfer(data: bytes) -> None:
+def test_compressed_piece_is_restored(data: bytes) -> None:
     is_compressed, sent = compress(data)
     assert len(sent) <= len(data)
     assert decompress(sent, is_compressed=is_compressed) == data
 
 
 @given(st.binary(max_size=200))
-def test_damaged_pieces_are_refused(data: bytes) -> None:
+def test_damaged_piece_is_refused_or_bounded(data: bytes) -> None:
     try:
         found = decompress(data, is_compressed=True)
     except WireError:
@@ -65,7 +65,7 @@ def test_damaged_pieces_are_refused(data: bytes) -> None:
     assert len(found) <= MAX_PIECE
 
 
-def test_a_piece_that_expands_too_much_is_refused() -> None:
+def test_piece_that_expands_beyond_the_limit_is_refused() -> None:
     is_compressed, bomb = compress(bytes(1_000_000))
     assert is_compressed
     assert len(bomb) < MAX_PIECE

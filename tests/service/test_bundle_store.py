@@ -1,4 +1,4 @@
-"""The disk of a service: state, bundles, pieces of uploads that were interrupted."""
+"""The disk of a service: state, bundles, pieces of interrupted uploads."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def send(to: BundleReceiver, data: bytes, numbers: list[int]) -> None:
         assert not to.on_piece(BundlePiece(digest_of(data), number, packed, sent)).trouble
 
 
-def test_the_state_is_replaced(tmp_path: Path) -> None:
+def test_saved_state_is_loaded_again(tmp_path: Path) -> None:
     store = BundleStore(tmp_path / "service")
     assert store.load() == ServiceRecord()
     voted = propose(ActivationState(), "alpha", Ballot(bytes(16), bytes(32), ["alpha", "bravo"], "anna"), "")
@@ -62,17 +62,17 @@ def test_the_state_is_replaced(tmp_path: Path) -> None:
     assert BundleStore(tmp_path / "service").load() == record
 
 
-def test_a_damaged_state_is_reported(tmp_path: Path) -> None:
+def test_damaged_state_is_reported_with_a_remedy(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     store.save(ServiceRecord())
     (tmp_path / "state.json").write_bytes(b'{"held": 3')
     with pytest.raises(DamagedFileError) as damaged:
         store.load()
-    # What to do about it.
+    # The remedy.
     assert "lfield push" in str(damaged.value)
 
 
-def test_an_interrupted_upload_continues(tmp_path: Path) -> None:
+def test_interrupted_upload_continues(tmp_path: Path) -> None:
     first = receiver(BundleStore(tmp_path))
     missing = first.on_offer(offer(DATA), "anna").missing
     assert missing == [*range(len(offer(DATA).pieces))]
@@ -109,7 +109,7 @@ def test_pieces_of_a_damaged_bundle_are_not_copied(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", ["missing", "wrong", "surplus", "no offer", "deleted"])
-def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: str) -> None:
+def test_pieces_that_do_not_join_to_the_file_are_refused(tmp_path: Path, damage: str) -> None:
     to = receiver(BundleStore(tmp_path))
     if damage != "no offer":
         missing = to.on_offer(offer(DATA), "anna").missing
@@ -128,13 +128,13 @@ def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: st
     assert len(to.on_offer(offer(DATA), "anna").missing) == len(offer(DATA).pieces)
 
 
-def test_another_bundle_than_the_offered_one_is_refused(tmp_path: Path) -> None:
+def test_stage_request_for_another_bundle_is_refused(tmp_path: Path) -> None:
     to = receiver(BundleStore(tmp_path))
     send(to, DATA, to.on_offer(offer(DATA), "anna").missing)
     assert to.on_stage(StageRequest(digest_of(CHANGED), digest_of(DATA))).trouble
 
 
-def test_a_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     to = receiver(BundleStore(tmp_path))
     monkeypatch.setattr(bundle_store, "RESERVE", 1 << 60)
     to.on_offer(offer(DATA), "anna")
@@ -143,7 +143,7 @@ def test_a_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.Monke
         BundleStore(tmp_path).put(digest_of(DATA), 0, b"data")
 
 
-def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path) -> None:
+def test_old_bundles_and_uploads_are_removed_unless_in_use(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     (tmp_path / "bundles" / "note.lfm").write_bytes(b"a file of another program")
     (tmp_path / "staging" / "lost+found").mkdir()
@@ -160,14 +160,14 @@ def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path
         "lost+found",
         *(file.hex() for file in files[-KEPT_UPLOADS:]),
     }
-    # One that is under way stays, however old it is.
+    # An upload in progress stays, at any age.
     os.utime(tmp_path / "staging" / files[-1].hex(), (0, 0))
     store.start_upload(files[0], [files[-1]])
     kept = {"lost+found", files[0].hex(), files[-1].hex()}
     assert {path.name for path in (tmp_path / "staging").iterdir()} == kept
 
 
-def test_an_upload_under_way_is_not_removed_for_another_one(tmp_path: Path) -> None:
+def test_upload_in_progress_is_not_removed_for_another(tmp_path: Path) -> None:
     time = 0.0
     to = receiver(BundleStore(tmp_path), lambda: time)
     first, second, third = (DATA + bytes([number]) for number in range(3))
@@ -178,15 +178,15 @@ def test_an_upload_under_way_is_not_removed_for_another_one(tmp_path: Path) -> N
     assert "anna" in busy.trouble
     assert "bob" in busy.trouble
     assert to.on_piece(BundlePiece(digest_of(third), 0, False, b"data")).retry
-    # An offer of the same file takes no other place.
+    # An offer of the same file needs no second place.
     assert to.on_offer(offer(first), "bob").missing == missing
     time = UPLOAD_TIMEOUT - 1.0
     send(to, first, missing[:1])
     time = UPLOAD_TIMEOUT
-    # The second has ended without a word, the first is under way.
+    # The second has timed out, the first is in progress.
     assert to.on_offer(offer(third), "carl").missing
     send(to, first, missing[1:])
     assert not to.on_stage(StageRequest(digest_of(first), digest_of(first))).trouble
     assert to.on_offer(offer(second), "bob").missing
-    # What one that gave way has sent meanwhile is requested again.
+    # Pieces of the displaced upload are requested again.
     assert to.on_stage(StageRequest(digest_of(second), digest_of(second))).retry

@@ -26,7 +26,7 @@ agents:
 """
 
 
-def test_only_the_files_of_the_own_devices_count(tmp_path: Path) -> None:
+def test_only_the_files_of_the_host_s_own_devices_are_required(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
     keyring.put("me", keyring.made("person", "anna", *ALL_RIGHTS))
     (tmp_path / "mission.L").write_text(PROGRAM)

@@ -18,7 +18,7 @@ from lfield.service import host_processes
 from lfield.service.host_processes import LocalProcesses
 from lfield.service.mission_runner import HostEnd, HostProcess, ProcessId
 
-#: In place of Python with lfield: leaves a result, if its bundle has one, and waits.
+#: Replaces Python with lfield: writes a result, if its bundle has one, and waits.
 PROGRAM = f"""#!{sys.executable}
 import os, sys, time
 descriptor = next(int(word.partition("=")[2]) for word in sys.argv if word.startswith("--result-fd="))
@@ -32,7 +32,7 @@ time.sleep(60)
 
 
 class Folder:
-    """Processes of one robot in a folder; `next_service` has those that an earlier service started."""
+    """Processes of one robot in a folder; `next_service` sees processes started by an earlier service."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -67,7 +67,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
                 os.kill(process.pid, signal.SIGKILL)
 
 
-def test_a_process_is_found_by_host_and_bundle_until_it_is_killed(folder: Folder) -> None:
+def test_process_is_found_by_host_and_bundle_until_killed(folder: Folder) -> None:
     async def story() -> None:
         process = folder.start(OLD)
         assert folder.processes.is_alive(process)
@@ -85,7 +85,7 @@ def test_a_process_is_found_by_host_and_bundle_until_it_is_killed(folder: Folder
     asyncio.run(story())
 
 
-def test_a_process_is_asked_to_end(folder: Folder) -> None:
+def test_terminate_sends_sigterm(folder: Folder) -> None:
     async def story() -> None:
         process = folder.start(OLD)
         folder.next_service().terminate(process)
@@ -95,13 +95,13 @@ def test_a_process_is_asked_to_end(folder: Folder) -> None:
     asyncio.run(story())
 
 
-def test_the_next_service_reads_the_result(folder: Folder) -> None:
+def test_next_service_reads_the_result_of_a_process(folder: Folder) -> None:
     async def story() -> None:
         folder.bundle(OLD).write_bytes(b'{"status":3,"reason":"its arm moves"}')
         process = folder.start(OLD)
         assert await folder.processes.ended(process) == HostEnd(3, "its arm moves")
         assert await folder.next_service().ended(process) == HostEnd(3, "its arm moves")
-        # One that is killed leaves none, and the earlier one does not count.
+        # A killed process leaves no result, and the earlier result does not count.
         folder.bundle(OLD).unlink()
         process = folder.start(OLD)
         later = folder.next_service()
@@ -114,7 +114,7 @@ def test_the_next_service_reads_the_result(folder: Folder) -> None:
     asyncio.run(story())
 
 
-def test_the_result_of_a_host_is_read_also_when_its_file_was_deleted(folder: Folder) -> None:
+def test_result_is_read_also_from_a_deleted_file(folder: Folder) -> None:
     async def story() -> None:
         process = folder.start(OLD)
         later = folder.next_service()
@@ -132,15 +132,13 @@ def test_the_result_of_a_host_is_read_also_when_its_file_was_deleted(folder: Fol
 
 
 def _result_descriptor(pid: int) -> Path:
-    """The file of the result of a process, which has no name any more."""
+    """The result file of a process, which has been deleted."""
     words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
     (number,) = [word.partition("=")[2] for word in words if word.startswith("--result-fd=")]
     return Path(f"/proc/{pid}/fd/{number}")
 
 
-def test_what_cannot_be_started_is_an_error_of_the_service(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_process_start_is_an_error(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(host_processes.sys, "executable", str(folder.path / "missing"))
     with pytest.raises(InputFileError):
         folder.processes.start(OLD)

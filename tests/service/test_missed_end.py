@@ -1,4 +1,4 @@
-"""A host that is killed when its mission ends: its service learns of the end from those of other hosts."""
+"""A host killed at the end of its mission: its service learns of the end from services of other hosts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lfield.wire.service_messages import (
 
 ORDER, OTHER = b"o" * 16, b"n" * 16
 KILLED = -9
-#: In which the other hosts are asked for the first time after a restart.
+#: Time until the other hosts are first asked after a restart.
 SOON = RESTART_DELAY + 2 * RESOLVE_EVERY
 DONE = RunInfo(OLD, "ended", "", 0.0, exit_status.DONE, ORDER)
 
@@ -38,14 +38,14 @@ class Bravo:
 
     async def ask(self, host: str, query: VoteQuery | ServiceQuery) -> BallotState | ServiceStatus:
         if host != "bravo":
-            raise AddressError(host, "its own service is not asked")
+            raise AddressError(host, "a service does not ask itself")
         assert isinstance(query, ServiceQuery)
         self.queries += 1
         return ServiceStatus(host, __version__, OLD, b"", [], self.run, None, [], "", 0.0)
 
 
-def tell(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
-    """Run a story of a robot whose host was started by an order, and whose service asks bravo."""
+def run_with(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
+    """Runs `story` with a robot whose host was started by an order, and whose service asks bravo."""
 
     async def whole() -> None:
         robot = Robot()
@@ -59,7 +59,7 @@ def tell(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
 
 
 @pytest.mark.parametrize("status", [exit_status.DONE, exit_status.FAILED])
-def test_a_restarted_host_is_stopped_when_its_run_has_ended_on_another_host(status: int) -> None:
+def test_restarted_host_stops_when_its_run_ended_on_another_host(status: int) -> None:
     async def story(robot: Robot) -> None:
         robot.processes.end(KILLED)
         robot.probe.waiting = [WALKER]
@@ -69,11 +69,11 @@ def test_a_restarted_host_is_stopped_when_its_run_has_ended_on_another_host(stat
         assert robot.runner.info.phase == "stopped"
         assert "bravo" in robot.runner.info.reason
         assert "service-missed-end" in robot.codes
-        # No coordinator of it forbids an activation, and nothing has to be checked.
+        # No coordinator prevents an activation, and no check by a person is required.
         assert robot.files.record.run.open_run == b""
         assert (await robot.status()).refusal == ""
 
-    tell(story, Bravo(RunInfo(OLD, "ended", "", 0.0, status, ORDER)))
+    run_with(story, Bravo(RunInfo(OLD, "ended", "", 0.0, status, ORDER)))
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_a_restarted_host_is_stopped_when_its_run_has_ended_on_another_host(stat
     ],
     ids=["another run", "unknown run", "unknown outcome", "killed", "running", "stopped"],
 )
-def test_no_other_end_is_a_proof(run: RunInfo) -> None:
+def test_other_run_states_do_not_stop_the_host(run: RunInfo) -> None:
     bravo = Bravo(run)
 
     async def story(robot: Robot) -> None:
@@ -98,10 +98,10 @@ def test_no_other_end_is_a_proof(run: RunInfo) -> None:
         assert robot.processes.terminated == []
         assert robot.runner.is_running
 
-    tell(story, bravo)
+    run_with(story, bravo)
 
 
-def test_a_host_that_was_not_restarted_asks_nothing() -> None:
+def test_host_without_a_restart_asks_no_other_service() -> None:
     bravo = Bravo(DONE)
 
     async def story(robot: Robot) -> None:
@@ -109,11 +109,11 @@ def test_a_host_that_was_not_restarted_asks_nothing() -> None:
         assert bravo.queries == 0
         assert robot.runner.is_running
 
-    tell(story, bravo)
+    run_with(story, bravo)
 
 
-def test_a_host_is_not_stopped_before_it_is_up() -> None:
-    """It would not have brought its devices to rest."""
+def test_host_is_not_stopped_before_it_is_up() -> None:
+    """Earlier it would not bring its devices to rest."""
 
     async def story(robot: Robot) -> None:
         robot.probe.is_starting = True
@@ -124,10 +124,10 @@ def test_a_host_is_not_stopped_before_it_is_up() -> None:
         await asyncio.sleep(SOON)
         assert robot.processes.terminated == [102]
 
-    tell(story, Bravo(DONE))
+    run_with(story, Bravo(DONE))
 
 
-def test_the_order_is_known_after_a_restart_of_the_service() -> None:
+def test_order_is_known_after_a_service_restart() -> None:
     async def story(robot: Robot) -> None:
         robot.kill_service()
         robot.boot_service()
@@ -137,10 +137,10 @@ def test_the_order_is_known_after_a_restart_of_the_service() -> None:
         assert robot.processes.terminated == [101]
         task.cancel()
 
-    tell(story, Bravo(RunInfo()))
+    run_with(story, Bravo(RunInfo()))
 
 
-def test_the_longer_a_mission_continues_the_less_often_others_are_asked() -> None:
+def test_queries_to_other_services_become_less_frequent() -> None:
     bravo = Bravo(RunInfo(OLD, "running", order=ORDER))
 
     async def story(robot: Robot) -> None:
@@ -151,10 +151,10 @@ def test_the_longer_a_mission_continues_the_less_often_others_are_asked() -> Non
         await asyncio.sleep(600.0)
         assert bravo.queries - at_first <= 600.0 / LONGEST_PAUSE
 
-    tell(story, bravo)
+    run_with(story, bravo)
 
 
-def test_a_new_order_begins_anew() -> None:
+def test_new_order_is_not_ended_by_an_earlier_run() -> None:
     bravo = Bravo(DONE)
 
     async def story(robot: Robot) -> None:
@@ -168,10 +168,10 @@ def test_a_new_order_begins_anew() -> None:
         assert robot.runner.is_running
         assert robot.runner.info.order == OTHER
 
-    tell(story, bravo)
+    run_with(story, bravo)
 
 
-def test_without_an_answer_the_host_continues() -> None:
+def test_host_continues_without_an_answer() -> None:
     async def story() -> None:
         robot = Robot()
         robot.boot_service()

@@ -30,7 +30,7 @@ class Computer:
         self.boot()
 
     def boot(self) -> None:
-        """Another service starts."""
+        """Starts another service."""
         self.runner = MissionRunner(self.disk, self.processes, LoopClock(), lambda line: None)
         self.runner.attach(self._store, lambda bundle: self.refusal)
 
@@ -41,7 +41,7 @@ class Computer:
 
 
 @pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
-async def test_after_a_crash_it_is_restarted(status: int) -> None:
+async def test_host_is_restarted_after_a_crash(status: int) -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.processes.end(status)
@@ -68,7 +68,7 @@ async def test_after_a_crash_it_is_restarted(status: int) -> None:
         exit_status.INTERRUPTED,
     ],
 )
-async def test_an_end_in_order_is_no_crash(status: int) -> None:
+async def test_regular_end_is_not_restarted(status: int) -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.processes.end(status, "why")
@@ -80,7 +80,7 @@ async def test_an_end_in_order_is_no_crash(status: int) -> None:
     assert bool(computer.disk.unsafe) is (status == exit_status.UNSAFE)
 
 
-async def test_it_is_restarted_five_times_in_ten_minutes_at_most() -> None:
+async def test_host_is_restarted_at_most_five_times_in_ten_minutes() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     for _ in range(MAX_RESTARTS + 1):
@@ -89,7 +89,7 @@ async def test_it_is_restarted_five_times_in_ten_minutes_at_most() -> None:
     assert len(computer.processes.started) == MAX_RESTARTS + 1
     assert computer.runner.info.phase == "ended"
     assert computer.disk.unsafe
-    # A start by a person counts again from 0, and its vehicles are observed again.
+    # A start by a person resets the count, and its vehicles are observed again.
     await computer.runner.start(OLD)
     assert not computer.disk.unsafe
     computer.processes.end(-11)
@@ -123,13 +123,15 @@ async def test_rare_crashes_are_always_followed_by_a_restart() -> None:
         (77, [], False),
     ],
 )
-def test_the_policy(status: int, earlier: list[float], restarts: bool) -> None:
+def test_restart_policy_by_status_and_earlier_restarts(
+    status: int, earlier: list[float], restarts: bool
+) -> None:
     verdict = judge(status, "", earlier, 100.0)
     assert verdict.restarts is restarts
     assert verdict.reason
 
 
-async def test_the_next_service_adopts_a_host_that_runs() -> None:
+async def test_next_service_adopts_a_running_host() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.runner.detach()
@@ -143,9 +145,7 @@ async def test_the_next_service_adopts_a_host_that_runs() -> None:
 
 
 @pytest.mark.parametrize(("status", "starts"), [(-9, 2), (exit_status.DONE, 1), (exit_status.UNSAFE, 1)])
-async def test_a_host_that_ended_while_no_service_ran_is_judged_by_its_result(
-    status: int, starts: int
-) -> None:
+async def test_host_that_ended_without_a_service_is_judged_by_its_result(status: int, starts: int) -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.runner.detach()
@@ -158,7 +158,7 @@ async def test_a_host_that_ended_while_no_service_ran_is_judged_by_its_result(
     assert len(computer.processes.started) == starts
 
 
-async def test_a_host_whose_number_was_not_stored_is_found() -> None:
+async def test_host_without_a_stored_process_id_is_found() -> None:
     """The service ended, or its disk was full, between the start of the process and the record of it."""
     computer = Computer()
     await computer.runner.start(OLD)
@@ -182,7 +182,7 @@ async def test_a_host_whose_number_was_not_stored_is_found() -> None:
     [RunRecord(), run_of(NEW, 55), run_of(NEW, 55, "an earlier boot")],
     ids=["deleted", "of a backup", "of an earlier boot"],
 )
-async def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(record: RunRecord) -> None:
+async def test_unrecorded_host_is_adopted_and_no_second_one_starts(record: RunRecord) -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.runner.detach()
@@ -198,12 +198,12 @@ async def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(re
     assert computer.disk == RunRecord(open_run=OLD)
 
 
-async def test_another_boot_interrupts_the_mission() -> None:
+async def test_reboot_interrupts_the_mission() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.runner.detach()
     computer.processes.boot = "second boot"
-    # Another process has the same number now.
+    # Another process now has the same id.
     computer.processes.alive[101] = b""
     computer.boot()
     computer.runner.adopt()
@@ -211,11 +211,11 @@ async def test_another_boot_interrupts_the_mission() -> None:
     assert computer.runner.info.phase == "interrupted"
     assert not computer.runner.is_running
     assert computer.processes.started == [OLD]
-    # A vehicle may have been in the air: a person has to look.
+    # A vehicle may have been in the air: a person must check.
     assert computer.disk == RunRecord(unsafe=REBOOTED, open_run=OLD)
 
 
-async def test_a_stop_ends_the_host_and_is_stored() -> None:
+async def test_stop_ends_the_host_and_is_stored() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     await computer.runner.start(OLD)
@@ -232,7 +232,7 @@ async def test_a_stop_ends_the_host_and_is_stored() -> None:
 
 
 @pytest.mark.parametrize("status", [-11, exit_status.UNAVAILABLE])
-async def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
+async def test_stop_cancels_a_pending_restart(status: int) -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.processes.end(status)
@@ -246,7 +246,7 @@ async def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None
     assert bool(computer.disk.unsafe) is (status < 0)
 
 
-async def test_a_stop_forgets_that_vehicles_may_move() -> None:
+async def test_checked_stop_clears_the_unsafe_state() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.processes.end(exit_status.UNSAFE)
@@ -258,7 +258,7 @@ async def test_a_stop_forgets_that_vehicles_may_move() -> None:
     assert computer.disk == RunRecord(open_run=OLD)
 
 
-async def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_in_motion() -> None:
+async def test_host_killed_during_a_stop_is_recorded_as_unsafe() -> None:
     computer = Computer()
     computer.processes.obeys = False
     await computer.runner.start(OLD)
@@ -270,8 +270,8 @@ async def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_i
     assert (computer.disk.bundle, bool(computer.disk.unsafe)) == (b"", True)
 
 
-async def test_a_host_that_was_stopped_before_it_opened_a_device_has_moved_nothing() -> None:
-    """It handles SIGTERM first: this signal ends only a host that has just been started."""
+async def test_host_stopped_before_opening_devices_is_safe() -> None:
+    """A host handles SIGTERM early: this signal ends only a host that has just been started."""
     computer = Computer()
     computer.processes.obeys = False
     for before, after in ((0, ""), (-9, "killed by signal 9")):
@@ -287,7 +287,7 @@ async def test_a_host_that_was_stopped_before_it_opened_a_device_has_moved_nothi
         assert computer.disk.unsafe == after
 
 
-async def test_a_refusal_ends_restarts() -> None:
+async def test_refusal_ends_restarts() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.refusal = "a ballot is open"
@@ -298,18 +298,18 @@ async def test_a_refusal_ends_restarts() -> None:
     await computer.runner.start(OLD)
     computer.processes.end(-11)
     await asyncio.sleep(0.5 * RESTART_DELAY)
-    # Also one that comes while the restart waits.
+    # Also a refusal during the delay of the restart.
     computer.refusal = "a ballot is open"
     await asyncio.sleep(SOON)
     assert computer.processes.started == [OLD, OLD]
     assert computer.runner.info.phase == "interrupted"
-    # Its end, the refusal of that moment, and what to do.
+    # The end, the refusal, and the remedy.
     reason = computer.runner.info.reason
     assert "a ballot is open" in reason
     assert "lfield start" in reason
 
 
-async def test_no_host_starts_before_it_is_stored() -> None:
+async def test_host_does_not_start_before_its_record_is_stored() -> None:
     computer = Computer()
     computer.is_full = True
     with pytest.raises(OutputFileError):
@@ -318,7 +318,7 @@ async def test_no_host_starts_before_it_is_stored() -> None:
     assert computer.runner.record == RunRecord()
 
 
-async def test_a_full_disk_interrupts_restarts_and_the_service_continues() -> None:
+async def test_full_disk_interrupts_restarts_and_the_service_continues() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.is_full = True
@@ -331,14 +331,14 @@ async def test_a_full_disk_interrupts_restarts_and_the_service_continues() -> No
     assert computer.runner.info.phase == "running"
 
 
-async def test_a_stop_with_a_full_disk_ends_the_host() -> None:
+async def test_stop_with_a_full_disk_ends_the_host() -> None:
     computer = Computer()
     await computer.runner.start(OLD)
     computer.is_full = True
     await computer.runner.stop("stopped by anna")
     assert computer.runner.info.phase == "stopped"
     assert not computer.processes.alive
-    # The next service finds its process ended in order.
+    # The next service finds that its process ended regularly.
     computer.is_full = False
     computer.boot()
     computer.runner.adopt()
@@ -346,7 +346,7 @@ async def test_a_stop_with_a_full_disk_ends_the_host() -> None:
     assert computer.processes.started == [OLD]
 
 
-async def test_a_process_that_cannot_be_started_is_not_recorded() -> None:
+async def test_process_that_cannot_be_started_is_not_recorded() -> None:
     computer = Computer()
     computer.processes.trouble = OutputFileError("host.result", "Permission denied")
     with pytest.raises(OutputFileError):

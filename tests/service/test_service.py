@@ -1,4 +1,4 @@
-"""The service of one robot: its votes, and what they bind."""
+"""The service of one robot: its votes and their effects."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from lfield.wire.service_messages import (
 # --- votes ---------------------------------------------------------------------------------------------
 
 
-async def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
+async def test_service_votes_yes_at_rest_and_holds_its_host() -> None:
     robot = Robot()
     await running(robot)
     answer = await robot.propose()
@@ -52,7 +52,7 @@ async def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
 @pytest.mark.parametrize(
     "why", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
 )
-async def test_it_votes_no_with_a_reason(why: str) -> None:
+async def test_service_votes_no_with_a_reason(why: str) -> None:
     robot = Robot()
     await running(robot)
     proposal = ballot()
@@ -83,7 +83,7 @@ async def test_it_votes_no_with_a_reason(why: str) -> None:
     assert bool(status.refusal) is (why not in ("unknown bundle", "bad signature"))
 
 
-async def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
+async def test_takeoff_during_the_hold_leads_to_a_no_vote() -> None:
     robot = Robot()
     await running(robot)
 
@@ -97,7 +97,7 @@ async def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
     assert not robot.files.record.held
 
 
-async def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> None:
+async def test_host_that_cannot_be_held_votes_no_and_is_released() -> None:
     robot = Robot()
     await running(robot)
     robot.probe.hold_trouble = robot.probe.release_trouble = "no answer"
@@ -112,7 +112,7 @@ async def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> No
     task.cancel()
 
 
-async def test_a_host_outside_the_ballot_is_not_bound() -> None:
+async def test_service_outside_the_ballot_is_not_bound() -> None:
     robot = Robot()
     robot.boot_service()
     with pytest.raises(WireError):
@@ -120,7 +120,7 @@ async def test_a_host_outside_the_ballot_is_not_bound() -> None:
     assert robot.files.record == ServiceRecord(ActivationState(active=OLD))
 
 
-async def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> None:
+async def test_closing_query_during_the_hold_leads_to_a_no_vote() -> None:
     robot = Robot()
     await running(robot)
     asking = asyncio.create_task(robot.propose())
@@ -133,7 +133,7 @@ async def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() 
     assert not robot.files.record.held
 
 
-async def test_two_proposals_at_once_get_one_yes() -> None:
+async def test_two_concurrent_proposals_get_one_yes_vote() -> None:
     robot = Robot()
     await running(robot)
     answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
@@ -154,7 +154,7 @@ async def test_activating_the_active_bundle_changes_nothing() -> None:
     assert robot.service.activation.previous == b""
 
 
-async def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
+async def test_file_stored_by_another_desk_is_confirmed() -> None:
     robot = Robot()
     robot.boot_service()
     file = sha256(b"new").digest()
@@ -168,12 +168,12 @@ async def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> N
 
 
 def _without_bravo(number: int = 1) -> Ballot:
-    """As of `push --without bravo`, or of a mission that bravo has no part in."""
+    """As for `push --without bravo`, or for a mission without bravo."""
     return ballot(number, hosts=["alpha"])
 
 
 @pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
-async def test_a_coordinator_whose_home_is_left_out_is_unaccounted_for(state: str) -> None:
+async def test_coordinator_of_an_excluded_host_is_unaccounted_for(state: str) -> None:
     """It has never been on this host, so only the deployment shows that it may exist."""
     robot = Robot()
     await running(robot)
@@ -192,7 +192,7 @@ async def test_a_coordinator_whose_home_is_left_out_is_unaccounted_for(state: st
 
 
 @pytest.mark.parametrize("status", [0, 1])
-async def test_a_run_that_has_ended_needs_no_host(status: int) -> None:
+async def test_ended_run_needs_no_excluded_host(status: int) -> None:
     robot = Robot()
     await running(robot)
     robot.processes.end(status)
@@ -200,7 +200,7 @@ async def test_a_run_that_has_ended_needs_no_host(status: int) -> None:
     assert (await robot.propose(_without_bravo())).outcome == "activated"
 
 
-async def test_a_run_that_no_host_has_started_or_that_all_have_accounted_for_needs_no_host() -> None:
+async def test_unstarted_or_accounted_run_needs_no_excluded_host() -> None:
     robot = Robot()
     robot.boot_service()
     assert (await robot.propose(_without_bravo())).outcome == "activated"
@@ -210,10 +210,10 @@ async def test_a_run_that_no_host_has_started_or_that_all_have_accounted_for_nee
     assert (await robot.propose(_without_bravo(3))).outcome == "activated"
 
 
-# --- what a vote binds ---------------------------------------------------------------------------------
+# --- effects of a vote ---------------------------------------------------------------------------------
 
 
-async def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
+async def test_bound_host_neither_starts_nor_restarts() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -222,7 +222,7 @@ async def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
     assert robot.processes.started == [OLD]
     assert (await robot.start()).trouble
     assert robot.processes.started == [OLD]
-    # Nor does the next service.
+    # The next service does not either.
     robot.kill_service()
     robot.boot_service()
     await asyncio.sleep(SOON)
@@ -230,7 +230,7 @@ async def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
     assert robot.processes.started == [OLD]
 
 
-async def test_after_an_abort_the_host_is_resumed() -> None:
+async def test_host_is_resumed_after_an_abort() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -244,7 +244,7 @@ async def test_after_an_abort_the_host_is_resumed() -> None:
 
 
 @pytest.mark.parametrize("moment", ["before", "after"])
-async def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
+async def test_pause_by_a_person_stays_after_an_abort(moment: str) -> None:
     robot = Robot()
     await running(robot)
     robot.probe.paused = moment == "before"
@@ -255,7 +255,7 @@ async def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
     assert (robot.probe.paused, robot.probe.held) == (True, b"")
 
 
-async def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
+async def test_host_restarted_during_the_vote_votes_no() -> None:
     """The new process is not held."""
     robot = Robot()
     await running(robot)
@@ -269,7 +269,7 @@ async def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
     assert robot.processes.started == [OLD, OLD]
 
 
-async def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -> None:
+async def test_host_that_crashed_while_held_is_not_held_later() -> None:
     robot = Robot()
     await running(robot)
     task = asyncio.create_task(robot.service.resolve(unreachable))
@@ -284,7 +284,7 @@ async def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -
     task.cancel()
 
 
-async def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> None:
+async def test_host_stays_held_until_it_ends_after_an_activation() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -298,7 +298,7 @@ async def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> Non
     assert not robot.files.record.held
 
 
-async def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() -> None:
+async def test_service_with_deleted_state_releases_a_held_host() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -309,7 +309,7 @@ async def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() 
     assert not robot.probe.held
 
 
-async def test_an_activation_ends_the_host_of_another_bundle() -> None:
+async def test_activation_ends_the_host_of_another_bundle() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -322,7 +322,7 @@ async def test_an_activation_ends_the_host_of_another_bundle() -> None:
     assert robot.processes.started == [OLD, NEW]
 
 
-async def test_a_host_of_the_old_bundle_is_not_restarted_after_an_activation() -> None:
+async def test_host_of_the_old_bundle_is_not_restarted() -> None:
     """The service and the host were killed between the record of the result and the end of the host."""
     robot = Robot()
     await running(robot)
@@ -334,7 +334,7 @@ async def test_a_host_of_the_old_bundle_is_not_restarted_after_an_activation() -
     assert robot.processes.started == [OLD]
 
 
-async def test_a_start_names_the_bundle_that_must_be_active() -> None:
+async def test_start_is_refused_for_an_inactive_bundle() -> None:
     robot = Robot()
     robot.boot_service()
     assert (await robot.command(MissionCommand("start", NEW))).trouble
@@ -347,7 +347,7 @@ async def test_a_start_names_the_bundle_that_must_be_active() -> None:
     assert (await robot.start()).trouble
 
 
-async def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
+async def test_start_without_an_unknown_host_is_refused() -> None:
     robot = Robot()
     robot.boot_service()
     result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
@@ -355,7 +355,7 @@ async def test_a_start_without_a_host_that_the_mission_does_not_have_starts_noth
     assert robot.processes.started == []
 
 
-async def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
+async def test_stop_sent_before_a_kill_does_not_confirm_rest() -> None:
     robot = Robot()
     await running(robot)
     voting = asyncio.create_task(robot.propose())
@@ -366,13 +366,13 @@ async def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that
     await voting
     await robot.service.on_votes(ballot().id, {"bravo": "no"})
     assert (await robot.propose(ballot(2))).votes == {"alpha": "no"}
-    # The next one is sent by an operator who has read that.
+    # The next stop is sent by an operator who has read the answer.
     answer = await robot.command(MissionCommand("stop"))
     assert (answer.trouble, answer.checked) == ("", "killed by signal 9")
     assert (await robot.propose(ballot(3))).votes == {"alpha": "yes"}
 
 
-async def test_a_stop_with_discard_ends_what_is_parked() -> None:
+async def test_stop_with_discard_ends_parked_coordinators() -> None:
     robot = Robot()
     await running(robot)
     robot.probe.waiting = [WALKER]
@@ -384,7 +384,7 @@ async def test_a_stop_with_discard_ends_what_is_parked() -> None:
     assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
 
 
-async def test_a_service_whose_state_was_deleted_leaves_its_host_alone_and_votes_no() -> None:
+async def test_service_with_deleted_state_keeps_its_host_and_votes_no() -> None:
     robot = Robot()
     await running(robot)
     robot.kill_service()

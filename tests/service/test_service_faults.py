@@ -49,7 +49,7 @@ class Bravo:
         return BallotState(query.id, None, vote if query.closes or self.state.ballot else {}, {}, "open")
 
 
-async def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
+async def test_bound_host_asks_the_others_until_the_result_is_known() -> None:
     robot, bravo = Robot(), Bravo()
     await running(robot)
     await robot.propose()
@@ -66,7 +66,7 @@ async def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
     task.cancel()
 
 
-async def test_it_closes_a_ballot_after_half_a_minute() -> None:
+async def test_bound_host_closes_a_ballot_after_half_a_minute() -> None:
     robot, bravo = Robot(), Bravo()
     await running(robot)
     await robot.propose()
@@ -80,7 +80,7 @@ async def test_it_closes_a_ballot_after_half_a_minute() -> None:
     task.cancel()
 
 
-async def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
+async def test_open_ballot_is_logged_periodically() -> None:
     robot = Robot()
     await running(robot)
     await robot.propose()
@@ -92,7 +92,7 @@ async def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
     task.cancel()
 
 
-async def test_a_service_that_was_restarted_still_asks() -> None:
+async def test_restarted_service_still_asks_the_others() -> None:
     robot, bravo = Robot(), Bravo()
     await running(robot)
     await robot.propose()
@@ -111,7 +111,7 @@ async def test_a_service_that_was_restarted_still_asks() -> None:
 # --- full disks ----------------------------------------------------------------------------------------
 
 
-async def test_a_full_disk_before_the_vote_changes_nothing() -> None:
+async def test_full_disk_before_the_vote_changes_nothing() -> None:
     robot = Robot()
     await running(robot)
     before = robot.files.record
@@ -125,7 +125,7 @@ async def test_a_full_disk_before_the_vote_changes_nothing() -> None:
     with pytest.raises(OutputFileError):
         await robot.query(ballot().id, closes=True)
     assert (await robot.query(ballot().id)).votes == {}
-    # It is shown until there is room again.
+    # The error is shown until there is space again.
     for _ in range(2):
         assert "No space left on device" in (await robot.status()).refusal
     assert robot.codes.count("service-state-error") == 1
@@ -134,7 +134,7 @@ async def test_a_full_disk_before_the_vote_changes_nothing() -> None:
     assert (await robot.propose()).votes == {"alpha": "yes"}
 
 
-async def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
+async def test_disk_that_fills_during_the_hold_prevents_the_vote() -> None:
     robot = Robot()
     await running(robot)
 
@@ -155,7 +155,7 @@ async def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
     task.cancel()
 
 
-async def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
+async def test_full_disk_after_the_vote_delays_the_result() -> None:
     robot, bravo = Robot(), Bravo()
     await running(robot)
     await robot.propose()
@@ -179,7 +179,7 @@ async def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
 
 
 async def push_and_start(robot: Robot, *, activates: bool) -> None:
-    """A whole push, and the start of what is active then."""
+    """A complete push, and the start of the active bundle."""
     await robot.start()
     await robot.propose()
     await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
@@ -195,7 +195,7 @@ async def saves_of(*, activates: bool) -> int:
 
 
 @pytest.mark.parametrize("activates", [True, False], ids=["activated", "aborted"])
-def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates: bool) -> None:
+def test_kill_before_or_after_each_save_leaves_a_consistent_state(activates: bool) -> None:
     async def killed_at(moment: float) -> None:
         robot = Robot()
         robot.boot_service()
@@ -212,7 +212,7 @@ def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates
         voted = robot.files.record.activation.open_ballot is not None
         alive = dict(robot.processes.alive)
         robot.boot_service()
-        # A host that runs is supervised again, whenever the service ended.
+        # A running host is supervised again, for every moment of the kill.
         assert robot.runner.is_running is bool(alive)
         await robot.service.settle()
         assert bool(robot.probe.held) is (voted and bool(alive)), moment
@@ -240,7 +240,7 @@ def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates
     run_jumping(story())
 
 
-async def test_the_record_of_a_process_identifies_it_also_after_its_number_was_used_again() -> None:
+async def test_process_record_survives_reuse_of_the_process_id() -> None:
     robot = Robot()
     await running(robot)
     assert not robot.processes.is_alive(ProcessId(101, 1))

@@ -1,4 +1,4 @@
-"""A robot whose clock shows 1970 accepts bundles by the times that certificates and signatures prove."""
+"""A robot whose clock shows 1970 accepts bundles by the times of certificates and signatures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def verifier(keys: Keys) -> BundleVerifier:
     )
 
 
-def test_a_bundle_is_accepted_and_its_signature_moves_the_clock(tmp_path: Path) -> None:
+def test_bundle_is_accepted_and_its_signature_advances_the_clock(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
     keyring.put("me", keyring.made("person", "anna", *ALL_RIGHTS))
     data = signed(tmp_path, keyring)
@@ -48,7 +48,7 @@ def test_a_bundle_is_accepted_and_its_signature_moves_the_clock(tmp_path: Path) 
     assert abs(info.at - time.time()) < 600
 
 
-def test_a_signer_without_the_right_is_refused_in_1970_too(tmp_path: Path) -> None:
+def test_signer_without_the_right_is_refused_in_1970(tmp_path: Path) -> None:
     keyring = Keyring(tmp_path / "keys")
     keyring.put("me", keyring.made("person", "maria", Right.COMMAND))
     data = signed(tmp_path, keyring)

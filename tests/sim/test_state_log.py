@@ -1,4 +1,4 @@
-"""What fakes write down of themselves: every change once, with the time at which it was so."""
+"""The state log of fakes: every change once, with its time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lfield.testing.driver_bench import running_fake
 from lfield_sim.state_log import StateLog
 
 
-def told(path: Path) -> list[list[str]]:
-    """The lines, without their times."""
+def entries(path: Path) -> list[list[str]]:
+    """The log lines without their times."""
     return [line.split()[1:] for line in path.read_text(encoding="utf-8").splitlines()]
 
 
-def test_every_change_is_told_once(tmp_path):
+def test_every_change_is_logged_once(tmp_path):
     path, now, facts = tmp_path / "log", iter([1.0, 3.5]), {"mode": "AUTO LAND", "armed": True}
     log = StateLog(str(path), {"3": lambda: facts}, lambda: next(now))
     log.write_changes()
@@ -32,14 +32,14 @@ def test_every_change_is_told_once(tmp_path):
     ]
 
 
-def test_without_a_file_nobody_is_asked():
-    def asked():
+def test_without_a_file_the_state_is_not_read():
+    def read_state():
         raise AssertionError
 
-    StateLog("", {"1": asked}).write_changes()
+    StateLog("", {"1": read_state}).write_changes()
 
 
-def test_a_file_that_cannot_be_written(tmp_path):
+def test_unwritable_log_file_is_an_error(tmp_path):
     with pytest.raises(OutputFileError, match="cannot write"):
         StateLog(str(tmp_path / "no" / "log"), {})
 
@@ -65,12 +65,12 @@ def test_a_file_that_cannot_be_written(tmp_path):
         ),
     ],
 )
-def test_a_fake_tells_how_it_begins(tmp_path, kind, words, facts):
+def test_fake_logs_its_initial_state(tmp_path, kind, words, facts):
     path, start = tmp_path / "log", time.monotonic()
     with running_fake(kind, *words, "--log", str(path)):
         end = time.monotonic() + 30.0
-        while any(fact not in told(path) for fact in facts):
-            assert time.monotonic() < end, told(path)
+        while any(fact not in entries(path) for fact in facts):
+            assert time.monotonic() < end, entries(path)
             time.sleep(0.01)
     times = [float(line.split()[0]) for line in path.read_text().splitlines()]
     assert times == sorted(times)

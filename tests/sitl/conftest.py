@@ -1,4 +1,4 @@
-"""Simulators that `make test-sitl` was given, and a table of what they did, printed in the end."""
+"""Simulators for `make test-sitl`, and a table of their results, printed at the end."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from sitl_missions import Command, Mission
 from sitl_simulators import KINDS, Kind, Simulator, why_not
 from sitl_watcher import Watcher
 
-#: Seconds for a simulator to be heard, and between two looks.
-HEARD, LOOK = 60.0, 0.2
-#: The share of real time below which a simulator's own time is why a check may fail.
+#: Seconds to wait for a simulator's heartbeat, and between two checks.
+CONTACT_TIMEOUT, CHECK_INTERVAL = 60.0, 0.2
+#: The share of real time below which a slow simulator may be the reason for a failed check.
 SLOW = 0.95
-#: What flies beside the first vehicle in an example: how many more vehicles, and the fakes of other devices.
+#: Additional vehicles of an example (number), and the fakes of its other devices.
 OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     "01-first-flight": (1, ()),
     "02-equivalent-lift": (
@@ -38,14 +38,14 @@ OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     ),
 }
 
-#: `make test` has no simulators: there these files are left alone.
+#: `make test` has no simulators: it ignores these files.
 collect_ignore_glob = [] if os.environ.get("LFIELD_SITL") else ["test_sitl.py"]
 given = [kind for kind in KINDS if os.environ.get(kind.variable)]
 _rows: list[tuple[str, str, str, str]] = []
 
 
 class Field:
-    """A running simulator of one kind, set up for the bindings used here, with who watches it."""
+    """A running simulator of one kind, set up for the bindings of these tests, with its watcher."""
 
     def __init__(self, kind: Kind, folder: Path) -> None:
         self.kind, self._folder, self._count = kind, folder, 0
@@ -53,16 +53,18 @@ class Field:
         self._watcher: Watcher | None = None
 
     def open(self) -> None:
-        """Start it, and wait until it is heard. Fails in a sentence when it is not."""
-        simulator, end = self.another(), time.monotonic() + HEARD
+        """Starts it, and waits for its heartbeat. Fails with one sentence if there is none."""
+        simulator, end = self.another(), time.monotonic() + CONTACT_TIMEOUT
         while self._watcher is None or not self._watcher.mode:
             if simulator.trouble:
                 pytest.fail(simulator.trouble, pytrace=False)
             if time.monotonic() > end:
-                place = f"{self.kind.name} is not heard at {simulator.second} within {HEARD:g} s"
-                said = f"; it said\n{simulator.words}" if simulator.words else ""
-                pytest.fail(f"{place}{said}", pytrace=False)
-            time.sleep(LOOK)
+                place = (
+                    f"{self.kind.name} sends no heartbeat at {simulator.second} within {CONTACT_TIMEOUT:g} s"
+                )
+                output = f"; its output:\n{simulator.words}" if simulator.words else ""
+                pytest.fail(f"{place}{output}", pytrace=False)
+            time.sleep(CHECK_INTERVAL)
             if self._watcher is None:
                 # A simulator takes a while to listen.
                 with suppress(OSError):
@@ -70,17 +72,17 @@ class Field:
 
     @property
     def first(self) -> Simulator:
-        """The vehicle that is watched."""
+        """The watched vehicle."""
         return self.simulators[0]
 
     @property
     def watcher(self) -> Watcher:
-        """Who watches it."""
+        """The watcher of the vehicle."""
         assert self._watcher is not None
         return self._watcher
 
     def folder(self) -> Path:
-        """A new one."""
+        """A new folder."""
         self._count += 1
         return self._folder / str(self._count)
 
@@ -95,17 +97,17 @@ class Field:
         return simulator
 
     def mission(self, program: str, agents: str, endpoint: str = "") -> Mission:
-        """A mission for the first of them."""
+        """A mission for the first vehicle."""
         return Mission.on(self.first, self.folder(), program, agents, endpoint)
 
     def lfield(self, *words: str | Path) -> Command:
-        """A command of lfield, begun."""
+        """A started command of lfield."""
         for simulator in self.simulators:
             assert not simulator.trouble, simulator.trouble
         return Command(self.folder(), *words)
 
     def up(self, mission: Mission, *options: str) -> Command:
-        """The one host of a mission, begun."""
+        """The started host of a mission."""
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
@@ -121,14 +123,14 @@ class Field:
         started = [self.lfield("sim", *fake.split()) for fake in fakes]
         try:
             for fake in started:
-                fake.wait_for("ready ", HEARD)
+                fake.wait_for("ready ", CONTACT_TIMEOUT)
             yield
         finally:
             for fake in started:
                 fake.end()
 
     def close(self) -> None:
-        """End all that we have started."""
+        """Ends everything that this object has started."""
         if self._watcher is not None:
             self._watcher.close()
         for simulator in self.simulators:
@@ -137,7 +139,7 @@ class Field:
 
 @pytest.fixture(scope="module", params=given, ids=lambda kind: kind.name)
 def field(request, tmp_path_factory) -> Iterator[Field]:
-    """Each kind that was given."""
+    """Each given kind."""
     made = Field(request.param, tmp_path_factory.mktemp(request.param.name))
     try:
         made.open()
@@ -163,13 +165,13 @@ def pytest_collection_modifyitems(config, items) -> None:
 
 @pytest.fixture
 def figure(request) -> Callable[[str], None]:
-    """Say a figure for the table."""
+    """Adds a figure to the table."""
     return lambda text: request.node.user_properties.append(("figure", text))
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """Keep a row for each check that was tried."""
+    """Stores a row for each executed check."""
     report = yield
     counts = call.when == "call" or (call.when == "setup" and not report.passed)
     if counts and item.path.name == "test_sitl.py":
@@ -178,17 +180,17 @@ def pytest_runtest_makereport(item, call):
 
 
 def _row(item, report, call) -> tuple[str, str, str, str]:
-    """The simulator, the check, its outcome, and figures or the first line of why not."""
-    told = [str(value) for name, value in item.user_properties if name == "figure"]
+    """The simulator, the check, its outcome, and figures or the first line of the failure."""
+    details = [str(value) for name, value in item.user_properties if name == "figure"]
     if call.excinfo is not None:
-        told.append(str(call.excinfo.value).partition("\n")[0])
+        details.append(str(call.excinfo.value).partition("\n")[0])
         field = getattr(item, "funcargs", {}).get("field")
         pace = field.watcher.pace(call.duration) if field is not None else None
         if pace is not None and pace < SLOW:
-            told.append(f"its time ran at {pace:.2f} of real time: the computer is too slow or too busy")
+            details.append(f"its time ran at {pace:.2f} of real time: the computer is too slow or too busy")
     simulator = item.callspec.id if hasattr(item, "callspec") else ""
     check = item.originalname.removeprefix("test_").replace("_", " ")
-    return simulator, check, report.outcome, "; ".join(told)
+    return simulator, check, report.outcome, "; ".join(details)
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
@@ -196,5 +198,5 @@ def pytest_terminal_summary(terminalreporter) -> None:
     if not _rows:
         return
     terminalreporter.section("simulators")
-    for simulator, check, outcome, told in dict.fromkeys(_rows):
-        terminalreporter.write_line(f"{outcome:8} {simulator:28} {check:34} {told}")
+    for simulator, check, outcome, details in dict.fromkeys(_rows):
+        terminalreporter.write_line(f"{outcome:8} {simulator:28} {check:34} {details}")

@@ -1,4 +1,4 @@
-"""Missions that are flown on a real autopilot, and the lfield processes that fly them."""
+"""Missions for a real autopilot, and the lfield processes that run them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pathlib import Path
 from sitl_simulators import Simulator
 
 ROOT = Path(__file__).parents[2]
-#: What binds the examples to simulators.
+#: The bindings of the examples to simulators.
 REAL = ROOT / "sim-adapters" / "real"
-#: m/s: the limit of every binding here. It is below what the autopilots fly by themselves (10, 5 and 5).
+#: m/s: the limit of every binding here. It is below the autopilots' default speeds (10, 5 and 5).
 SPEED = 3.0
 #: Seconds from a cold start until a vehicle may be armed.
 READY = 120.0
-#: Lines of what a command said that are shown when it failed.
+#: Lines of output of a failed command that are shown.
 MAX_LAST_LINES = 40
 
-#: One place after another, then velocities: all ways in which a vehicle is moved.
+#: Goals, then velocities: all kinds of motion.
 TOUR = {
     "copter": """
 include <mavlink/copter.L>;
@@ -78,7 +78,7 @@ resource Motors {
     init(string[] arg) { fc.waitReady(90.0); fc.arm(); fc.disarm(); write("armed and disarmed\\n"); }
 }
 """
-#: In the air, on a long way by velocities, for as long as somebody lets it.
+#: In the air, under velocities, until it is stopped.
 AWAY = """
 resource Copter {
     Mavlink fc;
@@ -101,7 +101,7 @@ class Mission:
 
     @classmethod
     def on(cls, simulator: Simulator, folder: Path, program: str, agents: str, endpoint: str = "") -> Mission:
-        """Write it; `agents` are the lines of the deployment, the first of which has the device `fc`."""
+        """Writes the mission; `agents` are the lines of the deployment, the first one has the device `fc`."""
         folder.mkdir(parents=True, exist_ok=True)
         agent = agents.partition(":")[2].partition("@")[0]
         vehicle = simulator.kind.vehicle
@@ -121,7 +121,7 @@ class Command:
 
     def __init__(self, folder: Path, *arguments: str | Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._file = folder / "said.txt"
+        self._file = folder / "output.txt"
         environment = {**os.environ, "LFIELD_RUNS": "here", "XDG_STATE_HOME": str(folder)}
         with self._file.open("wb") as output:
             self.process = subprocess.Popen(
@@ -135,28 +135,28 @@ class Command:
         self.arguments = " ".join(map(str, arguments))
 
     @property
-    def said(self) -> str:
-        """What it has said."""
+    def output(self) -> str:
+        """Its output."""
         return self._file.read_text(errors="replace")
 
     @property
     def last_lines(self) -> str:
-        """The end of it, for people."""
-        return f"$ lfield {self.arguments}\n" + "\n".join(self.said.splitlines()[-MAX_LAST_LINES:])
+        """The last lines of its output."""
+        return f"$ lfield {self.arguments}\n" + "\n".join(self.output.splitlines()[-MAX_LAST_LINES:])
 
-    def says(self, text: str, bound: float) -> bool:
-        """Whether it says this within `bound` seconds, and before it ends."""
+    def prints(self, text: str, bound: float) -> bool:
+        """Whether it prints this within `bound` seconds, and before it ends."""
         end = time.monotonic() + bound
-        while text not in self.said and time.monotonic() < end and self.process.poll() is None:
+        while text not in self.output and time.monotonic() < end and self.process.poll() is None:
             time.sleep(0.1)
-        return text in self.said
+        return text in self.output
 
     def wait_for(self, text: str, bound: float) -> None:
-        """Wait until it has said this. Fails when it does not."""
-        assert self.says(text, bound), f"it did not say '{text}' within {bound:g} s\n{self.last_lines}"
+        """Waits until it has printed this. Fails if it does not."""
+        assert self.prints(text, bound), f"no output '{text}' within {bound:g} s\n{self.last_lines}"
 
     def wait(self, bound: float) -> int:
-        """Its exit status. Fails when it does not end."""
+        """Its exit status. Fails if it does not end."""
         try:
             return self.process.wait(bound)
         except subprocess.TimeoutExpired:
@@ -164,12 +164,12 @@ class Command:
             raise AssertionError(f"it did not end within {bound:g} s\n{self.last_lines}") from None
 
     def succeeds(self, bound: float) -> None:
-        """Wait until it has ended with 0."""
+        """Waits until it has ended with status 0."""
         status = self.wait(bound)
         assert status == 0, f"it ended with {status}\n{self.last_lines}"
 
     def end(self) -> None:
-        """End it, its devices safe; by force when it does not."""
+        """Ends it with its devices safe, or kills it after a time-out."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
@@ -180,7 +180,7 @@ class Command:
 
     @property
     def guard(self) -> int:
-        """The process of its one guard. Fails when there is none."""
+        """The process of its only guard. Fails if there is none."""
         file = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         children = [int(word) for word in file.read_text().split()]
         assert len(children) == 1, f"its guard is not there: {children}\n{self.last_lines}"

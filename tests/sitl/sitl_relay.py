@@ -1,4 +1,4 @@
-"""A bad radio: a relay between a ground station and a vehicle that loses packets both ways, by dice."""
+"""A bad radio: a relay between a ground station and a vehicle that loses random packets both ways."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from collections.abc import Iterator
 #: MAVLink 1 and 2: marker -> bytes around the payload; a signature has 13 more.
 _AROUND = {0xFE: 8, 0xFD: 12}
 _SIGNED, _SIGNATURE = 0x01, 13
-#: Seconds between two looks at whether it is to end.
+#: Seconds between two checks for the end.
 POLL_INTERVAL = 0.2
 
 
 class Frames:
-    """Cuts a stream of bytes into MAVLink packets; what is between packets is left out."""
+    """Cuts a stream of bytes into MAVLink packets; bytes between packets are dropped."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def cut(self, data: bytes) -> Iterator[bytes]:
-        """The packets that are whole by now."""
+        """The packets that are complete by now."""
         self._rest += data
         while self._rest:
             length = self._length()
@@ -33,7 +33,7 @@ class Frames:
                 yield packet
 
     def _length(self) -> int | None:
-        """Bytes of what is in front: a packet, or a byte that begins none; None while that is not known."""
+        """The length of the first packet, 1 for a byte that starts none, None while unknown."""
         marker = self._rest[0]
         if marker not in _AROUND:
             return 1
@@ -44,9 +44,9 @@ class Frames:
 
 
 class Relay:
-    """Between a vehicle's link (`tcp:`, `udp:` or `udpin:HOST:PORT`) and whoever sends to `endpoint`.
+    """Between a vehicle's link (`tcp:`, `udp:` or `udpin:HOST:PORT`) and the station at `endpoint`.
 
-    Of every packet, each way, a share `loss` is lost; `seed` makes the dice.
+    Of every packet, each way, a share `loss` is lost; `seed` seeds the losses.
     """
 
     def __init__(self, vehicle: str, loss: float, seed: int = 1) -> None:
@@ -62,7 +62,7 @@ class Relay:
         self._thread.start()
 
     def close(self) -> None:
-        """Hang up."""
+        """Closes the relay."""
         self._ended = True
         self._thread.join()
         self._vehicle.close()
@@ -97,7 +97,7 @@ class Relay:
 
 
 def _connected(endpoint: str) -> tuple[socket.socket, tuple[str, int] | None]:
-    """A socket to a vehicle; for one that sends to us first, `("", 0)` until it has."""
+    """A socket to a vehicle; its peer is `("", 0)` until a vehicle that sends first has sent."""
     kind, host, port = endpoint.split(":")
     address = (host, int(port))
     if kind == "tcp":
@@ -111,7 +111,7 @@ def _connected(endpoint: str) -> tuple[socket.socket, tuple[str, int] | None]:
 
 
 def _received(vehicle: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
-    """Bytes of a vehicle, and where it sends from; none when nobody listens there yet."""
+    """Bytes of a vehicle, and its address; no bytes if the vehicle does not listen yet."""
     try:
         if peer is None:
             return vehicle.recv(65535), None

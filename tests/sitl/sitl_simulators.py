@@ -18,18 +18,18 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-#: What ArduPilot is given beside its own defaults, so that it may be armed and has a gripper.
+#: Parameters of ArduPilot beside its defaults, so that it can be armed and has a gripper.
 PARAMETERS = Path(__file__).parents[2] / "sim-adapters" / "real"
 #: Seconds for a simulator to end by itself before it is killed.
 ENDS = 5.0
-#: Why a build cannot be started, beside what the system says.
+#: Reasons why a build cannot be started, in addition to the system's message.
 REASONS: Mapping[int, str] = {
     errno.ENOENT: "give the path of a simulator's build, or an endpoint",
     errno.EACCES: "it is no program, or has no execution right: chmod +x",
     errno.ENOEXEC: "it is built for another kind of computer",
     errno.EADDRINUSE: "end what runs there, or give its endpoint in place of a path",
 }
-#: Lines of a simulator's own output that are shown when something failed.
+#: Lines of a simulator's output that are shown after a failure.
 LAST_LINES = 15
 
 
@@ -53,10 +53,10 @@ KINDS = (
 
 @dataclass
 class Simulator:
-    """One simulated vehicle: where lfield reaches it, and where a second client watches it.
+    """One simulated vehicle: the endpoint for lfield, and the endpoint for a second client that watches it.
 
-    `given` is what the variable says: the path of a build, perhaps with options behind it, or
-    `ENDPOINT[,SECOND]` of one that runs already. `instance` counts from 0; the system id is one more.
+    `given` is the value of the variable: the path of a build, perhaps with options behind it, or
+    `ENDPOINT[,SECOND]` of a running one. `instance` counts from 0; the system id is one more.
     """
 
     kind: Kind
@@ -72,12 +72,12 @@ class Simulator:
 
     @property
     def is_running_elsewhere(self) -> bool:
-        """Whether somebody else has started it."""
+        """Whether it was started outside these tests."""
         return self.given.startswith(("tcp:", "udp:", "udpin:"))
 
     @property
     def endpoint(self) -> str:
-        """For a binding."""
+        """The endpoint for a binding."""
         if self.is_running_elsewhere:
             return self.given.partition(",")[0]
         if self.kind.px4:
@@ -86,11 +86,11 @@ class Simulator:
 
     @property
     def second(self) -> str:
-        """Another link to it, on which it is watched."""
+        """Another link to it, for the watcher."""
         if self.is_running_elsewhere:
             return self.given.partition(",")[2] or self.endpoint
         if self.kind.px4:
-            # Its link for ground stations: all instances send to one port, so it is asked where it listens.
+            # Its link for ground stations: all instances send to one port; this is the port of its socket.
             return f"udp:127.0.0.1:{18570 + self.instance}"
         return f"tcp:127.0.0.1:{5762 + 10 * self.instance}"
 
@@ -102,7 +102,7 @@ class Simulator:
         return tuple((socket.SOCK_STREAM, port + 10 * self.instance) for port in (5760, 5762))
 
     def start(self, folder: Path) -> None:
-        """Start it in a folder of its own, with an empty memory. Raises OSError."""
+        """Starts it in its own folder, with empty storage. Raises OSError."""
         if self.is_running_elsewhere:
             return
         for kind, port in self.ports:
@@ -123,7 +123,7 @@ class Simulator:
             )
 
     def end(self) -> None:
-        """End it, if we have started it."""
+        """Ends it, if it was started here."""
         if self._process is None:
             return
         self._signal(signal.SIGTERM)
@@ -134,19 +134,19 @@ class Simulator:
             self._process.wait()
 
     def _signal(self, number: signal.Signals) -> None:
-        """To it and what it has started: PX4's start-up is a shell's."""
+        """Signals its process group: PX4 is started by a shell."""
         assert self._process is not None
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, number)
 
     @property
     def trouble(self) -> str:
-        """Why it does not run, '' when it does."""
+        """The reason why it does not run, '' if it runs."""
         status = None if self._process is None else self._process.poll()
         if status is None:
             return ""
         last = self.words.rpartition("\n")[2] or "nothing"
-        return f"{self.kind.name} has ended with {status}; it said last: {last}\n{self.words}"
+        return f"{self.kind.name} has ended with {status}; last output: {last}\n{self.words}"
 
     @property
     def words(self) -> str:
@@ -158,10 +158,10 @@ class Simulator:
 
 
 def is_port_in_use(kind: socket.SocketKind, port: int) -> bool:
-    """Whether somebody listens at a port of this computer."""
+    """Whether a process listens at a port of this computer."""
     with socket.socket(socket.AF_INET, kind) as one:
         if kind is socket.SOCK_STREAM:
-            # What a simulator that has just ended leaves behind is nobody.
+            # Ignores connections of a simulator that has just ended.
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             one.bind(("127.0.0.1", port))
@@ -171,7 +171,7 @@ def is_port_in_use(kind: socket.SocketKind, port: int) -> bool:
 
 
 def why_not(given: str, error: OSError) -> str:
-    """Why a build could not be started, in words."""
+    """The reason why a build could not be started."""
     reason = REASONS.get(error.errno or 0, "")
     if error.errno == errno.ENOENT and Path(split(given)[0]).exists():
         reason = "the file is there, but not the loader that it was built for: it is for another system"
@@ -179,7 +179,7 @@ def why_not(given: str, error: OSError) -> str:
 
 
 def split(given: str) -> list[str]:
-    """The path of a build, which may be relative, of somebody's home, or a name on the PATH; its options."""
+    """The path of a build (relative, in a home folder, or a name on the PATH) and its options."""
     binary, *options = shlex.split(given)
     path = Path(binary).expanduser()
     found = None if path.exists() else shutil.which(binary)
@@ -190,7 +190,7 @@ def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
     """The command that starts an ArduPilot build, and what is added to its environment."""
     binary, *options = split(simulator.given)
     parameters = [PARAMETERS / f"{simulator.kind.name}.parm"]
-    # A build in its source tree has the parameters that its own tests use.
+    # A build in its source tree has the parameters of its own tests.
     stock = Path(binary).resolve().parents[3:4]
     beside = [tree / "Tools/autotest/default_params" / f"{simulator.kind.vehicle}.parm" for tree in stock]
     parameters = [*(file for file in beside if file.is_file()), *parameters]
@@ -202,7 +202,7 @@ def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
 
 
 def px4(simulator: Simulator, folder: Path) -> tuple[list[str], Mapping[str, str]]:
-    """The same of a PX4 build; its start-up files lie beside the folder of the binary."""
+    """The command and environment of a PX4 build; its start-up files are beside the binary's folder."""
     binary, *options = split(simulator.given)
     files = Path(binary).resolve().parent.parent / "etc"
     words = [binary, *options, "-i", str(simulator.instance), "-d", "-w", str(folder)]

@@ -1,4 +1,4 @@
-"""A second client that only watches a vehicle: what it does, whatever lfield says of it."""
+"""A second client that only watches a vehicle, independently of lfield."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-#: Who it is: not the station that autopilots listen to, so that no failsafe is kept content by it.
+#: Its ids: not those of the autopilots' station, so that it does not prevent a failsafe.
 SYSTEM, COMPONENT = 77, 190
-#: What it asks for, and how often (Hz).
+#: The requested messages and their rates (Hz).
 RATES = {
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
@@ -23,7 +23,7 @@ RATES = {
 
 @dataclass(frozen=True)
 class Observation:
-    """One thing that was seen: when (CLOCK_MONOTONIC, s), what, and how."""
+    """One observed change: time (CLOCK_MONOTONIC, s), quantity, and value."""
 
     at: float
     what: str
@@ -45,7 +45,7 @@ class Watcher:
         self.mode, self.armed, self.height, self.speed = "", False, math.nan, math.nan
         #: Every mode, arming, and text, in order.
         self.observations: list[Observation] = []
-        #: (when, m/s), of everything that was told.
+        #: (time, m/s) of every report.
         self.speeds: list[tuple[float, float]] = []
         #: (when, the vehicle's own seconds since its start), likewise.
         self.times: list[tuple[float, float]] = []
@@ -55,7 +55,7 @@ class Watcher:
     # -- questions ------------------------------------------------------------------------------------
 
     def until(self, condition: Callable[[Watcher], bool], bound: float, what: str) -> float:
-        """Wait until a condition of this watcher holds; the seconds that it took. Fails after `bound`."""
+        """Waits until a condition of this watcher holds; returns the seconds. Fails after `bound`."""
         start = time.monotonic()
         with self._changed:
             came = self._changed.wait_for(lambda: condition(self), bound)
@@ -63,30 +63,30 @@ class Watcher:
         return time.monotonic() - start
 
     def top_speed(self, since: float) -> float:
-        """The highest speed over ground since then, 0 when none was told."""
+        """The highest speed over ground since then, 0 without a report."""
         return max((speed for at, speed in self.speeds if at >= since), default=0.0)
 
     def pace(self, last: float) -> float | None:
-        """How fast its time ran in the last seconds, 1 in real time; None when it told too little of it."""
+        """The rate of its clock in the last seconds, 1 for real time; None with too few reports."""
         now = time.monotonic()
-        told = [each for each in self.times if each[0] >= now - last]
-        if not told or told[-1][0] - told[0][0] < 2.0:
+        reports = [each for each in self.times if each[0] >= now - last]
+        if not reports or reports[-1][0] - reports[0][0] < 2.0:
             return None
-        return (told[-1][1] - told[0][1]) / (told[-1][0] - told[0][0])
+        return (reports[-1][1] - reports[0][1]) / (reports[-1][0] - reports[0][0])
 
     def story(self, since: float = 0.0) -> str:
-        """What was seen, one per line, with seconds since then."""
+        """The observations, one per line, with seconds since then."""
         start = since or (self.observations[0].at if self.observations else 0.0)
         lines = [
             f"{each.at - start:8.2f} s  {each.what} {each.value}"
             for each in self.observations
             if each.at >= since
         ]
-        return "\n".join(lines[-40:]) or "(nothing was seen)"
+        return "\n".join(lines[-40:]) or "(no observation)"
 
     def __str__(self) -> str:
         armed = "armed" if self.armed else "disarmed"
-        return f"{self.mode or 'not heard'}, {armed}, {self.height:.1f} m up, {self.speed:.1f} m/s"
+        return f"{self.mode or 'no contact'}, {armed}, {self.height:.1f} m up, {self.speed:.1f} m/s"
 
     # -- watching -------------------------------------------------------------------------------------
 
@@ -103,7 +103,7 @@ class Watcher:
                     self._changed.notify_all()
 
     def _greet(self) -> None:
-        """Be a client, and ask for what is watched as long as it does not come."""
+        """Sends a heartbeat, and requests the messages while they are missing."""
         send = self._link.mav
         send.heartbeat_send(dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0)
         if math.isnan(self.speed) or not self.speeds or time.monotonic() - self.speeds[-1][0] > 1.0:
@@ -131,7 +131,7 @@ class Watcher:
             self.observations.append(Observation(time.monotonic(), what, f"{value} at {self.height:.1f} m"))
 
     def close(self) -> None:
-        """Watch no longer."""
+        """Ends the watch."""
         self._ended = True
         self._thread.join(5.0)
         self._link.close()

@@ -10,12 +10,12 @@ import pytest
 from sitl_missions import ARM, AWAY, HOP, OPEN, READY, REAL, ROOT, SPEED, TOUR
 from sitl_relay import Relay
 
-#: How often arming after opening, and a mission over a bad link, are tried; what share of packets that loses.
+#: Repetitions of arming after opening, and of a mission over a bad link; the share of lost packets.
 OPENINGS = int(os.environ.get("OPENINGS", "50"))
 MISSIONS, LOSS = int(os.environ.get("MISSIONS", "20")), 0.2
-#: What a limit may be passed by: as the option `limit_tolerance` of a binding has it by default.
+#: Tolerance of a limit: the default of the option `limit_tolerance`.
 TOLERANCE = 0.2
-#: Who dies, of which signal, and within how many seconds the vehicle must be on its way down.
+#: The killed process, the signal, and the seconds until the vehicle must descend.
 DEATHS = {
     "guard": (signal.SIGKILL, 3.0),
     "host": (signal.SIGKILL, 3.0),
@@ -26,12 +26,12 @@ EXAMPLES = ("01-first-flight", "02-equivalent-lift", "03-mixed-team")
 
 
 def test_set_up(field, figure):
-    """It is set up for the bindings used here; nothing but this writes into it. The others need it."""
+    """Sets the vehicle up for the bindings of these tests. The other checks need it."""
     mission = field.mission(OPEN, "//Vehicle:it@here\n//Nothing:nothing@here\n")
     refused = field.up(mission, "--until-done")
     status = refused.wait(READY)
     if status:
-        assert "lfield setup" in refused.said, refused.last_lines
+        assert "lfield setup" in refused.output, refused.last_lines
     field.lfield("setup", "--deploy", mission.deploy, "--yes").succeeds(60.0)
     figure("was set up already" if not status else "up refused a stock vehicle and named lfield setup")
 
@@ -50,13 +50,13 @@ def test_kit(field, figure):
         "kit", "mavlink", "--endpoint", simulator.endpoint, *words, "--silence", "1.0", "--yes"
     )
     status = kit.wait(600.0)
-    figure(kit.said.splitlines()[-1] if kit.said else "it said nothing")
-    failed = "\n".join(line for line in kit.said.splitlines() if line.startswith("FAILED"))
+    figure(kit.output.splitlines()[-1] if kit.output else "no output")
+    failed = "\n".join(line for line in kit.output.splitlines() if line.startswith("FAILED"))
     assert status == 0, f"{failed or f'it ended with {status}'}\n{kit.last_lines}"
 
 
 def test_limits(field, figure):
-    """However it is moved, it is no faster than its binding allows."""
+    """The vehicle does not exceed the speed limit of its binding in any motion."""
     kind = field.kind.vehicle
     mission = field.mission(TOUR[kind], f"//{kind.title()}:it@here\n//Tour:tour@here?it\n")
     start = time.monotonic()
@@ -67,12 +67,12 @@ def test_limits(field, figure):
 
 
 def test_arming_right_after_opening(field, figure):
-    """However soon after it was opened."""
+    """Arming works directly after opening."""
     mission = field.mission(ARM, "//Motors:it@here\n")
     done, failed = 0, []
     for _ in range(OPENINGS):
         host = field.up(mission)
-        if host.says("armed and disarmed", READY):
+        if host.prints("armed and disarmed", READY):
             done += 1
         else:
             failed.append(host.last_lines)
@@ -83,7 +83,7 @@ def test_arming_right_after_opening(field, figure):
 
 @pytest.mark.parametrize("who", DEATHS)
 def test_death(field, figure, who):
-    """Whoever dies, it comes down: brought by who is left, or by its own failsafe."""
+    """After a death the vehicle lands, by the remaining process or by its own failsafe."""
     if field.kind.vehicle != "copter":
         pytest.skip("only copters are flown away")
     mission = field.mission(AWAY, "//Copter:it@here\n")
@@ -109,7 +109,7 @@ def test_death(field, figure, who):
 
 
 def test_missions_over_a_bad_link(field, figure):
-    """A fifth of the packets is lost, each way; no mission ends for that."""
+    """A fifth of the packets is lost in each direction; no mission fails."""
     if field.kind.vehicle != "copter":
         pytest.skip("only copters fly over a bad link")
     done, failed = 0, []
@@ -130,7 +130,7 @@ def test_missions_over_a_bad_link(field, figure):
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example(field, figure, name):
-    """An example as it is, bound to simulators by the devices files that are beside the guide."""
+    """An unchanged example, bound to simulators by the devices files of the guide."""
     bindings = REAL / field.kind.name / f"{name}.devices.yaml"
     if not bindings.exists():
         pytest.skip(f"no example is bound to {field.kind.name}")
@@ -146,5 +146,5 @@ def test_example(field, figure, name):
 
 
 def test_nothing_is_left_moving(field):
-    """In the end it stands, its motors off."""
+    """At the end the vehicle stands with its motors off."""
     field.watcher.until(lambda seen: not seen.armed, 90.0, "its motors to be off")

@@ -1,4 +1,4 @@
-"""What `make test-sitl` is made of, without a simulator: a relay, command lines, and one check on a fake."""
+"""The parts of `make test-sitl` without a simulator: relay, command lines, and one check on a fake."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def packet(number: int, *, signed: bool = False) -> bytes:
     st.lists(st.tuples(st.integers(1, 2**40), st.booleans()), max_size=6),
     st.lists(st.integers(1, 30), max_size=40),
 )
-def test_packets_are_cut_out_of_a_stream_however_it_comes(numbers, pieces):
+def test_packets_are_cut_from_a_stream_in_any_pieces(numbers, pieces):
     packets = [packet(number, signed=signed) for number, signed in numbers]
     stream, frames, found = b"\0noise".join(packets), Frames(), []
     for length in [*pieces, len(stream)]:
@@ -43,7 +43,7 @@ def test_packets_are_cut_out_of_a_stream_however_it_comes(numbers, pieces):
     assert found == packets
 
 
-def test_a_relay_loses_the_share_that_it_was_told_both_ways():
+def test_relay_loses_its_share_of_packets_both_ways():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
         vehicle.settimeout(60.0)
@@ -67,7 +67,7 @@ def test_a_relay_loses_the_share_that_it_was_told_both_ways():
     assert 0.15 < relay.lost / 1000 < 0.25
 
 
-def test_builds_are_started_at_ports_and_ids_of_their_own(tmp_path):
+def test_builds_are_started_with_their_own_ports_and_ids(tmp_path):
     build = tmp_path / "ap" / "build" / "sitl" / "bin" / "arducopter"
     stock = tmp_path / "ap" / "Tools" / "autotest" / "default_params" / "copter.parm"
     stock.parent.mkdir(parents=True)
@@ -90,7 +90,7 @@ def test_builds_are_started_at_ports_and_ids_of_their_own(tmp_path):
     assert (running.endpoint, running.second) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5762")
 
 
-def test_a_build_is_found_where_it_was_named_from(tmp_path, monkeypatch):
+def test_build_path_is_relative_home_or_on_the_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     build = tmp_path / "build" / "arducopter"
@@ -109,7 +109,7 @@ def test_a_build_is_found_where_it_was_named_from(tmp_path, monkeypatch):
         (b"#!/nowhere/loader\n", 0o755, "the file is there, but not the loader that it was built for"),
     ],
 )
-def test_a_build_that_cannot_be_started_is_said_why(tmp_path, monkeypatch, content, mode, words):
+def test_build_that_cannot_be_started_has_a_reason(tmp_path, monkeypatch, content, mode, words):
     monkeypatch.setattr(Simulator, "ports", ())
     build = tmp_path / "arducopter"
     build.write_bytes(content)
@@ -120,7 +120,7 @@ def test_a_build_that_cannot_be_started_is_said_why(tmp_path, monkeypatch, conte
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
-def test_a_port_in_use_is_named(tmp_path, monkeypatch, kind):
+def test_simulator_port_in_use_is_named(tmp_path, monkeypatch, kind):
     with socket.socket(socket.AF_INET, kind) as taken:
         taken.bind(("127.0.0.1", 0))
         if kind is socket.SOCK_STREAM:
@@ -132,7 +132,7 @@ def test_a_port_in_use_is_named(tmp_path, monkeypatch, kind):
     assert f"port {port} of 127.0.0.1 is in use; end what runs there" in why_not("/bin/true", error.value)
 
 
-def test_a_simulator_whose_time_is_slow_is_noticed(monkeypatch):
+def test_slow_simulator_time_is_measured(monkeypatch):
     watcher = Watcher.__new__(Watcher)
     watcher.times = [(float(n), 0.6 * n) for n in range(20)]
     monkeypatch.setattr("sitl_watcher.time.monotonic", lambda: 19.0)
@@ -141,19 +141,19 @@ def test_a_simulator_whose_time_is_slow_is_noticed(monkeypatch):
 
 
 @pytest.mark.process
-def test_a_simulator_that_ends_says_what_it_said(tmp_path):
+def test_ended_simulator_reports_its_last_output(tmp_path):
     build = tmp_path / "arducopter"
     build.write_text("#!/bin/sh\necho no such model\nexit 1\n")
     build.chmod(0o755)
     broken = Simulator(ARDUCOPTER, str(build))
     broken.start(tmp_path / "broken")
     broken._process.wait(30.0)
-    assert broken.trouble.startswith("arducopter has ended with 1; it said last: no such model\n")
+    assert broken.trouble.startswith("arducopter has ended with 1; last output: no such model\n")
     broken.end()
 
 
 def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
-    """What `make test-sitl` runs for this simulator."""
+    """Runs the checks as `make test-sitl` does for this simulator."""
     environment = {**os.environ, "ARDUCOPTER": arducopter, "LFIELD_SITL": "yes", "ONLY": only}
     words = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", str(HERE / "test_sitl.py")]
     return subprocess.run(
@@ -163,24 +163,24 @@ def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("given", "only", "said"),
+    ("given", "only", "expected"),
     [
         ("/nowhere/arducopter", "left", "ARDUCOPTER: '/nowhere/arducopter' cannot be started: No such file"),
-        ("/bin/false", "left", "arducopter has ended with 1; it said last: nothing"),
+        ("/bin/false", "left", "arducopter has ended with 1; last output: nothing"),
         ("/bin/false", "nosuch", "ONLY: there is no check 'nosuch'; there are arming_right_after_opening,"),
     ],
 )
-def test_what_cannot_be_tried_is_said_in_a_sentence(given, only, said):
-    told = checked(given, only)
-    assert told.returncode != 0
-    assert said in told.stdout + told.stderr
-    assert "Traceback" not in told.stdout + told.stderr
+def test_impossible_run_is_reported_without_a_traceback(given, only, expected):
+    done = checked(given, only)
+    assert done.returncode != 0
+    assert expected in done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
 
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_a_check_runs_on_a_vehicle_that_runs_already_and_is_in_the_table():
+def test_check_on_a_running_vehicle_is_in_the_table():
     with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "1.9") as fake:
-        told = checked(fake.endpoint, "left")
-    assert told.returncode == 0, told.stdout
-    assert "up refused a stock vehicle and named lfield setup" in told.stdout
+        done = checked(fake.endpoint, "left")
+    assert done.returncode == 0, done.stdout
+    assert "up refused a stock vehicle and named lfield setup" in done.stdout

@@ -1,4 +1,4 @@
-"""A ring of a recording in memory, which becomes files when it is read."""
+"""A recording ring in memory, written to files on request."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from lfield.recording.segments import MAGIC
 
 
 class MemoryRing:
-    """Its files as bytes; it is full after `limit` bytes, None for never."""
+    """The files as bytes; a file is full after `limit` bytes, None for never."""
 
     def __init__(self, limit=None, header=MAGIC):
         self._limit, self._header = limit, header
@@ -26,7 +26,7 @@ class MemoryRing:
         self.closed = True
 
     def stored(self, folder):
-        """Its files in a folder."""
+        """Writes the files to a folder; returns their paths."""
         paths = [folder / f"guard-{number:06d}.lfrec" for number in range(1, len(self.files) + 1)]
         for path, data in zip(paths, self.files, strict=True):
             path.write_bytes(data)

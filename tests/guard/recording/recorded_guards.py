@@ -57,7 +57,7 @@ FOLDER = "/rec/north-20261129T173015-1f3a9c02"
 
 
 class RecordedGuard:
-    """A core with its recorder, on a clock that stands still between two steps."""
+    """A core with its recorder, on a manual clock."""
 
     def __init__(self, limit=None, start=1000.0, *, is_open=True):
         self.clock, self.ring = ManualClock(start), MemoryRing(limit)
@@ -87,8 +87,8 @@ class RecordedGuard:
         return self.handle(inputs.CallReceived(call))
 
 
-class DrawnStory:
-    """Drives a guard with inputs in an order drawn from a seed, as a shell and a driver might."""
+class DrawnInputs:
+    """Drives a guard with inputs in an order drawn from a seed, like a shell and a driver."""
 
     def __init__(self, seed, guard):
         self.rng, self.guard = random.Random(seed), guard

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-from recorded_guards import DrawnStory, RecordedGuard
+from recorded_guards import DrawnInputs, RecordedGuard
 
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Exit
@@ -21,14 +21,14 @@ def team(folder: Path) -> SimpleNamespace:
 
 
 def recorded(folder: Path) -> list[Path]:
-    guard = DrawnStory(7, RecordedGuard(limit=5000)).run(200)
+    guard = DrawnInputs(7, RecordedGuard(limit=5000)).run(200)
     guard.recorder.close()
     own = guard_folder(folder, "a.arm")
     own.mkdir()
     return guard.ring.stored(own)
 
 
-def test_the_guards_of_a_host_are_replayed(tmp_path, monkeypatch):
+def test_guards_of_a_host_are_replayed_and_differences_counted(tmp_path, monkeypatch):
     recorded(tmp_path)
     (result,), problems = check_guards(team(tmp_path))
     assert (result.host, result.differences, result.first, problems) == ("alpha", 0, None, [])
@@ -41,7 +41,7 @@ def test_the_guards_of_a_host_are_replayed(tmp_path, monkeypatch):
     assert result.first.recorded != result.first.replayed
 
 
-def test_a_damaged_file_of_a_guard_is_named(tmp_path):
+def test_damaged_guard_file_is_named(tmp_path):
     path = recorded(tmp_path)[-1]
     path.write_bytes(path.read_bytes()[:-3])
     (result,), problems = check_guards(team(tmp_path))

@@ -1,4 +1,4 @@
-"""A replay of a guard's recording makes the same decisions, bit for bit, or says where it does not."""
+"""A replay of a guard's recording makes identical decisions, or reports the first difference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded_guards import FOLDER, DrawnStory, RecordedGuard
+from recorded_guards import FOLDER, DrawnInputs, RecordedGuard
 
 from lfield.errors import RecordingError
 from lfield.guard.core import GuardCore
@@ -32,8 +32,8 @@ from lfield.recording.segments import MAGIC, SegmentReader, frame
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(), st.sampled_from([None, 1, 6000]), st.floats(0.0, 1e7))
-def test_drawn_inputs_are_decided_again_in_the_same_way(tmp_path_factory, seed, limit, start):
-    guard = DrawnStory(seed, RecordedGuard(limit, start)).run(60)
+def test_replay_of_random_inputs_makes_identical_decisions(tmp_path_factory, seed, limit, start):
+    guard = DrawnInputs(seed, RecordedGuard(limit, start)).run(60)
     guard.recorder.close()
     result = replay_guard(guard.ring.stored(tmp_path_factory.mktemp("ring")))
     assert (result.differences, result.first, result.cut, result.missing) == (0, None, {}, [])
@@ -42,7 +42,7 @@ def test_drawn_inputs_are_decided_again_in_the_same_way(tmp_path_factory, seed, 
 
 
 def test_each_segment_is_replayed_without_the_earlier_ones(tmp_path):
-    guard = DrawnStory(7, RecordedGuard(limit=5000)).run(400)
+    guard = DrawnInputs(7, RecordedGuard(limit=5000)).run(400)
     guard.recorder.close()
     paths = guard.ring.stored(tmp_path)
     assert len(paths) > 4
@@ -51,7 +51,7 @@ def test_each_segment_is_replayed_without_the_earlier_ones(tmp_path):
         assert (result.differences, result.digests > 0) == (0, True)
 
 
-def test_what_decides_otherwise_is_shown_with_time_input_and_both_decisions(tmp_path, monkeypatch):
+def test_first_difference_has_time_input_and_both_decisions(tmp_path, monkeypatch):
     guard = RecordedGuard()
     guard.call(1, "go", 1.0)
     guard.clock.advance(0.25)
@@ -73,7 +73,7 @@ def test_what_decides_otherwise_is_shown_with_time_input_and_both_decisions(tmp_
     assert (result.differences, result.digests) == (3, 4)
 
 
-def test_a_changed_state_is_found_at_the_next_segment(tmp_path, monkeypatch):
+def test_changed_state_is_found_at_the_next_segment(tmp_path, monkeypatch):
     guard = RecordedGuard(limit=1)
     guard.clock.advance(0.01)
     guard.handle(inputs.SafeStateRequested("a.arm", "an operator", lock=True))
@@ -86,7 +86,7 @@ def test_a_changed_state_is_found_at_the_next_segment(tmp_path, monkeypatch):
     assert result.first.given == f"the state at the start of {paths[-1].name}"
 
 
-def test_a_call_that_was_accepted_before_a_segment_starts_in_the_next(tmp_path):
+def test_call_accepted_in_one_segment_may_start_in_the_next(tmp_path):
     guard = RecordedGuard(limit=1)
     guard.call(1, "go", 1.0)
     (call,) = (effect.call for effect in guard.call(2, "grip"))
@@ -98,8 +98,8 @@ def test_a_call_that_was_accepted_before_a_segment_starts_in_the_next(tmp_path):
     assert [len(read_segment(path).start.unstarted) for path in paths[-2:]] == [2, 1]
 
 
-def test_a_file_that_is_cut_anywhere_is_replayed_up_to_there(tmp_path):
-    guard = DrawnStory(3, RecordedGuard()).run(5)
+def test_truncated_file_is_replayed_up_to_its_end(tmp_path):
+    guard = DrawnInputs(3, RecordedGuard()).run(5)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
@@ -108,7 +108,7 @@ def test_a_file_that_is_cut_anywhere_is_replayed_up_to_there(tmp_path):
     for record in SegmentReader(BytesIO(data)):
         ends.add(max(ends) + len(frame(record)))
     first = sorted(ends)[1]
-    # The long first record has no part that could be used: not every byte of it is tried.
+    # No part of the long first record is usable: not every truncation of it is tried.
     for size in [*range(10), *range(10, first, 37), *range(first - 3, len(data))]:
         path.write_bytes(data[:size])
         result = replay_guard([path])
@@ -120,8 +120,8 @@ def test_a_file_that_is_cut_anywhere_is_replayed_up_to_there(tmp_path):
     assert before == whole.digests - 1
 
 
-def test_a_damaged_file_is_refused_or_ends_there(tmp_path):
-    guard = DrawnStory(4, RecordedGuard()).run(12)
+def test_replay_of_a_damaged_file_ends_at_the_damage(tmp_path):
+    guard = DrawnInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()
@@ -134,7 +134,7 @@ def test_a_damaged_file_is_refused_or_ends_there(tmp_path):
 
 
 def changed(rng, value):
-    """A value with another one somewhere in it."""
+    """The value with one random change in it."""
     if isinstance(value, list | dict) and value:
         places = list(value) if isinstance(value, dict) else range(len(value))
         place = rng.choice(places)
@@ -146,9 +146,9 @@ def changed(rng, value):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_a_changed_record_below_a_valid_checksum_is_refused_or_differs(tmp_path, seed):
+def test_changed_record_with_a_valid_checksum_is_survived(tmp_path, seed):
     rng = random.Random(seed)
-    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard = DrawnInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     records = list(SegmentReader(BytesIO(path.read_bytes())))
@@ -161,8 +161,8 @@ def test_a_changed_record_below_a_valid_checksum_is_refused_or_differs(tmp_path,
 
 
 @pytest.mark.parametrize("pulses", [Pulses(math.nan, []), Pulses(math.inf, [0, 0]), Pulses(1.0, [0])])
-def test_pulses_that_cannot_be_decoded_are_refused(tmp_path, pulses):
-    guard = DrawnStory(4, RecordedGuard()).run(12)
+def test_invalid_pulses_are_refused(tmp_path, pulses):
+    guard = DrawnInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     path.write_bytes(path.read_bytes() + framed(pulses))
@@ -181,7 +181,7 @@ def test_pulses_that_cannot_be_decoded_are_refused(tmp_path, pulses):
         (MAGIC + framed(Pulses(0.0, [])), "is not the recording of a guard"),
     ],
 )
-def test_what_is_no_recording_of_a_guard_is_refused(tmp_path, data, text):
+def test_file_that_is_no_guard_recording_is_refused(tmp_path, data, text):
     path = tmp_path / "guard-a-000001.lfrec"
     path.write_bytes(data)
     with pytest.raises(RecordingError, match=text):
@@ -191,13 +191,13 @@ def test_what_is_no_recording_of_a_guard_is_refused(tmp_path, data, text):
     assert text in result.cut[path]
 
 
-def test_a_file_that_is_gone_is_named(tmp_path):
+def test_missing_file_is_named(tmp_path):
     path = tmp_path / "guard-a-000001.lfrec"
     assert replay_guard([path]).missing == [path]
 
 
-def test_a_file_that_cannot_be_read_does_not_hide_the_others(tmp_path):
-    guard = DrawnStory(4, RecordedGuard()).run(12)
+def test_unreadable_file_does_not_hide_the_others(tmp_path):
+    guard = DrawnInputs(4, RecordedGuard()).run(12)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     other = tmp_path / "guard-a-000000.lfrec"
@@ -207,7 +207,7 @@ def test_a_file_that_cannot_be_read_does_not_hide_the_others(tmp_path):
     assert list(result.cut) == [other]
 
 
-def test_the_rings_of_a_folder_are_found_by_their_devices(tmp_path):
+def test_rings_of_a_folder_are_found_by_device(tmp_path):
     for device, numbers in {"b.fc": (2, 1), "ä/x": (1,), "none": ()}.items():
         guard_folder(tmp_path, device).mkdir()
         for number in numbers:
@@ -217,7 +217,7 @@ def test_the_rings_of_a_folder_are_found_by_their_devices(tmp_path):
     assert found == {"b.fc": ["guard-000001.lfrec", "guard-000002.lfrec"], "ä/x": ["guard-000001.lfrec"]}
 
 
-def test_no_secret_of_a_binding_is_recorded():
+def test_secrets_of_a_binding_are_not_recorded():
     guard = RecordedGuard()
     start = guard.records[0]
     assert b"hunter2" not in guard.ring.files[0]
@@ -233,7 +233,7 @@ def test_no_secret_of_a_binding_is_recorded():
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.0, 1e9), st.floats(-1.0, 1.0), st.booleans()), max_size=30))
-def test_pulses_are_exact_or_refused(pulses):
+def test_pulses_are_stored_exactly_or_refused(pulses):
     collector, added, read = PulseCollector(), [], []
     for time, delay, is_timer in sorted(pulses):
         given = inputs.TimerExpired() if is_timer else inputs.HostBeat(time - delay)
@@ -246,10 +246,10 @@ def test_pulses_are_exact_or_refused(pulses):
     assert read == added
 
 
-def test_heartbeats_of_a_real_clock_are_recorded_together():
+def test_heartbeats_of_a_real_clock_share_one_record():
     guard = RecordedGuard(start=39243.54424449)
     for _ in range(MOST_PULSES):
-        # As time.clock_gettime makes it of seconds and nanoseconds.
+        # Rounded as time.clock_gettime rounds seconds and nanoseconds.
         guard.clock.now = round(guard.clock.now + 0.0501, 9)
         guard.handle(inputs.HostBeat(round(guard.clock.now - 0.00013, 9)))
     _, opened, pulses = guard.records
@@ -258,7 +258,7 @@ def test_heartbeats_of_a_real_clock_are_recorded_together():
     assert len(framed(pulses)) / MOST_PULSES < 13
 
 
-def test_a_call_of_a_later_record_keeps_its_numbers():
+def test_recorded_call_keeps_its_argument_types():
     call = GuardCall(1, "a.arm", "go", [1, 1.0, True, "x", [1.0]], 0.1, float("inf"))
     record = decode_record(framed(InputRecord(0.1, inputs.CallReceived(call)))[8:])
     assert repr(record.given.call) == repr(call)

@@ -1,4 +1,4 @@
-"""The files of a guard's recording: their names and modes, restarts, rotation, and disks that refuse them."""
+"""The files of a guard's recording: names and modes, restarts, rotation, and disk errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-# The guard of a device in memory, as tests of the shell use it.
+# For thing_guard, the in-memory guard of the shell's tests.
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from thing_guard import Output, guard_of, known_thing
 
@@ -54,14 +54,14 @@ class Lift(Device):
 
 @pytest.fixture
 def folder(tmp_path):
-    """The folder of the guard in that of a recording, as the host creates it."""
+    """The guard's folder inside a recording folder, as the host creates it."""
     path = guard_folder(tmp_path, "a.lift")
     path.mkdir()
     return path
 
 
-def flown(folder, limit=1 << 20, calls=1, story=None):
-    """Runs a guard that records into a folder; returns what it has sent."""
+def run_guard(folder, limit=1 << 20, calls=1, story=None):
+    """Runs a guard that records into a folder; returns its sent messages."""
 
     async def flight():
         output = Output()
@@ -98,8 +98,8 @@ async def both_failures(output):
         await asyncio.sleep(0.0)
 
 
-def test_a_guard_records_its_decisions_telemetry_and_wire(folder):
-    received = flown(folder, calls=30)
+def test_guard_records_decisions_telemetry_and_wire(folder):
+    received = run_guard(folder, calls=30)
     assert failures_in(received) == []
     names = sorted(path.name for path in folder.iterdir())
     assert names == [f"{RECORDS}-000001.lfrec", f"{WIRE}-000001.hex.log"]
@@ -114,18 +114,18 @@ def test_a_guard_records_its_decisions_telemetry_and_wire(folder):
     assert len((folder / names[1]).read_text().splitlines()) == 1 + 32
 
 
-def test_a_guard_that_is_started_again_continues_the_ring_of_its_predecessor(folder):
-    flown(folder)
-    flown(folder)
+def test_restarted_guard_continues_the_ring(folder):
+    run_guard(folder)
+    run_guard(folder)
     ((_, paths),) = rings_in(folder.parent).items()
     assert [path.name for path in paths] == [f"{RECORDS}-000001.lfrec", f"{RECORDS}-000002.lfrec"]
     assert [read_segment(path).start.number for path in paths] == [0, 0]
     assert replay_guard(paths).differences == 0
 
 
-def test_a_full_ring_remains_within_its_limit_and_can_be_replayed(folder):
+def test_full_ring_stays_within_its_limit_and_is_replayable(folder):
     limit = 400_000
-    flown(folder, limit, calls=3000)
+    run_guard(folder, limit, calls=3000)
     ((_, paths),) = rings_in(folder.parent).items()
     assert 2 < len(paths) <= FILES + 1
     assert paths[0].name != f"{RECORDS}-000001.lfrec"
@@ -135,9 +135,9 @@ def test_a_full_ring_remains_within_its_limit_and_can_be_replayed(folder):
     assert next(iter(telemetry_in(paths))).value == 2.0
 
 
-def test_a_ring_that_is_small_beside_the_state_of_a_guard_has_records(folder):
+def test_ring_smaller_than_the_guard_state_still_has_records(folder):
     """A file whose first record exceeds its share is not full with its next record."""
-    flown(folder, 4 * 6400, calls=300)
+    run_guard(folder, 4 * 6400, calls=300)
     ((_, paths),) = rings_in(folder.parent).items()
     first = read_segment(paths[0])
     size = len(framed(first.start))
@@ -157,9 +157,9 @@ def file_size_limit(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_full_disk_ends_each_log_with_one_line_and_not_the_guard(folder):
+def test_full_disk_ends_each_log_with_one_note_not_the_guard(folder):
     with file_size_limit(64):
-        received = flown(folder, story=both_failures)
+        received = run_guard(folder, story=both_failures)
     found = failures_in(received)
     assert len(found) == 2
     assert any(f"{folder.name}/{RECORDS}.lfrec" in text for text in found)
@@ -169,13 +169,13 @@ def test_a_full_disk_ends_each_log_with_one_line_and_not_the_guard(folder):
 
 
 @pytest.mark.parametrize("place", ["removed", "a file", "/proc/self"])
-def test_a_folder_that_refuses_files_ends_the_log_and_not_the_guard(folder, place):
+def test_unwritable_folder_ends_the_logs_not_the_guard(folder, place):
     (folder / "a file").touch()
-    received = flown(folder / place, story=both_failures)
+    received = run_guard(folder / place, story=both_failures)
     assert len(failures_in(received)) == 2
 
 
-def test_a_disk_that_does_not_keep_up_ends_the_ring(tmp_path, monkeypatch):
+def test_slow_disk_ends_the_ring(tmp_path, monkeypatch):
     monkeypatch.setattr("lfield.recording.ring_writer.MAX_PENDING", 100)
     monkeypatch.setattr("lfield.recording.ring_writer.FLUSH_INTERVAL", 3600.0)
     failures = []
@@ -188,7 +188,7 @@ def test_a_disk_that_does_not_keep_up_ends_the_ring(tmp_path, monkeypatch):
     ring.close()
 
 
-def test_the_oldest_files_are_deleted_also_those_of_an_earlier_process(tmp_path):
+def test_oldest_files_are_deleted_also_from_an_earlier_process(tmp_path):
     for number in (3, 4):
         (tmp_path / f"x-{number:06d}.log").write_bytes(bytes(40))
     (tmp_path / "x-other-000001.log").write_bytes(bytes(40))

@@ -1,4 +1,4 @@
-"""What a guard records of telemetry, notes and foreign control, and what a reader makes of it."""
+"""Recorded telemetry, notes and foreign control of a guard, and their reader."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def values_in(paths):
     return [(value.quantity, value.value) for value in telemetry_in(paths)]
 
 
-def test_only_changes_are_recorded_and_at_most_ten_a_second(tmp_path):
+def test_only_changes_are_recorded_at_most_ten_per_second(tmp_path):
     guard = RecordedGuard()
     observe(guard, 1.0, height=1.0, mode="idle")
     for _ in range(20):
@@ -37,7 +37,7 @@ def test_only_changes_are_recorded_and_at_most_ten_a_second(tmp_path):
     assert values_in(paths) == [("height", 1.0), ("mode", "idle"), ("height", 2.0), ("height", 1.0)]
 
 
-def test_a_value_that_the_end_interrupts_is_recorded(tmp_path):
+def test_pending_value_is_recorded_at_close(tmp_path):
     guard = RecordedGuard()
     observe(guard, 1.0, height=1.0)
     observe(guard, 0.01, height=3.0)
@@ -45,14 +45,14 @@ def test_a_value_that_the_end_interrupts_is_recorded(tmp_path):
     assert values_in(guard.ring.stored(tmp_path))[-1] == ("height", 3.0)
 
 
-def test_values_have_units_and_both_times(tmp_path):
+def test_recorded_value_has_unit_and_both_times(tmp_path):
     guard = RecordedGuard(start=500.0)
     observe(guard, 1.0, height=1.0)
     (value,) = telemetry_in(guard.ring.stored(tmp_path))
     assert value == (500.99, "a.arm", "height", 1.0, "m", 500.99)
 
 
-def test_a_segment_without_the_earlier_ones_starts_with_the_last_values(tmp_path):
+def test_each_segment_starts_with_the_last_values(tmp_path):
     guard = RecordedGuard(limit=1)
     observe(guard, 1.0, height=1.0, mode="idle")
     guard.handle(inputs.SafeStateRequested("a.arm", "an operator"))
@@ -73,7 +73,7 @@ def test_notes_and_foreign_control_are_recorded():
     ]
 
 
-def test_records_before_the_devices_are_open_follow_the_start_of_the_segment():
+def test_early_records_follow_the_segment_start():
     guard = RecordedGuard(is_open=False)
     for _ in range(MOST_EARLY + 5):
         guard.recorder.on_note(Note("a.arm", "a note"))
@@ -84,6 +84,6 @@ def test_records_before_the_devices_are_open_follow_the_start_of_the_segment():
     assert len(notes) == MOST_EARLY
 
 
-def test_a_not_a_number_is_not_a_change():
+def test_repeated_nan_is_no_change():
     assert changed_values({0: math.nan, 1: 1.0}, {0: math.nan, 1: 1.0}) == {}
     assert changed_values({0: 1.0, 1: True}, {0: math.nan, 1: 1, 2: None}) == {0: math.nan, 1: 1, 2: None}

@@ -1,4 +1,4 @@
-"""A guard as a process, in its sandbox, that records and is killed."""
+"""A recording guard process in its sandbox, which is killed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.process
 
 
 def finished_calls(folder):
-    """The tokens of the calls whose end is on the disk."""
+    """The tokens of the calls whose end is on disk."""
     records = [record for paths in rings_in(folder).values() for record in read_segment(paths[-1]).records]
     given = [record.given for record in records if isinstance(record, InputRecord)]
     return [each.token for each in given if isinstance(each, inputs.CallFinished)]
@@ -38,7 +38,7 @@ async def until(condition):
         await asyncio.sleep(0.02)
 
 
-def test_a_killed_guard_leaves_its_recording_and_the_next_one_continues_it(tmp_path):
+def test_killed_guard_leaves_a_recording_that_the_next_one_continues(tmp_path):
     folder = create_folder(tmp_path / "rec", "north", 7, 0.0)
 
     async def story():

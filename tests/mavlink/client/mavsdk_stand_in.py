@@ -1,9 +1,9 @@
-"""A vehicle made of MAVSDK's server plugins, on a UDP port of the loopback interface.
+"""A vehicle built from MAVSDK's server plugins, on a UDP port of the loopback interface.
 
-MAVSDK does the work: commands, parameters, missions, files, telemetry, heartbeats. Its HEARTBEAT says
-MAV_TYPE 0 and MAV_AUTOPILOT 0 (generic); version 4.1 has no way to say anything else from Python, and no
-driver for ArduPilot and PX4 may take it for one of them. Its modes and its parameters are written as PX4's,
-so the port says "a quadrotor with PX4" in every HEARTBEAT, and nothing else is touched.
+MAVSDK implements commands, parameters, missions, files, telemetry, heartbeats. Its HEARTBEAT has
+MAV_TYPE 0 and MAV_AUTOPILOT 0 (generic); version 4.1 cannot change them from Python, and a driver for
+ArduPilot and PX4 must not accept a generic autopilot. The modes and parameters are those of PX4, so the
+endpoint writes "quadrotor, PX4" into every HEARTBEAT and changes nothing else.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ NORTH, EAST = 3.0, -4.0
 class StandIn:
     """The vehicle: `async with StandIn() as vehicle`; it is at `vehicle.endpoint`.
 
-    `files` is the folder that it serves; `label` whether it says that it has a PX4. It stands at `NORTH` and
-    `EAST`, at a `height` that a test gives it, until it lands; `missions` are those that came.
+    `files` is the folder that it serves; `label`: whether its HEARTBEAT names PX4. It stands at `NORTH` and
+    `EAST`, at a `height` that the test sets, until it lands; `missions` are the received missions.
     """
 
     def __init__(self, files: str = "", *, label: bool = True) -> None:
@@ -79,7 +79,7 @@ class StandIn:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        # A cancelled task leaves its call running on a thread: MAVSDK may not go before that has returned.
+        # A cancelled task leaves its call running on a thread, which must end before MAVSDK is destroyed.
         await asyncio.get_running_loop().shutdown_default_executor()
         self._endpoint.close()
         self._mavsdk.destroy()
@@ -90,7 +90,7 @@ class StandIn:
         await self.action.set_allow_takeoff(True)
         await self.action.set_allowable_flight_modes(AllowableFlightModes(*[True] * 7))
         await self.action.set_armed_state(False)
-        # Its action server refuses the mode HOLD whatever is allowed, so it begins in it.
+        # Its action server refuses the mode HOLD even if allowed, so HOLD is the initial mode.
         await self.action.set_flight_mode(FlightMode.HOLD)
         if self._files:
             await self.files.set_root_dir(self._files)
@@ -106,7 +106,7 @@ class StandIn:
             await self.parameters.provide_param_float(name, number)
 
     async def _publish(self) -> None:
-        """Where it is and how it does."""
+        """Publishes position, state and battery."""
         velocity, t = VelocityNed(0.48, 0.36, 0.0), self.telemetry
         while True:
             up = self.height
@@ -129,14 +129,14 @@ class StandIn:
             self.missions.put_nowait(plan)
 
     async def _land(self) -> None:
-        """By the mode: NAV_LAND itself gets no answer from MAVSDK, whoever subscribes to it."""
+        """Lands on a change of mode: MAVSDK never answers NAV_LAND itself."""
         async for _, mode in self.action.subscribe_flight_mode_change():
             if mode == FlightMode.LAND:
                 self.height = 0.0
 
 
 class _Endpoint(asyncio.DatagramProtocol):
-    """Packets of MAVSDK to whoever spoke last, and back."""
+    """Forwards packets between MAVSDK and the peer that sent last."""
 
     def __init__(self, mavsdk: Mavsdk, loop: asyncio.AbstractEventLoop, *, label: bool) -> None:
         self._mavsdk, self._loop, self._label = mavsdk, loop, label

@@ -1,6 +1,6 @@
-"""The fake flown by others: the MAVSDK client against a process, over UDP and TCP, in real time.
+"""The MAVSDK client flies the simulated vehicle, a process, over UDP and TCP, in real time.
 
-Every wait ends by what MAVSDK reports, or fails after LONGEST.
+Every wait ends with a report of MAVSDK, or fails after LONGEST.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mavsdk.plugins.telemetry import FlightMode, LandedState
 
 pytestmark = [pytest.mark.process, pytest.mark.long]
 
-#: No state may be longer in coming, in seconds.
+#: Longest time to wait for a state, in seconds.
 LONGEST = 120.0
 #: A nimble vehicle, so that a flight takes seconds.
 QUICK = ["--climb", "10", "--descend", "10", "--land", "8", "--acceleration", "10", "--cruise", "15"]
@@ -57,7 +57,7 @@ class Client:
         self.direct = MavlinkDirectAsync(system)
 
     async def ask_for_streams(self):
-        """As ground stations do of an ArduPilot, which says nothing by itself."""
+        """As ground stations do: an ArduPilot sends no telemetry without a request."""
         wanted = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
         fields = json.dumps({**wanted, "start_stop": 1})
         await self.direct.send_message(MavlinkMessage("REQUEST_DATA_STREAM", 0, 0, 1, 1, fields))
@@ -80,7 +80,7 @@ class Client:
 
 
 async def until(values, wanted):
-    """The first of the values that is wanted."""
+    """The first value for which `wanted` is true."""
     async with asyncio.timeout(LONGEST):
         async for value in values:
             if wanted(value):
@@ -122,7 +122,7 @@ def fly(story, flavour, *options):
 
 @pytest.mark.few(0)
 @BOTH
-def test_a_flight_up_over_and_down(flavour):
+def test_takeoff_goto_return_to_launch_and_landing(flavour):
     async def story(c):
         kinds = {"ardupilot": Autopilot.ARDUPILOT, "px4": Autopilot.PX4}
         assert c.system._system.autopilot_type() == kinds[flavour]
@@ -152,7 +152,7 @@ def test_a_flight_up_over_and_down(flavour):
 
 @pytest.mark.few(0)
 @BOTH
-def test_velocities_and_a_landing(flavour):
+def test_offboard_velocities_and_landing(flavour):
     async def story(c):
         await c.in_the_air()
         await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
@@ -175,7 +175,7 @@ def test_velocities_and_a_landing(flavour):
 
 
 @BOTH
-def test_a_refused_arming_has_its_reason_in_a_text(flavour):
+def test_refused_arming_sends_its_reason_as_status_text(flavour):
     async def story(c):
         texts = asyncio.create_task(until(c.telemetry.subscribe_status_text(), lambda t: "Compass" in t.text))
         await asyncio.sleep(0)
@@ -189,7 +189,7 @@ def test_a_refused_arming_has_its_reason_in_a_text(flavour):
 
 
 @pytest.mark.few(0)
-def test_a_mission_for_px4():
+def test_px4_mission_upload_flight_and_clear():
     async def story(c):
         items = [
             MissionItem(LATITUDE + 1e-4, LONGITUDE, 8.0, 10.0, True),
@@ -214,8 +214,8 @@ def test_a_mission_for_px4():
 
 
 @pytest.mark.few(0)
-def test_a_mission_for_ardupilot():
-    """By raw items: MAVSDK's other mission plugin knows nothing of item 0, where ArduPilot has home."""
+def test_ardupilot_mission_upload_pause_resume_and_clear():
+    """Uses raw items: MAVSDK's other mission plugin does not handle item 0, where ArduPilot stores home."""
 
     def item(number, command, north, height):
         x, y = round((LATITUDE + north * 1e-4) * 1e7), round(LONGITUDE * 1e7)
@@ -244,8 +244,9 @@ def test_a_mission_for_ardupilot():
     fly(story, "ardupilot")
 
 
+@pytest.mark.few(1)
 @BOTH
-def test_a_fence_is_held_and_given_back(flavour):
+def test_uploaded_geofence_is_downloaded_and_cleared(flavour):
     corners = [
         Point(LATITUDE + n * 1e-3, LONGITUDE + e * 1e-3) for n, e in ((-1, -1), (-1, 1), (1, 1), (1, -1))
     ]
@@ -265,7 +266,7 @@ def test_a_fence_is_held_and_given_back(flavour):
 
 @pytest.mark.few(1)
 @BOTH
-def test_parameters(flavour):
+def test_parameters_are_set_read_and_listed(flavour):
     real, whole = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
         flavour
     ]
@@ -284,7 +285,7 @@ def test_parameters(flavour):
 
 
 @pytest.mark.few(0)
-def test_an_unknown_parameter_gets_no_answer():
+def test_unknown_parameter_times_out():
     async def story(c):
         with pytest.raises(ParamError) as failed:
             await c.parameters.get_param_int("NO_SUCH")
@@ -296,7 +297,7 @@ def test_an_unknown_parameter_gets_no_answer():
 @pytest.mark.few(1)
 @pytest.mark.parametrize("burst", [True, False])
 @BOTH
-def test_files(flavour, burst, tmp_path):
+def test_files_are_downloaded_uploaded_removed_and_listed(flavour, burst, tmp_path):
     folder, name = {
         "ardupilot": ("/APM/LOGS", "00000001.BIN"),
         "px4": ("/fs/microsd/log/2026-11-20", "10_00_00.ulg"),
@@ -315,7 +316,7 @@ def test_files(flavour, burst, tmp_path):
         await c.files.remove_file(f"{folder}/new.txt")
         with pytest.raises(FtpError):
             await c.files.remove_file(f"{folder}/new.txt")
-        # ArduPilot says of a listing with times that it failed, not that it knows none: MAVSDK gives up.
+        # ArduPilot answers a listing with times by a failure, not by "unknown command": MAVSDK gives up.
         if flavour == "ardupilot":
             with pytest.raises(FtpError) as failed:
                 await c.files.list_directory(folder)

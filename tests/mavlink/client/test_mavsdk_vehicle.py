@@ -1,4 +1,4 @@
-"""The driver and a vehicle by others: MAVSDK's server plugins, over UDP, in real time."""
+"""The driver and a vehicle of MAVSDK's server plugins, over UDP, in real time."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from lfield_mavlink import PLUGIN
 
 pytestmark = pytest.mark.process
 
-#: No story may take longer, in seconds.
+#: Longest time of one test, in seconds.
 LONGEST = 120.0
 
 
 def fly(story, *, opened=True, **stand_in):
-    """Run `story(device, vehicle, bench)` with the driver at MAVSDK's vehicle."""
+    """Run `story(device, vehicle, bench)` with the driver connected to MAVSDK's vehicle."""
 
     async def main():
         async with StandIn(**stand_in) as vehicle:
@@ -42,7 +42,7 @@ def fly(story, *, opened=True, **stand_in):
     asyncio.run(main())
 
 
-def test_it_is_identified_its_telemetry_read_and_its_failsafes_looked_at():
+def test_open_identifies_the_vehicle_and_reads_telemetry_and_failsafes():
     async def story(device, vehicle, bench):
         assert await device.open() == "PX4 copter, system 1"
         expected = {
@@ -60,16 +60,16 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_looked_at():
     fly(story, opened=False)
 
 
-def test_it_flies_goes_safe_and_what_it_refuses_is_told():
+def test_modes_safe_state_and_refused_mode_of_an_mavsdk_vehicle():
     async def story(device, vehicle, bench):
         await device.execute("arm", [])
         assert device.state.armed
-        # MAVSDK's servers follow no setpoints: it is put into the air.
+        # MAVSDK's servers follow no setpoints: the test sets the height.
         vehicle.height = 2.5
-        # Height and landed state come in different messages.
+        # Height and landed state are in different messages.
         while bench.values["altitude"] < 2.0 or bench.values["landed"]:
             await asyncio.sleep(0.05)
-        # In the air and in a mode that this program did not choose, it is somebody else's.
+        # A flying vehicle in a mode that this program did not select is under another controller.
         with pytest.raises(DeviceError, match="which this program did not select"):
             await device.execute("setMode", ["AUTO.RTL"])
         await device.execute("release", [])
@@ -87,7 +87,7 @@ def test_it_flies_goes_safe_and_what_it_refuses_is_told():
 
 
 @pytest.mark.few(0)
-def test_a_mission_is_uploaded():
+def test_mission_is_uploaded_and_read_back():
     waypoints = [LATITUDE, LONGITUDE, 10.0, LATITUDE + 5e-5, LONGITUDE, 12.0]
 
     async def story(device, vehicle, _):
@@ -130,7 +130,7 @@ def test_files_are_listed_read_and_written(tmp_path):
     fly(story, files=str(tmp_path))
 
 
-def test_without_a_label_it_is_neither_ardupilot_nor_px4():
+def test_generic_autopilot_is_refused():
     async def story(device, vehicle, _):
         with pytest.raises(DeviceError, match=r"neither ArduPilot nor PX4 \(MAV_AUTOPILOT 0\)"):
             await device.open()

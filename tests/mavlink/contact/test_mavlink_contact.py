@@ -1,4 +1,4 @@
-"""What contact with a vehicle consists of, each on its own: texts, modes, exchange, state, hostile bytes."""
+"""Parts of the connection to a vehicle, each alone: texts, modes, commands, state, malformed bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.watchdog import NEEDS
 
 
-def test_texts_are_joined_and_kept():
+def test_chunks_of_a_status_text_are_joined():
     texts = Texts()
     assert texts.add("short", 0, 0, 1.0) == "short"
     assert texts.add("a" * 50, 7, 0, 2.0) is None
@@ -26,7 +26,7 @@ def test_texts_are_joined_and_kept():
     assert texts.add("", 8, 1, 3.0) == "a" * 50
 
 
-def test_a_text_with_a_lost_chunk_is_dropped_not_garbled():
+def test_status_text_with_a_lost_chunk_is_dropped():
     texts = Texts()
     texts.add("a" * 50, 7, 0, 1.0)
     assert texts.add("c", 7, 2, 1.0) is None
@@ -35,7 +35,7 @@ def test_a_text_with_a_lost_chunk_is_dropped_not_garbled():
 
 
 @given(st.lists(st.tuples(st.text(max_size=50), st.integers(0, 65535), st.integers(0, 255))))
-def test_any_sequence_of_chunks_is_bounded(chunks):
+def test_any_sequence_of_text_chunks_uses_bounded_memory(chunks):
     texts = Texts()
     for text, number, sequence in chunks:
         texts.add(text, number, sequence, 0.0)
@@ -43,13 +43,13 @@ def test_any_sequence_of_chunks_is_bounded(chunks):
     assert len(texts.since(0.0)) <= 32
 
 
-def test_results_in_words():
+def test_result_text_names_the_mav_result():
     assert result_text(4) == "FAILED (4)"
     assert result_text(1) == "TEMPORARILY_REJECTED (1)"
     assert result_text(77) == "unknown result (77)"
 
 
-def test_modes():
+def test_mode_names_and_values_of_every_profile():
     copter = PROFILES[ARDUPILOT, "copter"]
     assert copter.mode_name(17) == "BRAKE"
     assert copter.mode_name(99) == "mode 99"
@@ -64,8 +64,8 @@ def test_modes():
         assert (profile.autopilot, profile.kind) in NEEDS
 
 
-class Asked:
-    """An exchange whose questions are answered by a function."""
+class ScriptedExchange:
+    """An exchange whose commands are answered by a function."""
 
     def __init__(self, answers) -> None:
         self.sent: list = []
@@ -82,20 +82,20 @@ def ack(number, result, system=255, component=dialect.MAV_COMP_ID_ONBOARD_COMPUT
     return dialect.MAVLink_command_ack_message(number, result, 0, 0, system, component)
 
 
-def test_a_command_is_repeated_with_a_growing_confirmation(jumping):
-    asked = Asked(lambda message, count: [ack(400, 0)] if count == 3 else [])
-    answer = jumping(asked.exchange.command(400, 1.0))
+def test_unanswered_command_is_repeated_with_higher_confirmation(jumping):
+    scripted = ScriptedExchange(lambda message, count: [ack(400, 0)] if count == 3 else [])
+    answer = jumping(scripted.exchange.command(400, 1.0))
     assert (answer.result, answer.attempts) == (0, 3)
-    assert [m.confirmation for m in asked.sent] == [0, 1, 2]
-    assert all((m.target_system, m.target_component, m.param1) == (1, 1, 1.0) for m in asked.sent)
+    assert [m.confirmation for m in scripted.sent] == [0, 1, 2]
+    assert all((m.target_system, m.target_component, m.param1) == (1, 1, 1.0) for m in scripted.sent)
 
 
-def test_nobody_answers_within_its_bound(jumping):
-    asked = Asked(lambda message, count: [])
+def test_command_without_answer_ends_after_two_seconds(jumping):
+    scripted = ScriptedExchange(lambda message, count: [])
 
     async def ask():
         start = asyncio.get_running_loop().time()
-        answer = await asked.exchange.command(400, 1.0)
+        answer = await scripted.exchange.command(400, 1.0)
         return answer.result, asyncio.get_running_loop().time() - start
 
     result, seconds = jumping(ask())
@@ -103,18 +103,23 @@ def test_nobody_answers_within_its_bound(jumping):
     assert seconds == pytest.approx(2.0, abs=0.01)
 
 
-def test_answers_for_others_are_left_alone(jumping):
+def test_acknowledgement_with_another_target_is_ignored(jumping):
     others = [ack(400, 0, system=254), ack(400, 0, component=1), ack(22, 0)]
-    assert jumping(Asked(lambda message, count: others).exchange.command(400)).result is None
-    assert jumping(Asked(lambda m, c: [ack(400, 0, system=0, component=0)]).exchange.command(400)).result == 0
+    assert jumping(ScriptedExchange(lambda message, count: others).exchange.command(400)).result is None
+    assert (
+        jumping(
+            ScriptedExchange(lambda m, c: [ack(400, 0, system=0, component=0)]).exchange.command(400)
+        ).result
+        == 0
+    )
 
 
-def test_in_progress_extends_the_wait(jumping):
-    asked = Asked(lambda message, count: [ack(400, 5)])
+def test_result_in_progress_extends_the_wait(jumping):
+    scripted = ScriptedExchange(lambda message, count: [ack(400, 5)])
 
     async def ask():
-        asyncio.get_running_loop().call_later(4.0, asked.exchange.on_message, ack(400, 0))
-        return await asked.exchange.command(400)
+        asyncio.get_running_loop().call_later(4.0, scripted.exchange.on_message, ack(400, 0))
+        return await scripted.exchange.command(400)
 
     answer = jumping(ask())
     assert (answer.result, answer.attempts) == (0, 1)
@@ -122,13 +127,13 @@ def test_in_progress_extends_the_wait(jumping):
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=5))
-def test_malformed_bytes_never_raise_and_never_hide_what_follows(pieces):
+def test_malformed_bytes_do_not_raise_or_hide_later_packets(pieces):
     reader, state = Reader(), VehicleState("copter")
     for piece in pieces:
         for message in reader.feed(piece):
             state.update(message, 1.0)
     packet = Writer().pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3), 1)
-    # A false header may swallow up to a whole packet's worth of bytes before it is found out.
+    # A false header may consume the bytes of a whole packet before its checksum fails.
     for _ in range(20):
         for message in reader.feed(packet):
             state.update(message, 2.0)
@@ -146,7 +151,7 @@ floats = st.floats(width=32)
     st.integers(0, 0xFFFF),
     st.integers(0, 255),
 )
-def test_telemetry_that_makes_no_sense_is_not_published(numbers, percent, volts, landed):
+def test_telemetry_outside_its_range_is_not_published(numbers, percent, volts, landed):
     state = VehicleState("copter")
     values: dict = {}
     for message in (
@@ -169,7 +174,7 @@ def test_telemetry_that_makes_no_sense_is_not_published(numbers, percent, volts,
         ("submarine", {"land": "surface", "return": "surface"}),
     ],
 )
-def test_the_log_names_what_a_vehicle_does_in_a_safe_state(kind, actions):
+def test_safe_action_names_what_each_vehicle_kind_does(kind, actions):
     profile = PROFILES[ARDUPILOT, kind]
     found = {state: profile.safe_action(state) for state in ("land", "hold", "return")}
     assert {state: action for state, action in found.items() if action != state} == actions

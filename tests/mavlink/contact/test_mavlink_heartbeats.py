@@ -1,4 +1,4 @@
-"""Only the heartbeats of the vehicle are lost, for long: the rest of its telemetry flows."""
+"""The heartbeats of the vehicle are lost for a long time; the other telemetry arrives."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
 
 
-def unbeaten(link, packet):
-    """What passes: all but heartbeats."""
+def without_heartbeats(link, packet):
+    """Delivers every packet except heartbeats."""
     if not any(m.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT for m in Reader().feed(packet)):
         link.on_data(packet)
 
 
 @on_bench("bench", flavour="px4")
-async def test_a_flight_without_heartbeats_ends_well_and_is_at_rest(b, fc, /):
+async def test_flight_without_heartbeats_lands_and_is_reported_at_rest(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
-    b.filter = unbeaten
+    b.filter = without_heartbeats
     await fc.execute("goTo", [3.0, 0.0, -5.0])
     await asyncio.sleep(7.0)
-    told = fc.moving()
-    assert told.startswith("no heartbeat for "), told
-    assert ", motor state unknown; last reported 5." in told
+    report = fc.moving()
+    assert report.startswith("no heartbeat for "), report
+    assert ", motor state unknown; last reported 5." in report
     await fc.execute("land", [])
     assert not b.autopilot.armed
     await fc.execute("disarm", [])
@@ -37,7 +37,7 @@ async def test_a_flight_without_heartbeats_ends_well_and_is_at_rest(b, fc, /):
 
 
 @on_bench("bench", flavour="px4")
-async def test_what_only_a_heartbeat_shows_is_not_said_to_have_failed(b, fc, /):
-    b.filter = unbeaten
+async def test_arming_without_heartbeats_is_unconfirmed_not_failed(b, fc, /):
+    b.filter = without_heartbeats
     with pytest.raises(DeviceError, match=r"arm was accepted but it cannot be confirmed: no heartbeat for"):
         await fc.execute("arm", [])

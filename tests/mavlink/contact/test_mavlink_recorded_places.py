@@ -1,4 +1,4 @@
-"""Places of real autopilots, recorded: metres of their local frame and their degrees are one place."""
+"""Recorded positions of real autopilots: local metres and global degrees are one position."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ MESSAGES = {
 }
 
 
-def told(name):
-    """What an autopilot has sent of its places, in order."""
+def recorded_messages(name):
+    """The messages that an autopilot has sent, in order."""
     with gzip.open(TRACES / f"{name}.jsonl.gz", "rt") as lines:
         next(lines)
         sent = (json.loads(line) for line in lines)
@@ -40,17 +40,17 @@ def told(name):
 
 
 @pytest.mark.parametrize("name", ["ap-rover.c-speed", "px4-copter.c-speed", "px4-rover.l-px4-rover"])
-def test_metres_and_degrees_of_a_real_autopilot_are_one_place(name):
+def test_recorded_local_and_global_positions_agree(name):
     stack = "px4" if name.startswith("px4") else "ardupilot"
     state = VehicleState("rover" if "rover" in name else "copter")
     team = placement = None
     nowhere, by_metres, by_degrees = 0, {}, {}
-    for kind, fields in told(name):
+    for kind, fields in recorded_messages(name):
         if kind == "GLOBAL_POSITION_INT":
             place = Place.scaled(fields["lat"], fields["lon"], fields["alt"])
             by_degrees[fields["time_boot_ms"]] = place
         if kind == "HOME_POSITION" and team is None:
-            # Some way off, as a team's origin is.
+            # At some distance, as the origin of a team is.
             team = Origin(fields["latitude"] / 1e7 - 0.002, fields["longitude"] / 1e7 + 0.003, 400.0)
             placement = Placement(team)
         if kind not in MESSAGES or None in fields.values():
@@ -69,5 +69,5 @@ def test_metres_and_degrees_of_a_real_autopilot_are_one_place(name):
         north, east, _ = onto(team, by_degrees[at])
         assert math.dist(by_metres[at][:2], (north, east)) < 0.02
         assert by_metres[at][2] == pytest.approx(team.altitude - by_degrees[at].altitude, abs=NEAR[stack])
-    # An ArduRover tells positions 11 s before it tells where they are.
+    # An ArduRover sends local positions 11 s before the origin of their frame.
     assert nowhere > 30 if name == "ap-rover.c-speed" else nowhere == 0

@@ -1,4 +1,4 @@
-"""Round trips of TIMESYNC: offset and delay, whatever else comes in."""
+"""Round trips of TIMESYNC: offset and delay, with unrelated messages between."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Wall(ManualClock):
         return self.now + 500.0
 
 
-def made():
+def make_sync():
     clock, sent = Wall(), []
     return TimeSync(clock, sent.append), clock, sent
 
@@ -27,18 +27,18 @@ def answer(question, vehicle):
     return dialect.MAVLink_timesync_message(int(vehicle * 1e9), question.ts1)
 
 
-def test_a_round_trip_tells_offset_and_delay():
-    sync, clock, sent = made()
+def test_round_trip_gives_offset_and_delay():
+    sync, clock, sent = make_sync()
     sync.start_round_trip()
     clock.advance(0.1)
-    # The vehicle's clock was at 20 s in the middle of the way.
+    # The vehicle's clock was at 20 s in the middle of the round trip.
     measured = sync.on_message(answer(sent[0], 20.0))
     assert measured.round_trip == pytest.approx(0.1)
     assert measured.offset == pytest.approx(20.0 - (1500.0 + 0.05), abs=1e-6)
 
 
-def test_the_shortest_round_trip_tells_the_offset():
-    sync, clock, sent = made()
+def test_offset_is_that_of_the_shortest_recent_round_trip():
+    sync, clock, sent = make_sync()
     measured = None
     for delay, skew in ((0.01, 0.0), (0.4, 0.2), (0.3, 0.1)):
         sync.start_round_trip()
@@ -53,14 +53,14 @@ def test_the_shortest_round_trip_tells_the_offset():
     assert measured.offset == pytest.approx(-499.9, abs=1e-6)
 
 
-def test_the_vehicles_own_question_is_answered():
-    sync, clock, sent = made()
+def test_timesync_request_of_the_vehicle_is_answered():
+    sync, clock, sent = make_sync()
     assert sync.on_message(dialect.MAVLink_timesync_message(0, 77)) is None
     assert (sent[0].tc1, sent[0].ts1) == (round(clock.now * 1e9), 77)
 
 
-def test_answers_to_others_late_ones_and_second_copies_do_not_count():
-    sync, clock, sent = made()
+def test_foreign_late_and_repeated_timesync_answers_are_ignored():
+    sync, clock, sent = make_sync()
     assert sync.on_message(dialect.MAVLink_timesync_message(5, 77)) is None
     sync.start_round_trip()
     clock.advance(0.1)
@@ -75,8 +75,8 @@ whole = st.integers(-(2**63), 2**63 - 1)
 
 
 @given(st.lists(st.tuples(whole, whole), max_size=20))
-def test_any_message_is_survived(messages):
-    sync, _, sent = made()
+def test_any_timesync_values_are_survived(messages):
+    sync, _, sent = make_sync()
     sync.start_round_trip()
     for tc1, ts1 in messages:
         sync.on_message(dialect.MAVLink_timesync_message(tc1, ts1))

@@ -1,4 +1,4 @@
-"""Two vehicles with one system id, a vehicle whose address changes, and one that comes back as another."""
+"""Two vehicles with one system id, a vehicle whose address changes, and one that is replaced."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BOARD = 0x3F21
 
 
 class Twin:
-    """A second vehicle with the first one's system id, on a link of the bench, from when it is `there`."""
+    """A second vehicle with the same system id, on a link of the bench, active while `there`."""
 
     def __init__(self, bench, flavour="ardupilot", *, board=BOARD + 1, link=0, address=SECOND):
         self.bench, self.link, self.address = bench, link, address
@@ -33,7 +33,7 @@ class Twin:
                 link.sender(self.address)
                 link.on_data(packet)
 
-    def hears(self, data):
+    def receive(self, data):
         for packet in self.fake.receive("link", data) if self.there else ():
             link = self.bench.links[self.link]
             link.sender(self.address)
@@ -41,7 +41,7 @@ class Twin:
 
 
 def with_twin(bench, twin):
-    """The bench with both: each gets what is sent to its address, and what is sent to all."""
+    """The bench with both: each receives packets to its address and packets to all."""
     bench._fakes = [*bench._fakes, twin.live]
 
     def passes(link, packet):
@@ -52,8 +52,8 @@ def with_twin(bench, twin):
     return bench
 
 
-def both_hear(bench, twin):
-    """One link with one far end, such as a router: both get all that is sent."""
+def both_receive(bench, twin):
+    """One link with one remote end, such as a router: both receive every packet."""
     bench._fakes = [*bench._fakes, twin.live]
 
     def join():
@@ -62,7 +62,7 @@ def both_hear(bench, twin):
 
         def to_both(data):
             send(data)
-            asyncio.get_running_loop().call_soon(twin.hears, data)
+            asyncio.get_running_loop().call_soon(twin.receive, data)
 
         link.send = to_both
 
@@ -79,7 +79,7 @@ BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
 
 @BOTH
-def test_two_vehicles_behind_one_port_are_not_armed_and_both_are_named(bench, flavour):
+def test_arming_is_refused_for_two_vehicles_on_one_port(bench, flavour):
     b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
     twin = Twin(b, flavour)
     with_twin(b, twin)
@@ -101,20 +101,8 @@ def test_two_vehicles_behind_one_port_are_not_armed_and_both_are_named(bench, fl
     assert sum(SECOND in note and "ignored" in note for note in b.notes) == 1
 
 
-def test_a_second_vehicle_is_noticed_also_by_who_arms_at_once(bench):
-    b = bench(endpoint=PORT, board=BOARD)
-    twin = Twin(b)
-    with_twin(b, twin)
-
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="two vehicles send as system 1"):
-            await fc.execute("arm", [])
-
-    b.run(mission)
-
-
 @BOTH
-def test_in_flight_the_first_is_kept_and_the_other_ignored(bench, flavour):
+def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
     twin = Twin(b, flavour)
     twin.there = False
@@ -127,7 +115,7 @@ def test_in_flight_the_first_is_kept_and_the_other_ignored(bench, flavour):
         twin.fake.autopilot.vehicle.place = (700.0, 0.0, 0.0)
         b.links[0].sent_to.clear()
         await fc.execute("goTo", [20.0, 0.0, -5.0])
-        # The other one stands disarmed, far away: nothing of it is told.
+        # The other vehicle is disarmed and far away: its telemetry is not published.
         assert b.values["armed"]
         assert b.values["position"] == pytest.approx([20.0, 0.0, -5.0], abs=0.6)
         await fc.execute("land", [])
@@ -139,8 +127,8 @@ def test_in_flight_the_first_is_kept_and_the_other_ignored(bench, flavour):
 
 @BOTH
 @pytest.mark.parametrize("later", [False, True])
-def test_a_vehicle_that_falls_silent_in_flight_is_not_replaced(bench, flavour, later):
-    """By the other one that sends beside it, or that is switched on while it is silent."""
+def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, later):
+    """The second one sends beside it, or is switched on during its silence."""
     b = bench(flavour=flavour, endpoint=PORT, board=BOARD)
     twin = Twin(b, flavour)
     twin.there = False
@@ -151,7 +139,7 @@ def test_a_vehicle_that_falls_silent_in_flight_is_not_replaced(bench, flavour, l
     async def mission(fc):
         nonlocal silent
         b.links[0].send_to = lambda data, address: (
-            b.links[0].send(data) if address == FIRST else twin.hears(data)
+            b.links[0].send(data) if address == FIRST else twin.receive(data)
         )
         await fc.execute("arm", [])
         await fc.execute("takeoff", [5.0])
@@ -176,12 +164,12 @@ def test_a_vehicle_that_falls_silent_in_flight_is_not_replaced(bench, flavour, l
 
 @BOTH
 @pytest.mark.parametrize("head_start", [0.0, 0.5, 30.0])
-def test_two_vehicles_behind_a_router_are_not_armed(bench, flavour, head_start):
+def test_arming_is_refused_for_two_vehicles_behind_a_router(bench, flavour, head_start):
     b = bench(flavour=flavour, board=BOARD)
     twin = Twin(b, flavour, address="")
     twin.fake.autopilot.parameters.update(b.autopilot.parameters)
     twin.fake.autopilot.apply_parameters()
-    join = both_hear(b, twin)
+    join = both_receive(b, twin)
 
     async def mission(fc):
         join()
@@ -202,11 +190,11 @@ def test_two_vehicles_behind_a_router_are_not_armed(bench, flavour, head_start):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "head_start"), [("ardupilot", 0.0), ("ardupilot", 30.0), ("px4", 0.0)])
-def test_a_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, head_start):
+def test_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, head_start):
     b = bench(flavour=flavour, board=BOARD)
     twin = Twin(b, flavour, address="")
     twin.there = False
-    join = both_hear(b, twin)
+    join = both_receive(b, twin)
 
     async def mission(fc):
         join()
@@ -229,7 +217,7 @@ def test_a_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, 
 
 
 @on_bench("bench", board=BOARD)
-async def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(b, fc, /):
+async def test_vehicle_with_a_changed_board_is_not_armed(b, fc, /):
     await asyncio.sleep(1.0)
     b.autopilot.board = BOARD + 1
     with pytest.raises(DeviceError, match="another vehicle answers: its board is"):
@@ -238,7 +226,7 @@ async def test_a_vehicle_that_was_swapped_in_a_moment_is_not_armed(b, fc, /):
 
 
 @pytest.mark.parametrize("same", [False, True])
-def test_over_two_links_the_boards_tell_one_vehicle_from_two(bench, same):
+def test_board_ids_over_two_links_show_one_vehicle_or_two(bench, same):
     b = bench(links=2, board=BOARD)
     twin = Twin(b, board=BOARD if same else BOARD + 1, link=1, address="")
 
@@ -251,7 +239,7 @@ def test_over_two_links_the_boards_tell_one_vehicle_from_two(bench, same):
 
     async def mission(fc):
         second = b.links[1]
-        send, second.send = second.send, lambda data: (send(data), twin.hears(data))
+        send, second.send = second.send, lambda data: (send(data), twin.receive(data))
         await asyncio.sleep(2.0)
         if same:
             await fc.execute("arm", [])
@@ -263,7 +251,7 @@ def test_over_two_links_the_boards_tell_one_vehicle_from_two(bench, same):
     b.run(mission)
 
 
-def test_a_vehicle_whose_address_changes_flies_on(bench):
+def test_flight_continues_after_a_change_of_address(bench):
     b = bench(endpoint=PORT, board=BOARD)
     address = [FIRST]
 
@@ -288,8 +276,8 @@ def test_a_vehicle_whose_address_changes_flies_on(bench):
     assert not any("two vehicles" in note for note in b.notes)
 
 
-def swapped(b, board):
-    """Pull the link for a while, and put another board behind it."""
+def cut_and_replace_board(b, board):
+    """Interrupts the link and replaces the board."""
     b.cut = True
     b.autopilot.board = board
 
@@ -297,8 +285,8 @@ def swapped(b, board):
 @pytest.mark.parametrize("board", [BOARD + 1, 0])
 @BOTH
 @on_bench("bench", board=BOARD, given="flavour")
-async def test_another_vehicle_after_a_reconnection_gets_no_command(b, fc, /, flavour, board):
-    swapped(b, board)
+async def test_replaced_vehicle_after_a_link_loss_gets_no_command(b, fc, /, flavour, board):
+    cut_and_replace_board(b, board)
     await asyncio.sleep(5.0)
     b.sent.clear()
     b.cut = False
@@ -318,8 +306,8 @@ async def test_another_vehicle_after_a_reconnection_gets_no_command(b, fc, /, fl
 
 
 @on_bench("bench", board=0)
-async def test_a_board_without_an_id_is_compared_by_what_there_is(b, fc, /):
-    swapped(b, 0)
+async def test_board_without_an_id_is_compared_by_type_and_firmware(b, fc, /):
+    cut_and_replace_board(b, 0)
     await asyncio.sleep(5.0)
     b.cut = False
     await asyncio.sleep(3.0)
@@ -328,7 +316,7 @@ async def test_a_board_without_an_id_is_compared_by_what_there_is(b, fc, /):
 
 
 @on_bench("bench", board=BOARD)
-async def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_no_command(b, fc, /):
+async def test_vehicle_without_confirmed_board_after_a_loss_gets_no_command(b, fc, /):
     def mute(link, packet):
         if not any(m.get_type() == "AUTOPILOT_VERSION" for m in Reader().feed(packet)):
             link.on_data(packet)
@@ -348,7 +336,7 @@ async def test_a_vehicle_that_does_not_tell_its_board_after_a_reconnection_gets_
     ("kind", "autopilot"),
     [(6, 8), (18, 8), (18, 3), (6, 3), (2, 8), (0, 8), (34, 0), (27, 3), (42, 12), (5, 3), (2, 0), (0, 0)],
 )
-def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind, autopilot):
+def test_heartbeats_of_a_non_autopilot_are_ignored_and_reported(bench, kind, autopilot):
     b = bench(endpoint=PORT, board=BOARD)
     station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
 
@@ -375,7 +363,7 @@ def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind
     assert reports[0].startswith("ignoring ")
 
 
-def test_a_port_where_only_a_station_sends_has_no_vehicle(bench):
+def test_open_fails_where_only_a_ground_station_sends(bench):
     b = bench(endpoint=PORT)
     station = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     b.filter = lambda link, packet: link.on_data(

@@ -1,4 +1,4 @@
-"""The modules of this folder are found by its tests."""
+"""Puts the modules of this folder on the path of its tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameter files of ground stations: what is read, and what is refused with the line."""
+"""Parameter files of ground stations: accepted forms, and refusals with the line."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def read(text):
         "1 1 A_B 1.0 9\n1\t1\tC2\t-2.5\t9\n",
     ],
 )
-def test_forms_of_the_same_values(text):
+def test_every_file_form_gives_the_same_values(text):
     found = read(text)
     assert found.values == {"A_B": 1.0, "C2": -2.5}
     assert (found.firmware, found.kind, found.others) == ("", "", 0)
@@ -60,14 +60,14 @@ def test_forms_of_the_same_values(text):
         ("MyPilot", "Balloon", "", ""),
     ],
 )
-def test_the_header_of_qgroundcontrol(stack, vehicle, firmware, kind):
+def test_qgroundcontrol_header_gives_firmware_and_vehicle_kind(stack, vehicle, firmware, kind):
     found = read(QGC.format(stack=stack, vehicle=vehicle))
     assert (found.firmware, found.kind) == (firmware, kind)
     assert found.values == {"MPC_XY_VEL_MAX": 12.5, "COM_RCL_EXCEPT": 4.0}
     assert found.others == 1
 
 
-def test_read_only_values():
+def test_read_only_marks_are_read():
     found = read("A,1 @READONLY\nB,2\nC 3 # @READONLY\n")
     assert found.values == {"A": 1.0, "B": 2.0, "C": 3.0}
     assert found.read_only == {"A", "C"}
@@ -96,13 +96,13 @@ def test_read_only_values():
         ("QGC WPL 110\n0\t1\t0\t16\n", "line 1"),
     ],
 )
-def test_files_that_are_refused(text, where):
+def test_malformed_parameter_file_is_refused_with_its_line(text, where):
     with pytest.raises(MissionFileError) as caught:
         read(text)
     assert (caught.value.file, caught.value.where) == ("f.param", where)
 
 
-def test_values_of_the_autopilot_and_restarts():
+def test_autopilot_owned_and_restart_parameters_are_listed():
     names = [
         "STAT_BOOTCNT",
         "BARO1_GND_PRESS",

@@ -1,4 +1,4 @@
-"""What is wrong with a plan for a vehicle: all findings, with the item's number in the ground station."""
+"""Checks of a plan for a vehicle: all findings, with the item's number in the ground station."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def found(data, **request):
     return [(finding.code, finding.item) for finding in report(data, **request).findings]
 
 
-def test_a_plan_that_is_fine():
+def test_correct_plan_has_no_findings_and_an_estimate():
     points = [(0, 0, 10.0), (40, 30, 20.0), (40, 0, 20.0)]
     items = [UP, *(simple(WAYPOINT, *point) for point in points[1:]), simple(RETURN, frame=2)]
     read = report(
@@ -58,7 +58,7 @@ def test_a_plan_that_is_fine():
     assert (len(read.zones), len(read.rally)) == (1, 1)
 
 
-def test_every_fault_is_reported_in_the_order_of_the_items():
+def test_every_finding_is_reported_in_item_order():
     items = [
         simple(WAYPOINT),
         simple(WAYPOINT, 500.0),
@@ -81,7 +81,7 @@ def test_every_fault_is_reported_in_the_order_of_the_items():
     assert "item 44" in texts[6]
 
 
-def test_an_item_of_a_survey_is_named_as_part_of_it():
+def test_finding_in_a_survey_names_the_survey():
     (finding,) = report(plan(UP, survey(simple(WAYPOINT), simple(WAYPOINT, 400.0)))).findings
     assert finding.item == 3
     assert finding.text.endswith("(of the survey 2)")
@@ -105,7 +105,7 @@ def test_an_item_of_a_survey_is_named_as_part_of_it():
         ({"firmware": 3, "vehicle": ROVER}, {"firmware": "px4"}, ["M101", "M102"]),
     ],
 )
-def test_plans_of_other_vehicles(made_for, asked, code):
+def test_plan_for_another_vehicle_or_firmware_is_refused(made_for, asked, code):
     assert [each for each, _ in found(plan(UP, **made_for), **asked)] == code
 
 
@@ -123,25 +123,25 @@ def test_plans_of_other_vehicles(made_for, asked, code):
         (3, 0, ["M105"]),
     ],
 )
-def test_numbers_of_items(firmware, count, codes):
+def test_item_count_limits_by_firmware(firmware, count, codes):
     items = [UP, *[simple(WAYPOINT, 10.0)] * (count - 1)][:count]
     assert [code for code, _ in found(plan(*items, firmware=firmware))] == codes
 
 
-def test_a_file_with_a_fence_only_is_fine():
+def test_plan_with_a_fence_only_has_no_findings():
     assert found(plan(polygons=[zone((0, 0), (0, 9), (9, 9))]), limits={}) == []
 
 
-def test_home_is_needed_for_limits():
+def test_limits_need_a_home_position():
     without = plan(UP, simple(WAYPOINT, 50.0), plannedHomePosition=None)
     assert found(without) == [("M109", None)]
     assert found(without, limits={}) == []
     assert found(without, home=(HOME.latitude, HOME.longitude, 0.0)) == []
-    # Another home than the one in the file.
+    # A home position that differs from the file's.
     assert found(plan(UP, simple(WAYPOINT, 50.0)), home=(*at(-80.0, 0.0), 0.0)) == [("M104", 2)]
 
 
-def test_home_far_from_the_first_item_is_a_warning():
+def test_home_far_from_the_first_item_gives_a_warning():
     assert found(plan(simple(TAKEOFF, 1000.0)), limits={}) == [("M901", 1)]
     assert report(plan(simple(TAKEOFF, 1000.0)), limits={}).is_usable
 
@@ -149,27 +149,27 @@ def test_home_far_from_the_first_item_is_a_warning():
 @pytest.mark.parametrize(
     ("kind", "vehicle", "needs"), [("copter", 2, True), ("plane", 1, True), ("rover", 10, False)]
 )
-def test_a_takeoff_is_needed_by_what_flies(kind, vehicle, needs):
+def test_plan_of_a_flying_vehicle_needs_a_takeoff(kind, vehicle, needs):
     camera = simple(206, p=(5.0, 0, 0, 0), frame=2)
     data = plan(camera, simple(WAYPOINT), vehicle=vehicle)
     assert found(data, kind=kind) == ([("M108", 2)] if needs else [])
     assert found(plan(camera, UP, simple(WAYPOINT), vehicle=vehicle), kind=kind) == []
 
 
-def test_landings_and_rovers_may_be_below_home():
+def test_only_landings_and_rovers_may_be_below_home():
     assert found(plan(UP, simple(LAND, height=-4.0))) == []
     assert found(plan(simple(WAYPOINT, height=-4.0), vehicle=ROVER), kind="rover") == []
     sea = simple(WAYPOINT, height=HOME.altitude - 1.0, frame=0)
     assert found(plan(UP, sea)) == [("M107", 2)]
 
 
-def test_heights_above_the_terrain_are_refused_with_an_altitude_limit_only():
+def test_terrain_heights_are_refused_only_with_an_altitude_limit():
     terrain = simple(WAYPOINT, frame=10)
     assert found(plan(UP, terrain)) == [("M104", 2)]
     assert found(plan(UP, terrain), limits={"radius": 100.0}) == []
 
 
-def test_a_landing_pattern_of_a_vtol():
+def test_vtol_landing_pattern_is_checked_against_the_limits():
     items = [simple(84), simple(WAYPOINT, 80.0), landing("vtolLandingPattern")]
     data = plan(*items, vehicle=VTOL)
     assert found(data, kind="vtol", limits={"radius": 200.0, "altitude": 50.0}) == []
@@ -178,7 +178,7 @@ def test_a_landing_pattern_of_a_vtol():
     assert found(data, kind="vtol", limits={"altitude": 39.0}) == [("M104", 4)]
 
 
-# -- its own fence ----------------------------------------------------------------------------------------
+# -- the plan's fence ----------------------------------------------------------------------------------------
 
 _FIELD = zone((-60, -60), (-60, 60), (60, 60), (60, -60))
 
@@ -206,12 +206,12 @@ _FIELD = zone((-60, -60), (-60, 60), (60, 60), (60, -60))
         ([(50, 0)], {"polygons": [zone((5, -60), (5, 60), (60, 60), (60, -60))]}, [("M106", 0), ("M106", 1)]),
     ],
 )
-def test_items_and_ways_beyond_the_fence(items, fence, faults):
+def test_items_and_legs_outside_the_fence_are_found(items, fence, faults):
     data = plan(UP, *(simple(WAYPOINT, *place) for place in items), **fence)
     assert found(data, limits={}) == faults
 
 
-def test_jumps_and_the_fence():
+def test_legs_of_a_jump_are_checked_against_the_fence():
     notch = zone((-9, -60), (-9, 60), (60, 60), (60, 30), (9, 0), (60, -30), (60, -60))
     items = [UP, simple(WAYPOINT, 50, 40), simple(WAYPOINT, 0, 0), simple(WAYPOINT, 50, -40)]
     jump = simple(177, p=(2.0, 3.0, 0, 0), frame=2)
@@ -219,7 +219,7 @@ def test_jumps_and_the_fence():
     assert found(plan(*items, jump, polygons=[notch]), limits={}) == [("M106", 2)]
 
 
-def test_several_inclusion_zones_by_firmware():
+def test_ardupilot_needs_all_inclusion_zones_and_px4_one():
     """ArduPilot must be in all of them, PX4 in one."""
     zones = [_FIELD, zone((-60, -60), (-60, 10), (60, 10), (60, -60))]
     items = [UP, simple(WAYPOINT, 50, -30), simple(WAYPOINT, 50, 30)]
@@ -237,11 +237,11 @@ def test_several_inclusion_zones_by_firmware():
         {"polygons": [zone(*[(each, each * each) for each in range(300)])]},
     ],
 )
-def test_zones_that_are_no_zones(fence):
+def test_invalid_fence_zones_are_found(fence):
     assert found(plan(UP, **fence)) == [("M110", None)]
 
 
-def test_rally_points():
+def test_rally_points_outside_limits_or_fence_are_found():
     rally = [(10, 0, 5.0), (500, 0, 5.0), (10, 0, 80.0), (10, 0, 5.0)]
     read = report(plan(UP, rally=rally))
     assert [finding.code for finding in read.findings] == ["M111", "M111"]
@@ -253,14 +253,14 @@ def test_rally_points():
 # -- other formats ----------------------------------------------------------------------------------------
 
 
-def test_the_numbers_of_a_waypoint_file():
+def test_waypoint_file_items_are_numbered_with_or_without_home():
     up, go = (3, TAKEOFF, 0, 0, 0, 0, 0.0, 0.0, 10.0), (3, WAYPOINT, 0, 0, 0, 0, 400.0, 0.0, 10.0)
     assert found(rows(up, go)) == [("M104", 2)]
     without = rows(up, go, home=None)
     assert found(without, home=(HOME.latitude, HOME.longitude, 0.0)) == [("M104", 1)]
 
 
-def test_the_estimate_counts_speeds_and_waits():
+def test_duration_estimate_counts_speed_changes_and_waits():
     items = [
         UP,
         simple(178, p=(1.0, 2.0, 0, 0), frame=2),

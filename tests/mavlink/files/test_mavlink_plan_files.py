@@ -1,4 +1,4 @@
-"""`.plan` and `QGC WPL`: what is read, and what is refused with the item's number."""
+"""`.plan` and `QGC WPL` files: accepted forms, and refusals with the item's number."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def refusal(data):
 # -- .plan ----------------------------------------------------------------------------------------------
 
 
-def test_a_mission_with_fence_and_rally_points():
+def test_plan_with_mission_fence_and_rally_points_is_read():
     fences = {"polygons": [zone((0, 0), (0, 90), (90, 90))], "circles": [circle(200.0, inclusion=False)]}
     file = read(plan(simple(TAKEOFF), simple(WAYPOINT, 30, 40, 20.0), rally=[(5, 6, 7.0)], **fences))
     assert (file.kind, file.firmware, file.hover_speed, file.cruise_speed) == (
@@ -69,7 +69,7 @@ def test_a_mission_with_fence_and_rally_points():
     assert [point.height for point in file.rally] == [7.0]
 
 
-def test_a_survey_contributes_its_items():
+def test_survey_contributes_its_items():
     inner = [simple(WAYPOINT, 10 * n, 0, doJumpId=n) for n in (2, 3, 4)]
     file = read(plan(simple(TAKEOFF, doJumpId=1), survey(*inner), simple(LAND, doJumpId=5)))
     transects = [(number, WAYPOINT, "survey 2") for number in (2, 3, 4)]
@@ -93,7 +93,7 @@ _STOP = [(206, 0.0), (2001, 0.0)]
         (landing(useDoChangeSpeed=True, finalApproachSpeed=12), [189, 178, 31, 21]),
     ],
 )
-def test_a_landing_pattern_is_expanded(pattern, expected):
+def test_landing_pattern_is_expanded(pattern, expected):
     file = read(plan(simple(TAKEOFF), pattern, vehicle=VTOL))
     assert [each.item.command for each in file.items] == [TAKEOFF, *expected]
     assert {each.part_of for each in file.items[1:]} == {"landing pattern 2"}
@@ -104,7 +104,7 @@ def test_a_landing_pattern_is_expanded(pattern, expected):
         assert approach.parameters == (1.0, -30.0, 0.0, 1.0)
 
 
-def test_a_landing_pattern_of_version_1():
+def test_landing_pattern_of_version_1_is_read():
     old = landing(version=1, loiterAltitudeRelative=False, landAltitudeRelative=False, loiterClockwise=True)
     old["loiterCoordinate"] = old.pop("landingApproachCoordinate")
     del old["altitudesAreRelative"]
@@ -113,7 +113,7 @@ def test_a_landing_pattern_of_version_1():
     assert items[1].item.parameters[1] == 30.0
 
 
-def test_jumps_lead_to_the_number_of_their_target():
+def test_jump_target_is_converted_to_the_item_number():
     jump = simple(177, p=(7, 2, 0, 0), frame=2, doJumpId=9)
     file = read(plan(simple(TAKEOFF, doJumpId=5), simple(WAYPOINT, doJumpId=7), jump))
     assert file.items[2].item.parameters[:2] == (2.0, 2.0)
@@ -121,7 +121,7 @@ def test_jumps_lead_to_the_number_of_their_target():
     assert [item.parameters[0] for item in file.mission(px4=True)][2] == 1.0
 
 
-def test_positions_that_are_none():
+def test_missing_coordinates_mean_the_current_position():
     nowhere = simple(TAKEOFF)
     nowhere["params"][4:6] = [None, None]
     file = read(plan(nowhere))
@@ -145,17 +145,17 @@ def test_positions_that_are_none():
         ({"plannedHomePosition": [47.0, 8.0, None]}, 0.0),
     ],
 )
-def test_a_plan_without_home(mission, home):
+def test_missing_home_or_home_altitude_is_accepted(mission, home):
     file = read(plan(simple(TAKEOFF), **mission))
     assert (None if file.home is None else file.home.altitude) == home
 
 
-def test_unknown_vehicles_and_firmwares():
+def test_unknown_vehicle_and_firmware_are_read_as_empty():
     file = read(plan(simple(TAKEOFF), firmware=0, vehicle=0))
     assert (file.kind, file.firmware) == ("", "")
 
 
-def test_a_fence_of_version_1():
+def test_fence_of_version_1_is_read():
     tree = json.loads(plan(simple(TAKEOFF)))
     tree["geoFence"] = {
         "version": 1,
@@ -192,7 +192,7 @@ _TAKEOFF = simple(TAKEOFF)
         ([_TAKEOFF, {**_TAKEOFF, "params": [0, 0, 0, 0, 47.0, 8.0, -1e300]}], 2),
     ],
 )
-def test_refused_with_the_number_of_the_item(items, number):
+def test_malformed_item_is_refused_with_its_number(items, number):
     assert refusal(plan(*items)).item == number
 
 
@@ -210,7 +210,7 @@ def test_refused_with_the_number_of_the_item(items, number):
         {"rallyPoints": {"points": [[None, 8.0, 5]]}},
     ],
 )
-def test_plans_of_another_form(change):
+def test_plan_of_another_structure_is_refused(change):
     tree = json.loads(plan(_TAKEOFF))
     assert refusal(json.dumps({**tree, **change}).encode()).item is None
 
@@ -229,11 +229,11 @@ def test_plans_of_another_form(change):
         b"\x00" * 1000,
     ],
 )
-def test_bytes_that_are_no_plan(data):
+def test_invalid_plan_bytes_are_refused(data):
     refusal(data)
 
 
-def test_a_byte_order_mark_and_crlf_are_read():
+def test_byte_order_mark_and_crlf_are_accepted():
     data = json.dumps(json.loads(plan(_TAKEOFF)), indent=1).replace("\n", "\r\n").encode()
     assert len(read(b"\xef\xbb\xbf" + data).items) == 1
 
@@ -245,7 +245,7 @@ _GO = (3, WAYPOINT, 0, 0, 0, 0, 30.0, 40.0, 20.0)
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\n\n"])
-def test_a_waypoint_file(newline):
+def test_waypoint_file_is_read(newline):
     file = read(rows(_UP, _GO, newline=newline))
     assert (file.kind, file.firmware) == ("", "")
     assert file.home.latitude == pytest.approx(HOME.latitude)
@@ -256,7 +256,7 @@ def test_a_waypoint_file(newline):
     assert item.z == 20.0
 
 
-def test_waypoint_files_without_home():
+def test_waypoint_file_without_home_is_read():
     assert read(rows(_UP, _GO, home=None)).home is None
     assert commands(read(rows(_UP, _GO, home=None)))[0] == (0, TAKEOFF, "")
     assert commands(read(rows(_GO, _GO, home=None, version=120)))[0] == (0, WAYPOINT, "")
@@ -266,20 +266,20 @@ def test_waypoint_files_without_home():
     assert commands(read(blank)) == [(1, TAKEOFF, "")]
 
 
-def test_comments_spaces_and_decimals():
+def test_waypoint_file_with_comments_spaces_and_decimals_is_read():
     head = "\ufeffQGC WPL 110 \n# by hand\n0 1 0 16.0 0 0 0 0 47.0 8.0 400 1\n"
     file = read((head + "1 0 3.000000 22 0 0 0 0 0 0 10.5 1\n").encode())
     assert file.items[0].item.z == 10.5
 
 
-def test_jumps_of_a_file_that_counts_from_0():
+def test_jump_target_in_a_file_numbered_from_0_is_converted():
     jump = (2, 177, 1, 3, 0, 0, 0.0, 0.0, 0.0)
     file = read(rows(_UP, _GO, jump, home=None, version=120))
     assert [item.parameters[0] for item in file.mission(px4=True)][2] == 1.0
     assert [item.parameters[0] for item in file.mission(px4=False)][2] == 2.0
 
 
-def test_a_fence_and_rally_points_as_waypoint_files():
+def test_fence_and_rally_points_in_a_waypoint_file_are_read():
     corners = [(3, 5001, 3, 0, 0, 0, *corner, 0.0) for corner in ((0.0, 0.0), (0.0, 50.0), (50.0, 50.0))]
     file = read(rows(*corners, (3, 5004, 20, 0, 0, 0, 5.0, 5.0, 0.0), (3, 5100, 0, 0, 0, 0, 1.0, 1.0, 30.0)))
     assert file.items == ()
@@ -306,9 +306,9 @@ def test_a_fence_and_rally_points_as_waypoint_files():
         (b"QGC WPL 110\n\xff\n", ""),
     ],
 )
-def test_waypoint_files_that_are_refused(data, where):
+def test_malformed_waypoint_file_is_refused_with_its_line(data, where):
     assert refusal(data).where == where
 
 
-def test_other_text_is_no_mission_file():
+def test_other_text_is_refused():
     assert "neither" in refusal(b"hello").fault

@@ -1,4 +1,4 @@
-"""The compact text of a plan: the same plan again, whatever file it came from."""
+"""The compact text of a plan gives the same plan again, for every file format."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield_mavlink.files.plan_report import read_plan_file
 from lfield_mavlink.files.plan_text import embedded_plan, read_plan_text
 
 
-def test_all_parts_survive():
+def test_compact_text_keeps_every_part_of_a_plan():
     data = plan(
         simple(TAKEOFF),
         survey(simple(WAYPOINT, 20.0), simple(177, p=(1.0, 2.0, 0, 0), frame=2)),
@@ -28,12 +28,12 @@ def test_all_parts_survive():
     assert (after.kind, after.firmware, after.home) == (before.kind, before.firmware, HOME)
     assert [len(each.corners) for each in after.fence] == [3, 1]
     assert len(after.rally) == 1
-    # The text of the text is the text.
+    # The compact text of a compact text is the same text.
     assert embedded_plan("north-field.plan", text.partition("\n")[2].encode()) == text
     assert len(text) < len(data)
 
 
-def test_a_waypoint_file_that_counts_from_0():
+def test_compact_text_of_a_file_numbered_from_0():
     up, jump = (3, TAKEOFF, 0, 0, 0, 0, 0.0, 0.0, 10.0), (2, 177, 0, 3, 0, 0, 0.0, 0.0, 0.0)
     data = rows(up, jump, home=None)
     after = read_plan_text(embedded_plan("a.waypoints", data))
@@ -46,11 +46,11 @@ _UP = (3, TAKEOFF, 0, 0, 0, 0, 0.0, 0.0, 9.0)
 
 
 @pytest.mark.parametrize("text", [plan(simple(TAKEOFF)).decode(), rows(_UP).decode()])
-def test_a_text_without_a_name(text):
+def test_text_without_a_file_name_is_named_plan(text):
     assert read_plan_text(text).file == "plan"
 
 
 @pytest.mark.parametrize("text", ["", "a", "a\n", "\ud800", "a\n{}"])
-def test_other_texts(text):
+def test_text_that_is_no_plan_is_refused(text):
     with pytest.raises(MissionFileError):
         read_plan_text(text)

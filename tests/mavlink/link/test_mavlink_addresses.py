@@ -1,4 +1,4 @@
-"""Which addresses one system id is heard from, and whether that is one vehicle: packets and times."""
+"""The addresses that send with one system id, and whether they are one vehicle: packets and times."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def version(uid=0, uid2=b"", firmware=7):
 
 
 def run(sources, seconds, *senders, start=0.0, every=1.0, boards=None):
-    """Heartbeats of each sender for so many seconds; which of them were believed last.
+    """Sends heartbeats of each sender for so many seconds; returns whether each was accepted last.
 
-    Who is asked for its board answers with its message of `boards`, if it has one there.
+    A sender that is asked for its board answers with its message in `boards`, if there is one.
     """
     believed = {}
     for number in range(round(seconds / every) + 1):
@@ -53,7 +53,7 @@ def run(sources, seconds, *senders, start=0.0, every=1.0, boards=None):
     return believed
 
 
-def test_two_addresses_that_both_keep_sending_are_two_vehicles():
+def test_two_addresses_that_both_send_are_two_vehicles():
     s = Sources(1, LINKS[:1])
     assert run(s, 3.0, A, B) == {A: True, B: False}
     assert s.conflict(3.1) == (
@@ -65,12 +65,12 @@ def test_two_addresses_that_both_keep_sending_are_two_vehicles():
     assert s.address(0) == A.address
     run(s, 60.0, A, B, start=4.0)
     assert len(s.events) == 1
-    # One of them goes: no conflict any more.
+    # One of them stops: the conflict ends.
     run(s, LASTS + 2.0, A, start=65.0)
     assert s.conflict(65.0 + LASTS + 2.0) == ""
 
 
-def test_an_address_that_falls_silent_was_the_vehicle_s_own():
+def test_new_address_with_the_same_board_replaces_a_silent_one():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
     s.on_packet(A, SAME, 5.0)
@@ -86,7 +86,7 @@ def test_an_address_that_falls_silent_was_the_vehicle_s_own():
     assert s.address(0) == B.address
 
 
-def test_packets_of_the_old_address_that_come_late_are_no_conflict():
+def test_late_packets_of_the_old_address_are_no_conflict():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
     assert not s.on_packet(B, beat(), 5.2)
@@ -97,29 +97,29 @@ def test_packets_of_the_old_address_that_come_late_are_no_conflict():
 
 
 @pytest.mark.parametrize("first", [A, B])
-@pytest.mark.parametrize("told", [True, False])
-def test_another_vehicle_is_never_taken_for_one_that_has_fallen_silent(first, told):
-    """Whichever was heard beside it, or only after it; also where no board tells an id."""
+@pytest.mark.parametrize("has_id", [True, False])
+def test_another_vehicle_does_not_replace_a_silent_one(first, has_id):
+    """It sends beside the first or only after it; also for boards without an id."""
     s = Sources(1, LINKS[:1])
-    mine, others = (SAME, version(uid2=b"abd")) if told else (version(), version())
+    mine, others = (SAME, version(uid2=b"abd")) if has_id else (version(), version())
     run(s, 5.0, A)
     s.on_packet(A, mine, 5.0)
-    if first == B or not told:
+    if first == B or not has_id:
         run(s, 5.0, A, B, start=6.0, boards={B: others})
     assert run(s, 20.0, B, start=12.0, boards={B: others}) == {B: False}
     assert B.address in s.conflict(32.1)
     assert (s.address(0), s.moves) == (A.address, 0)
-    # It is heard again, and kept.
+    # It sends again, and is kept.
     assert run(s, 5.0, A, B, start=33.0) == {A: True, B: False}
     run(s, 20.0, A, start=40.0)
     assert s.conflict(60.1) == ""
 
 
-def test_an_address_that_was_called_a_second_vehicle_by_mistake_is_followed_once_its_board_is_known():
+def test_address_reported_as_second_vehicle_is_accepted_by_its_board():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
     s.on_packet(A, SAME, 5.0)
-    # Packets of the old address are on their way for long.
+    # Packets of the old address are in transit for a long time.
     run(s, 3.0, B, start=5.5)
     s.on_packet(A, attitude(9.0), 8.4)
     s.on_packet(B, beat(), 8.5)
@@ -128,36 +128,36 @@ def test_an_address_that_was_called_a_second_vehicle_by_mistake_is_followed_once
     assert (s.conflict(17.0), s.address(0)) == ("", B.address)
 
 
-def test_a_restarted_vehicle_may_come_from_another_address():
+def test_restarted_vehicle_at_another_address_is_accepted():
     s = Sources(1, LINKS[:1])
     run(s, 5.0, A)
-    for source, told, clock, now in ((A, SAME, 500.0, 5.0), (B, SAME, 1.0, 9.0)):
+    for source, board, clock, now in ((A, SAME, 500.0, 5.0), (B, SAME, 1.0, 9.0)):
         s.on_packet(source, beat(), now)
         s.on_packet(source, attitude(clock), now)
-        s.on_packet(source, told, now)
+        s.on_packet(source, board, now)
     assert s.address(0) == B.address
 
 
-def test_what_has_sent_no_heartbeat_is_no_vehicle():
+def test_sender_without_heartbeat_is_not_accepted():
     s = Sources(1, LINKS[:1])
     assert not s.on_packet(A, attitude(1.0), 0.0)
     assert s.on_packet(A, beat(), 0.1)
     assert s.on_packet(A, attitude(1.2), 0.2)
 
 
-def test_it_is_listened_for_longer_than_a_heartbeat_takes():
+def test_address_is_settled_after_the_listening_time():
     s = Sources(1, LINKS[:1])
     s.on_packet(A, beat(), 0.0)
     assert not s.is_settled(LISTENS - 0.01)
     assert s.is_settled(LISTENS)
-    # A link with one far end brings no second address.
+    # A link with one remote end has no second address.
     one = Sources(1, ["tcp:127.0.0.1:5760"])
     one.on_packet(CABLE, beat(), 0.0)
     assert one.is_settled(0.0)
 
 
 def two_links(first, second, clocks=(None, None)):
-    """What becomes of a vehicle that is heard over two links, by what AUTOPILOT_VERSION says on each."""
+    """A vehicle on two links, with this AUTOPILOT_VERSION and clock on each."""
     s = Sources(1, LINKS)
     asked = 0
     for number in range(20):
@@ -175,7 +175,7 @@ def two_links(first, second, clocks=(None, None)):
 SAME = version(uid2=b"abc")
 
 
-def test_one_vehicle_over_two_links_is_known_by_its_board():
+def test_same_board_over_two_links_is_one_vehicle():
     s, asked = two_links(SAME, SAME)
     assert s.accepts(CABLE)
     assert s.accepts(RADIO)
@@ -193,7 +193,7 @@ def test_one_vehicle_over_two_links_is_known_by_its_board():
         (version(firmware=7), version(firmware=8)),
     ],
 )
-def test_two_vehicles_over_two_links_are_told_by_their_boards(first, second):
+def test_different_boards_over_two_links_are_two_vehicles(first, second):
     s, _ = two_links(first, second)
     assert s.accepts(CABLE)
     assert not s.accepts(RADIO)
@@ -202,24 +202,24 @@ def test_two_vehicles_over_two_links_are_told_by_their_boards(first, second):
     )
 
 
-def test_two_simulators_with_one_id_are_told_by_their_clocks():
+def test_simulators_with_one_board_id_are_distinguished_by_clock():
     for clock, same in ((100.0, True), (104.0, True), (130.0, False), (None, True)):
         s, _ = two_links(SAME, SAME, (100.0, clock))
         assert s.accepts(RADIO) is same
 
 
-@pytest.mark.parametrize("told", [version(), None])
+@pytest.mark.parametrize("board", [version(), None])
 @pytest.mark.parametrize(("clock", "same"), [(100.0, True), (101.0, True), (140.0, False), (None, True)])
-def test_boards_without_an_id_are_told_by_their_clocks(told, clock, same):
-    s, _ = two_links(told, told, (100.0, clock))
+def test_boards_without_an_id_are_distinguished_by_clock(board, clock, same):
+    s, _ = two_links(board, board, (100.0, clock))
     assert s.accepts(RADIO) is same
     assert bool(s.conflict(9.6)) is not same
 
 
-def test_the_vehicle_over_the_other_link_is_kept_when_one_falls_silent():
+def test_vehicle_is_kept_on_one_link_when_the_other_is_silent():
     s, _ = two_links(SAME, SAME)
     assert run(s, 10.0, RADIO, start=10.0) == {RADIO: True}
-    # Its port is another by then: over that link the old address is silent, so it has moved.
+    # Its port has changed: over that link the old address is silent, so it has moved.
     moved = Source(0, "10.0.0.9:1")
     run(s, 3.0, RADIO, moved, start=21.0)
     assert s.due(24.5) == [moved]
@@ -228,7 +228,7 @@ def test_the_vehicle_over_the_other_link_is_kept_when_one_falls_silent():
     assert s.address(0) == moved.address
 
 
-def test_two_vehicles_behind_one_address_are_told_by_their_clocks():
+def test_two_vehicles_behind_one_address_are_detected_by_clock():
     s = Sources(1, ["tcp:127.0.0.1:5760"])
     s.on_packet(CABLE, beat(), 0.0)
     for number in range(BACKWARDS + 1):
@@ -238,27 +238,27 @@ def test_two_vehicles_behind_one_address_are_told_by_their_clocks():
     assert s.conflict(10.0) == ""
 
 
-def test_two_vehicles_behind_one_address_are_told_by_their_answers():
+def test_two_vehicles_behind_one_address_are_detected_by_board():
     s = Sources(1, ["udp:127.0.0.1:14550"])
     s.on_packet(CABLE, beat(), 0.0)
-    for now, told in ((1.0, SAME), (1.1, version(uid2=b"abd")), (1.3, SAME)):
+    for now, board in ((1.0, SAME), (1.1, version(uid2=b"abd")), (1.3, SAME)):
         assert s.conflict(now) == ""
-        assert s.on_packet(CABLE, told, now)
+        assert s.on_packet(CABLE, board, now)
     assert s.conflict(1.3) == "two vehicles send as system 1, both over udp:127.0.0.1:14550"
     assert len(s.events) == 1
     s.on_packet(CABLE, beat(), 10.0)
     assert s.conflict(10.0) == ""
 
 
-def test_a_vehicle_in_the_place_of_another_is_not_two():
+def test_vehicle_that_replaces_another_is_no_conflict():
     s = Sources(1, ["udp:127.0.0.1:14550"])
     s.on_packet(CABLE, beat(), 0.0)
-    for now, told in ((1.0, SAME), (1.2, version(uid2=b"abd")), (1.4, version(uid2=b"abd")), (4.4, SAME)):
-        s.on_packet(CABLE, told, now)
+    for now, board in ((1.0, SAME), (1.2, version(uid2=b"abd")), (1.4, version(uid2=b"abd")), (4.4, SAME)):
+        s.on_packet(CABLE, board, now)
         assert s.conflict(now) == ""
 
 
-def test_a_restart_and_packets_that_overtake_are_no_second_vehicle():
+def test_restart_and_reordered_packets_are_no_second_vehicle():
     s = Sources(1, ["tcp:127.0.0.1:5760"])
     s.on_packet(CABLE, beat(), 0.0)
     for now in range(20):
@@ -267,7 +267,7 @@ def test_a_restart_and_packets_that_overtake_are_no_second_vehicle():
         assert s.conflict(float(now)) == ""
 
 
-def test_any_number_of_addresses_takes_bounded_memory():
+def test_any_number_of_addresses_uses_bounded_memory():
     s = Sources(1, LINKS[:1])
     run(s, 1.0, A)
     for number in range(10 * MAX_SOURCES):
@@ -278,7 +278,7 @@ def test_any_number_of_addresses_takes_bounded_memory():
     assert s.accepts(A)
 
 
-def test_a_board_is_its_id_and_its_firmware():
+def test_board_is_identified_by_uid_and_firmware():
     assert Board.of(version()).uid == ""
     assert Board.of(version(uid=0x3F)).uid == "-3f"
     assert Board.of(version(uid2=b"\2", uid=0x3F)).uid == "02-3f"
@@ -294,8 +294,8 @@ def numbered(message, number):
 
 
 @pytest.mark.parametrize("gap", [3, 100, 250])
-def test_packets_of_two_vehicles_behind_one_address_are_kept_apart(gap):
-    """By clocks, and where a message has none by its number; each sends 50 a second."""
+def test_packets_of_two_vehicles_behind_one_address_are_separated(gap):
+    """By clock, or by packet number for a message without a time; each sends 50 packets per second."""
     s = Sources(1, ["udp:127.0.0.1:14550"])
     believed = {True: [], False: []}
     for step in range(500):
@@ -311,7 +311,7 @@ def test_packets_of_two_vehicles_behind_one_address_are_kept_apart(gap):
     assert len(s.events) == 1
 
 
-def test_a_restart_is_no_second_strand():
+def test_restart_is_no_second_vehicle_behind_the_address():
     s = Sources(1, ["udp:127.0.0.1:14550"])
     for step in range(200):
         now = 0.05 * step if step < 100 else 0.05 * step + 1.5

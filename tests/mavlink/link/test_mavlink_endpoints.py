@@ -31,7 +31,7 @@ HERE = own_address()
         "udp://1.2..3:x",
     ],
 )
-def test_endpoints_that_are_none(text):
+def test_invalid_endpoint_is_refused(text):
     with pytest.raises(DeviceError, match=r"is not an endpoint|is not a number from 1 to 65535"):
         make_link(text, lambda data: None)
 
@@ -42,7 +42,7 @@ async def until(condition):
             await asyncio.sleep(0.005)
 
 
-async def test_udpin_answers_all_who_speak():
+async def test_udpin_sends_to_every_peer_that_has_sent():
     got = bytearray()
     loop = asyncio.get_running_loop()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -50,7 +50,7 @@ async def test_udpin_answers_all_who_speak():
         port = free.getsockname()[1]
     link = make_link(f"udpin:{HERE}:{port}", got.extend)
     await link.open()
-    link.send(b"nobody there yet")
+    link.send(b"no peer yet")
     replies = asyncio.Queue()
 
     class Vehicle(asyncio.DatagramProtocol):
@@ -74,21 +74,21 @@ async def test_udpin_answers_all_who_speak():
     link.close()
 
 
-async def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
+async def test_port_without_listener_is_reported_with_usual_endpoints():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind((HERE, 0))
         port = free.getsockname()[1]
     link = make_link(f"udp:{HERE}:{port}", lambda data: None)
     await link.open()
     assert link.why_silent().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
-    link.send(b"anybody")
+    link.send(b"ping")
     await until(lambda: link.why_silent().startswith(f"no process listens at udp:{HERE}:{port}; "))
     assert "tcp:127.0.0.1:5760" in link.why_silent()
     assert "udpin:127.0.0.1:14550" in link.why_silent()
     link.close()
 
 
-async def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
+async def test_tcp_reconnects_after_a_broken_connection(monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
 
     got, writers = bytearray(), []
@@ -112,7 +112,7 @@ async def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
     server.close()
 
 
-async def test_serial_reads_writes_and_is_locked():
+async def test_serial_port_reads_writes_and_is_locked():
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     got = bytearray()

@@ -1,4 +1,4 @@
-"""What we decode and pack ourselves is what pymavlink makes of it."""
+"""The driver's own decoder and packer give the same result as pymavlink."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def assert_same(packet):
 
 @settings(deadline=None)
 @given(st.sampled_from(KINDS), st.binary(max_size=255), st.tuples(*[st.integers(0, 255)] * 3))
-def test_any_payload_gives_the_same_message(kind, payload, ids):
+def test_any_payload_decodes_as_in_pymavlink(kind, payload, ids):
     assert_same(packed(kind, payload, *ids))
 
 
 @pytest.mark.parametrize("fill", [b"\0", b"\xff", b"A"])
-def test_every_kind_gives_the_same_message(fill):
+def test_every_message_type_decodes_as_in_pymavlink(fill):
     for kind in KINDS:
         for length in (1, dialect.mavlink_map[kind].unpacker.size, 255):
             assert_same(packed(kind, fill * length))
@@ -46,9 +46,9 @@ def test_every_kind_gives_the_same_message(fill):
 
 @settings(deadline=None)
 @given(st.sampled_from(KINDS), st.binary(max_size=60), st.data())
-def test_one_wrong_bit_is_a_broken_packet(kind, payload, data):
+def test_packet_with_one_wrong_bit_is_broken(kind, payload, data):
     packet = bytearray(packed(kind, payload))
-    # The first three bytes say where a packet ends; with them wrong there is none, and more is waited for.
+    # The first three bytes give the end of a packet; if they are wrong, the reader waits for more.
     bit = data.draw(st.integers(8 * 3, 8 * len(packet) - 1))
     packet[bit // 8] ^= 1 << bit % 8
     reader = Reader()
@@ -56,7 +56,7 @@ def test_one_wrong_bit_is_a_broken_packet(kind, payload, data):
     assert reader.broken == (int.from_bytes(packet[7:10], "little") in dialect.mavlink_map)
 
 
-def test_what_is_spare_is_not_decoded():
+def test_spare_packet_is_not_decoded():
     asked = []
 
     def is_spare(header):
@@ -69,16 +69,16 @@ def test_what_is_spare_is_not_decoded():
     assert asked == [(3, 1, 0, 7), (4, 1, 0, 7)]
 
 
-# TEST_TYPES has a field that is one character, which pymavlink decodes to what it cannot pack.
+# TEST_TYPES has a field of one character; pymavlink cannot pack its own decoded value.
 PACKED = [kind for kind in KINDS if kind != dialect.MAVLINK_MSG_ID_TEST_TYPES]
 
 
 @settings(deadline=None)
 @given(st.sampled_from(PACKED), st.binary(max_size=255), st.integers(0, 255))
-def test_messages_are_packed_as_pymavlink_packs_them(kind, payload, sequence):
+def test_messages_are_packed_as_in_pymavlink(kind, payload, sequence):
     message = dialect.MAVLink(None).decode(bytearray(packed(kind, payload)))
     writer, other = Writer(), dialect.MAVLink(None, srcSystem=128, srcComponent=COMPONENT)
     writer._sequences[128] = other.seq = sequence
     assert writer.pack(message, 128) == message.pack(other)
     assert writer.pack(message, 128)[4] == (sequence + 1) % 256
-    assert writer.pack(message, 129)[4:6] == bytes([0, 129]), "each system numbers its own"
+    assert writer.pack(message, 129)[4:6] == bytes([0, 129]), "each system has its own sequence"

@@ -1,4 +1,4 @@
-"""Several links, several vehicles: who is heard where, and what goes out on which link."""
+"""Several links and several vehicles: which link receives and sends which packets."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def commands(link, number):
     return [m for m in found if m.get_msgId() == 76 and m.command == number]
 
 
-def test_an_endpoint_may_be_several_links():
+def test_endpoint_list_is_split_into_links():
     assert split_endpoint("udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600") == [
         "udp:127.0.0.1:14550",
         "serial:/dev/ttyUSB0:57600",
     ]
 
 
-def test_a_route_is_kept_while_the_vehicle_is_heard_on_it():
+def test_route_stays_on_a_link_while_it_receives_packets():
     route = Route(3)
     assert route.links(0.0) == (0, 1, 2)
     assert route.on_packet(1, b"a", 0.0)
@@ -38,7 +38,7 @@ def test_a_route_is_kept_while_the_vehicle_is_heard_on_it():
     assert route.links(3.0) == (0, 1, 2)
 
 
-def test_copies_of_a_packet_are_told_from_new_ones():
+def test_repeated_packet_is_distinguished_from_a_new_one():
     route = Route(2)
     assert route.on_packet(0, b"a", 0.0)
     assert not route.on_packet(1, b"a", 0.0)
@@ -49,7 +49,7 @@ def test_copies_of_a_packet_are_told_from_new_ones():
 
 
 @on_bench("bench", links=2)
-async def test_two_links_to_one_vehicle_carry_it_through_the_loss_of_either(b, fc, /):
+async def test_flight_continues_when_either_of_two_links_fails(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     flight = asyncio.create_task(fc.execute("goTo", [40.0, 0.0, -5.0]))
@@ -61,7 +61,7 @@ async def test_two_links_to_one_vehicle_carry_it_through_the_loss_of_either(b, f
     assert [note for note in b.notes if "lost" in note] == []
 
 
-def test_a_command_goes_out_on_one_link_and_a_heartbeat_on_both(bench):
+def test_command_is_sent_on_one_link_and_heartbeat_on_both(bench):
     b = bench(links=2)
 
     async def mission(fc):
@@ -78,7 +78,7 @@ def test_a_command_goes_out_on_one_link_and_a_heartbeat_on_both(bench):
 
 
 @on_bench("bench", links=2)
-async def test_a_text_that_comes_on_two_links_is_told_once(b, fc, /):
+async def test_status_text_on_two_links_is_reported_once(b, fc, /):
     b.autopilot.refuse_arming = "compass not calibrated"
     with pytest.raises(DeviceError) as error:
         await fc.execute("arm", [])
@@ -86,7 +86,7 @@ async def test_a_text_that_comes_on_two_links_is_told_once(b, fc, /):
     assert b.notes.count("autopilot: Arm: compass not calibrated") == 1
 
 
-def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
+def test_link_that_fails_to_open_is_reported_and_retried(bench):
     b = bench(links=2)
     b.refused = {1}
 
@@ -99,13 +99,13 @@ def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
         await fc.execute("arm", [])
 
     b.run(mission)
-    told = [note for note in b.notes if "open" in note]
-    assert told[0] == "link not opened: cannot open link 1; continuing with the other links"
-    assert re.fullmatch(r"link opened: \S+, after [4-6] attempts", told[1])
-    assert len(told) == 2
+    notes = [note for note in b.notes if "open" in note]
+    assert notes[0] == "link not opened: cannot open link 1; continuing with the other links"
+    assert re.fullmatch(r"link opened: \S+, after [4-6] attempts", notes[1])
+    assert len(notes) == 2
 
 
-def test_no_link_at_all_is_an_error(bench):
+def test_open_fails_when_no_link_opens(bench):
     b = bench(links=2)
     b.refused = {0, 1}
     with pytest.raises(DeviceError, match="cannot open link 0"):
@@ -113,7 +113,7 @@ def test_no_link_at_all_is_an_error(bench):
 
 
 @on_bench("bench", systems=(1, 2))
-async def test_two_vehicles_on_one_link_fly_at_once(b, one, two, /):
+async def test_two_vehicles_on_one_link_fly_at_the_same_time(b, one, two, /):
     async def fly(fc, height, north):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [height])
@@ -125,7 +125,7 @@ async def test_two_vehicles_on_one_link_fly_at_once(b, one, two, /):
 
 
 @on_bench("bench", systems=(1, 2))
-async def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(b, one, two, /):
+async def test_lost_vehicle_does_not_delay_the_other(b, one, two, /):
     b.faults.apply(["silence@2=true"])
     await asyncio.sleep(3.5)
     with pytest.raises(DeviceError, match="the link is lost"):

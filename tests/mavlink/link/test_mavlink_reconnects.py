@@ -1,4 +1,4 @@
-"""Every link works again by itself: after silence, another address behind its name, and over IPv6."""
+"""Every link reconnects: after silence, after a change of the address of its name, and over IPv6."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ HOSTS = ["127.0.0.1", "[::1]"]
 
 
 @pytest.fixture(autouse=True)
-def soon(monkeypatch):
-    """Every wait of a link is a twentieth of what it is in the field."""
+def short_waits(monkeypatch):
+    """Divides every wait of a link by 20."""
     for module in (tcp, udp):
         monkeypatch.setattr(module, "AGAIN", module.AGAIN / 20.0)
         monkeypatch.setattr(module, "SILENT", module.SILENT / 20.0)
@@ -31,8 +31,8 @@ async def until(condition):
             await asyncio.sleep(0.005)
 
 
-class Story:
-    """A link with what it has said."""
+class RecordedLink:
+    """A link with its received data and notes."""
 
     def __init__(self):
         self.got, self.notes, self.senders, self.reopened = bytearray(), [], [], 0
@@ -47,7 +47,7 @@ class Story:
 
 @asynccontextmanager
 async def tcp_server(host, port=0, greeting=b"hello"):
-    """Greets each client, and closes the connections when the test ends."""
+    """Sends a greeting to each client, and closes the connections when the test ends."""
     clients = []
 
     async def serve(_, writer):
@@ -66,27 +66,27 @@ async def tcp_server(host, port=0, greeting=b"hello"):
 
 
 @pytest.mark.parametrize("host", HOSTS)
-async def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
-    story = Story()
+async def test_silent_tcp_connection_is_reopened(host):
+    recorded = RecordedLink()
     async with tcp_server(host) as (clients, port):
-        link = story.link(f"tcp:{host}:{port}")
+        link = recorded.link(f"tcp:{host}:{port}")
         await link.open()
-        # The first one says nothing any more and sends no FIN: as a path that is cut.
-        await until(lambda: len(clients) >= 2 and story.got.count(b"hello") >= 2)
+        # The first connection stops sending without a FIN, like an interrupted path.
+        await until(lambda: len(clients) >= 2 and recorded.got.count(b"hello") >= 2)
 
         def talks():
             clients[-1].write(b"+")
-            return b"+" in story.got
+            return b"+" in recorded.got
 
         await until(talks)
         link.close()
-    assert f"link lost: tcp:{host}:{port}: no data for 0.25 s" in story.notes
-    assert any(f": connected to {host.strip('[]')}, after" in note for note in story.notes)
-    assert story.reopened >= 1
+    assert f"link lost: tcp:{host}:{port}: no data for 0.25 s" in recorded.notes
+    assert any(f": connected to {host.strip('[]')}, after" in note for note in recorded.notes)
+    assert recorded.reopened >= 1
 
 
 def resolving(monkeypatch, *answers):
-    """What `robot.local` is, time after time; the last for ever. An exception is raised."""
+    """The address of `robot.local` at each lookup; the last one is repeated. An exception is raised."""
     left = list(answers)
 
     async def addresses(self, within):
@@ -103,21 +103,21 @@ def resolving(monkeypatch, *answers):
 
 
 @pytest.mark.parametrize("after", ["127.0.0.2", "::1"])
-async def test_a_tcp_connection_follows_its_name(monkeypatch, after):
+async def test_tcp_link_follows_the_address_of_its_name(monkeypatch, after):
     failure = socket.gaierror(-3, "Temporary failure in name resolution")
     resolving(monkeypatch, "127.0.0.1", failure, after)
 
-    story = Story()
+    recorded = RecordedLink()
     async with tcp_server("127.0.0.1") as (clients, port):
-        link = story.link(f"tcp:robot.local:{port}")
+        link = recorded.link(f"tcp:robot.local:{port}")
         await link.open()
-        await until(lambda: b"hello" in story.got)
+        await until(lambda: b"hello" in recorded.got)
         async with tcp_server(after, port, b"there"):
             clients[0].transport.abort()
-            await until(lambda: b"there" in story.got)
+            await until(lambda: b"there" in recorded.got)
             link.close()
-    assert any("Temporary failure in name resolution (attempt 1)" in note for note in story.notes)
-    assert any(f"connected to {after}, after" in note for note in story.notes)
+    assert any("Temporary failure in name resolution (attempt 1)" in note for note in recorded.notes)
+    assert any(f"connected to {after}, after" in note for note in recorded.notes)
 
 
 class Vehicle(asyncio.DatagramProtocol):
@@ -142,62 +142,62 @@ async def vehicle(name, host, port=0):
 
 
 @pytest.mark.parametrize("host", HOSTS)
-async def test_a_udp_link_is_opened_anew_when_it_falls_silent(host):
-    story = Story()
+async def test_silent_udp_link_is_reopened(host):
+    recorded = RecordedLink()
     other, port = await vehicle(b"a", host)
-    link = story.link(f"udp:{host}:{port}")
+    link = recorded.link(f"udp:{host}:{port}")
     await link.open()
 
     def answers(number):
         link.send(b"x")
-        return len(story.got) >= number
+        return len(recorded.got) >= number
 
     await until(lambda: answers(1))
-    # This computer's address may have changed: what is sent now comes from a socket of its own.
-    await until(lambda: any(": it sends to" in note for note in story.notes))
-    heard = len(story.got)
-    await until(lambda: answers(heard + 1))
+    # The local address may have changed: the link now sends from a new socket.
+    await until(lambda: any(": it sends to" in note for note in recorded.notes))
+    count = len(recorded.got)
+    await until(lambda: answers(count + 1))
     assert other.peers[0] != other.peers[-1]
     link.close()
     other.transport.close()
 
 
-async def test_a_udp_link_follows_its_name(monkeypatch):
+async def test_udp_link_follows_the_address_of_its_name(monkeypatch):
     resolving(monkeypatch, "127.0.0.1", "127.0.0.2")
 
-    story = Story()
+    recorded = RecordedLink()
     first, port = await vehicle(b"a", "127.0.0.1")
     second, _ = await vehicle(b"b", "127.0.0.2", port)
-    link = story.link(f"udp:robot.local:{port}")
+    link = recorded.link(f"udp:robot.local:{port}")
     await link.open()
 
     def comes(name):
         link.send(b"x")
-        return name in story.got
+        return name in recorded.got
 
     await until(lambda: comes(b"a"))
     first.transport.close()
     await until(lambda: comes(b"b"))
-    assert f"link lost: udp:robot.local:{port}: no data for 0.15 s" in story.notes
+    assert f"link lost: udp:robot.local:{port}: no data for 0.15 s" in recorded.notes
     link.close()
     second.transport.close()
 
 
 @pytest.mark.parametrize("host", HOSTS)
-async def test_a_port_that_listens_tells_who_sends_and_answers_one(host):
-    story = Story()
+async def test_udpin_reports_senders_and_sends_to_one_address(host):
+    recorded = RecordedLink()
     bare = host.strip("[]")
     family = socket.AF_INET6 if ":" in bare else socket.AF_INET
     with socket.socket(family, socket.SOCK_DGRAM) as free:
         free.bind((bare, 0))
         port = free.getsockname()[1]
-    link = story.link(f"udpin:{host}:{port}")
+    link = recorded.link(f"udpin:{host}:{port}")
     await link.open()
     ends = [await vehicle(name, host) for name in (b"a", b"b")]
     for made, _ in ends:
         made.transport.sendto(made.name, (bare, port))
-    await until(lambda: sorted(story.got) == sorted(b"ab"))
-    assert story.senders == [f"{host}:{number}" for _, number in ends]
+    await until(lambda: sorted(recorded.got) == sorted(b"ab"))
+    assert recorded.senders == [f"{host}:{number}" for _, number in ends]
     link.send_to(b"!", f"{host}:{ends[1][1]}")
     await until(lambda: ends[1][0].peers)
     assert not ends[0][0].peers
@@ -206,32 +206,32 @@ async def test_a_port_that_listens_tells_who_sends_and_answers_one(host):
         made.transport.close()
 
 
-async def test_a_port_that_listens_follows_the_name_of_this_computer(monkeypatch):
+async def test_udpin_follows_the_local_address_of_its_name(monkeypatch):
     failure = OSError(99, "Cannot assign requested address")
     resolving(monkeypatch, "127.0.0.1", failure, "127.0.0.2")
 
-    story = Story()
+    recorded = RecordedLink()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    link = story.link(f"udpin:robot.local:{port}")
+    link = recorded.link(f"udpin:robot.local:{port}")
     await link.open()
     made, _ = await vehicle(b"a", "127.0.0.2")
 
     def comes():
         made.transport.sendto(b"a", ("127.0.0.2", port))
-        return b"a" in story.got
+        return b"a" in recorded.got
 
     await until(comes)
-    assert any("it listens at 127.0.0.2" in note for note in story.notes)
+    assert any("it listens at 127.0.0.2" in note for note in recorded.notes)
     link.close()
     made.transport.close()
 
 
 @pytest.mark.parametrize("talks", [True, False])
-async def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypatch, talks):
-    """Whether or not a vehicle sends to the other address meanwhile, whose socket is kept."""
-    story = Story()
+async def test_udpin_binds_an_address_later_when_it_becomes_free(monkeypatch, talks):
+    """With and without traffic on the other address, whose socket is kept."""
+    recorded = RecordedLink()
     one, _ = await vehicle(b"1", "127.0.0.2")
     other, _ = await vehicle(b"2", "127.0.0.3")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
@@ -243,23 +243,23 @@ async def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypa
             return found
 
         monkeypatch.setattr(Lookup, "addresses", addresses)
-        link = story.link(f"udpin:robot.local:{port}")
+        link = recorded.link(f"udpin:robot.local:{port}")
         await link.open()
         (kept,) = link._sockets.open
-        assert [note for note in story.notes if "127.0.0.3: Address already in use" in note]
+        assert [note for note in recorded.notes if "127.0.0.3: Address already in use" in note]
         await asyncio.sleep(0.3)
-        assert sum("127.0.0.3" in note for note in story.notes) == 1
+        assert sum("127.0.0.3" in note for note in recorded.notes) == 1
 
     def comes():
         if talks:
             one.transport.sendto(b"1", ("127.0.0.2", port))
         other.transport.sendto(b"2", ("127.0.0.3", port))
-        return b"2" in story.got
+        return b"2" in recorded.got
 
     await until(comes)
-    assert any("it listens at 127.0.0.3" in note for note in story.notes)
+    assert any("it listens at 127.0.0.3" in note for note in recorded.notes)
     assert kept in link._sockets.open
-    # It answers each over the socket that it has sent to.
+    # Each peer is answered over the socket that received its packet.
     link.send(b"?")
     await until(lambda: ("127.0.0.3", port) in other.peers)
     link.close()
@@ -276,11 +276,11 @@ async def test_a_port_that_listens_is_bound_later_where_it_could_not_be(monkeypa
         ("udpin:::1:14550", ("udpin", "::1", 14550)),
     ],
 )
-def test_addresses_of_ipv6_are_taken(text, parts):
+def test_ipv6_endpoints_are_parsed(text, parts):
     assert parse_endpoint(text) == [parts]
 
 
-async def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypatch):
+async def test_unresolved_name_has_one_lookup_at_a_time(monkeypatch):
     asked = []
 
     loop = asyncio.get_running_loop()
@@ -299,7 +299,7 @@ async def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypat
     assert Lookup("[fe80::1%eth0]", 1, socket.SOCK_STREAM).is_literal
 
 
-def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
+def test_failed_attempts_are_logged_once_per_interval():
     tries = Attempts("tcp:10.0.0.5:5760")
     assert tries.opened("10.0.0.5", 0.0) == ""
     assert tries.lost("it hung up", 1.0).startswith("link lost: tcp:10.0.0.5:5760: it hung up")
@@ -314,12 +314,12 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert tries.lost("it hung up", 64.0) != ""
 
 
-async def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monkeypatch):
+async def test_unreachable_addresses_do_not_delay_a_reachable_one(monkeypatch):
     monkeypatch.setattr("lfield.address_race.ATTEMPT_DELAY", 0.01)
-    story = Story()
+    recorded = RecordedLink()
     async with tcp_server("127.0.0.1") as (_, port):
         with socket.socket() as hole:
-            # Its queue is full: nothing is answered.
+            # Its accept queue is full: connections are not answered.
             hole.bind(("127.0.0.9", port))
             hole.listen(0)
             callers = [socket.socket() for _ in range(3)]
@@ -332,9 +332,9 @@ async def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_doe
                 return [*silent, (socket.AF_INET, ("127.0.0.1", port))]
 
             monkeypatch.setattr(Lookup, "addresses", addresses)
-            link = story.link(f"tcp:robot.local:{port}")
+            link = recorded.link(f"tcp:robot.local:{port}")
             await link.open()
-            await until(lambda: story.got)
+            await until(lambda: recorded.got)
             link.close()
             for caller in callers:
                 caller.close()

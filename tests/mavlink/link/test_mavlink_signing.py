@@ -1,4 +1,4 @@
-"""Message signing: keys, timestamps that never go back, and packets that are not believed."""
+"""Message signing: keys, monotonic timestamps, and refused packets."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def beat():
 
 
 def writer(key, timestamp, *, link=0, system=1):
-    """Of a vehicle that signs."""
+    """The packer of a vehicle that signs."""
     mavlink = dialect.MAVLink(None, srcSystem=system, srcComponent=1)
     mavlink.signing.secret_key, mavlink.signing.sign_outgoing = key, True
     mavlink.signing.timestamp, mavlink.signing.link_id = timestamp, link
@@ -60,14 +60,14 @@ def reader_of(key_file, **allow):
 @pytest.mark.parametrize(
     "text", [KEY_BYTES, KEY_BYTES.hex().encode(), KEY_BYTES.hex().upper().encode() + b"\n"]
 )
-def test_a_key_in_bytes_or_digits(key_file, text):
+def test_key_file_in_bytes_or_hexadecimal_is_read(key_file, text):
     key_file.write_bytes(text)
     assert load_key(key_file) == KEY_BYTES
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
-def test_any_file_is_a_key_or_refused(tmp_path_factory, data):
+def test_any_key_file_is_read_or_refused(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("keys") / "key"
     path.write_bytes(data)
     path.chmod(0o600)
@@ -79,19 +79,19 @@ def test_any_file_is_a_key_or_refused(tmp_path_factory, data):
 
 
 @pytest.mark.parametrize("text", [b"", b"short", bytes(KEY), b"0" * 2 * KEY, b"x" * 2 * KEY, b"y" * 1000])
-def test_what_is_no_key(key_file, text):
+def test_invalid_key_file_is_refused(key_file, text):
     key_file.write_bytes(text)
     with pytest.raises(DeviceError, match="signing key"):
         load_key(key_file)
 
 
-def test_a_key_that_others_may_read_is_refused(key_file):
+def test_key_file_readable_by_others_is_refused(key_file):
     key_file.chmod(0o640)
     with pytest.raises(DeviceError, match="open to others; run: chmod 600"):
         load_key(key_file)
 
 
-def test_a_missing_key(tmp_path):
+def test_missing_key_file_is_refused(tmp_path):
     with pytest.raises(DeviceError, match="cannot be read"):
         load_key(tmp_path / "nowhere")
 
@@ -99,7 +99,7 @@ def test_a_missing_key(tmp_path):
 # -- timestamps -------------------------------------------------------------------------------------------
 
 
-def test_timestamps_rise_with_time_and_with_every_packet(key_file):
+def test_timestamps_increase_with_time_and_with_each_packet(key_file):
     stamps, clock = stamps_of(key_file)
     first = stamps.next()
     assert first == 1000 * PER_SECOND + 1
@@ -108,7 +108,7 @@ def test_timestamps_rise_with_time_and_with_every_packet(key_file):
     assert stamps.next() == 1001 * PER_SECOND
 
 
-def test_they_never_go_back_after_a_crash(key_file):
+def test_timestamps_do_not_decrease_after_a_crash(key_file):
     stamps, clock = stamps_of(key_file)
     given_out = []
     for _ in range(100):
@@ -116,13 +116,13 @@ def test_they_never_go_back_after_a_crash(key_file):
         given_out.append(stamps.next())
         if stamps.is_low:
             stamps.extend(stamps.due)
-    # Neither when the computer has lost its time.
+    # Also when the computer has lost its time.
     again, _ = stamps_of(key_file, time=EPOCH)
     assert again.next() > max(given_out)
     assert given_out == sorted(set(given_out))
 
 
-def test_they_stay_within_what_is_on_the_disk(key_file):
+def test_timestamps_stay_within_the_stored_limit(key_file):
     stamps, clock = stamps_of(key_file)
     clock.advance(1000.0)
     assert stamps.is_low
@@ -131,7 +131,7 @@ def test_they_stay_within_what_is_on_the_disk(key_file):
     assert stamps.next() == 2000 * PER_SECOND
 
 
-def test_they_do_not_stay_behind_others(key_file):
+def test_timestamps_follow_those_of_the_peer(key_file):
     stamps, _ = stamps_of(key_file)
     stamps.on_timestamp(1005 * PER_SECOND)
     assert stamps.next() == 1005 * PER_SECOND
@@ -139,7 +139,7 @@ def test_they_do_not_stay_behind_others(key_file):
     assert stamps.next() == 1005 * PER_SECOND + 1
 
 
-def test_two_processes_with_one_key_do_not_share_a_timestamp(key_file):
+def test_two_processes_with_one_key_use_different_timestamps(key_file):
     (one, _), (two, _) = stamps_of(key_file), stamps_of(key_file)
     assert one.next() < two.next()
     one.extend(one.due)
@@ -148,7 +148,7 @@ def test_two_processes_with_one_key_do_not_share_a_timestamp(key_file):
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(min_size=0, max_size=100))
-def test_any_timestamp_file_is_one_or_refused(tmp_path_factory, data):
+def test_any_timestamp_file_is_read_or_refused(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("stamps")
     path = folder / "key"
     path.write_bytes(KEY_BYTES)
@@ -160,7 +160,7 @@ def test_any_timestamp_file_is_one_or_refused(tmp_path_factory, data):
     assert stamps.next() > int(data.strip())
 
 
-def test_a_folder_that_cannot_be_written(key_file):
+def test_unwritable_timestamp_folder_is_refused(key_file):
     (key_file.parent / "alpha.key.timestamp.new").mkdir()
     with pytest.raises(DeviceError, match="cannot be stored"):
         stamps_of(key_file)
@@ -169,7 +169,7 @@ def test_a_folder_that_cannot_be_written(key_file):
 # -- packets ----------------------------------------------------------------------------------------------
 
 
-def test_what_is_sent_is_signed_and_new_each_time(key_file):
+def test_sent_packets_are_signed_with_new_timestamps(key_file):
     stamps, _ = stamps_of(key_file)
     link = LinkSigning(Signing(KEY_BYTES, stamps), 7, allow_unsigned=False)
     sends, vehicle = Writer(link), dialect.MAVLink(None)
@@ -182,7 +182,7 @@ def test_what_is_sent_is_signed_and_new_each_time(key_file):
     assert vehicle.signing.goodsig_count == 3
 
 
-def test_signed_packets_are_believed_once(key_file):
+def test_signed_packet_is_accepted_once(key_file):
     reader, signing, _ = reader_of(key_file)
     packet = bytes(beat().pack(writer(KEY_BYTES, 1000 * PER_SECOND)))
     assert len(list(reader.feed(packet))) == 1
@@ -191,7 +191,7 @@ def test_signed_packets_are_believed_once(key_file):
 
 
 @pytest.mark.parametrize("allow", [True, False])
-def test_what_is_never_believed(key_file, allow):
+def test_wrong_key_or_old_timestamp_is_refused(key_file, allow):
     reader, signing, _ = reader_of(key_file, allow_unsigned=allow)
     wrong = beat().pack(writer(bytes(KEY), 1000 * PER_SECOND))
     old = beat().pack(writer(KEY_BYTES, 939 * PER_SECOND))
@@ -201,7 +201,7 @@ def test_what_is_never_believed(key_file, allow):
     assert (signing.good, signing.bad) == (0, 3)
 
 
-def test_unsigned_packets_need_to_be_allowed(key_file):
+def test_unsigned_packets_are_accepted_only_if_allowed(key_file):
     plain = bytes(beat().pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1)))
     for force in (plain, bytes(beat().pack(dialect.MAVLink(None, srcSystem=1), force_mavlink1=True))):
         reader, _, link = reader_of(key_file)
@@ -212,14 +212,14 @@ def test_unsigned_packets_need_to_be_allowed(key_file):
         assert link.unsigned == 0
 
 
-def test_a_forged_packet_does_not_shut_the_vehicle_out(key_file):
-    """pymavlink's own check notes a packet's timestamp before it has looked at the signature."""
+def test_forged_packet_does_not_block_later_packets(key_file):
+    """pymavlink's own check stores a packet's timestamp before it checks the signature."""
     reader, _, _ = reader_of(key_file)
     assert list(reader.feed(beat().pack(writer(bytes(KEY), (1 << 48) - 1)))) == []
     assert len(list(reader.feed(beat().pack(writer(KEY_BYTES, 1000 * PER_SECOND))))) == 1
 
 
-def test_what_was_heard_on_one_link_is_not_believed_on_another(key_file):
+def test_packet_of_one_link_is_refused_on_another(key_file):
     stamps, _ = stamps_of(key_file)
     signing = Signing(KEY_BYTES, stamps)
     readers = [Reader(LinkSigning(signing, number, allow_unsigned=False)) for number in (1, 2)]
@@ -229,7 +229,7 @@ def test_what_was_heard_on_one_link_is_not_believed_on_another(key_file):
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=120), st.integers(0, 400), st.binary(min_size=1, max_size=3))
-def test_changed_packets_are_not_believed(tmp_path_factory, noise, at, change):
+def test_modified_signed_packet_is_refused(tmp_path_factory, noise, at, change):
     path = tmp_path_factory.mktemp("keys") / "key"
     path.write_bytes(KEY_BYTES)
     reader, signing, _ = reader_of(path)
@@ -253,12 +253,12 @@ def binding(key="", *, waivers=(), system=1):
     )  # fmt: skip
 
 
-def test_no_key_no_signing():
+def test_binding_without_key_has_no_signing():
     assert open_signing([binding()], ManualClock()) is None
     assert sign_link(None, [binding()], 0, "udp:127.0.0.1:1") is None
 
 
-def test_devices_of_one_endpoint_have_one_key(key_file):
+def test_different_keys_on_one_endpoint_are_refused(key_file):
     with pytest.raises(DeviceError, match="must have the same key"):
         open_signing([binding(key_file), binding(system=2)], ManualClock())
 
@@ -272,7 +272,7 @@ def test_devices_of_one_endpoint_have_one_key(key_file):
         ("udp:127.0.0.1:1", ("unsigned",), False),
     ],
 )
-def test_unsigned_packets_are_refused_where_a_stranger_may_speak(key_file, endpoint, waivers, refused):
+def test_unsigned_packets_are_refused_on_network_links(key_file, endpoint, waivers, refused):
     bindings = [binding(key_file, waivers=waivers)]
     signing = open_signing(bindings, ManualClock())
     reader = Reader(sign_link(signing, bindings, 0, endpoint))
@@ -280,7 +280,7 @@ def test_unsigned_packets_are_refused_where_a_stranger_may_speak(key_file, endpo
     assert (list(reader.feed(plain)) == []) is refused
 
 
-async def test_the_file_is_kept_ahead_and_a_full_disk_is_told_once(key_file, monkeypatch):
+async def test_timestamp_file_is_extended_and_a_write_error_reported_once(key_file, monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.signing.CHECK_INTERVAL", 0.001)
     stamps, clock = stamps_of(key_file)
     notes = []

@@ -15,7 +15,7 @@ NOW = 1_609_459_200.123456
 
 
 def ring_in(folder):
-    """Where a test has its log; any failure is a failure of the test."""
+    """Makes ring writers in `folder`; a write failure fails the test."""
 
     def make(suffix, header):
         return RingWriter(folder, "wire-a1.fc", suffix, 1 << 20, pytest.fail, header)
@@ -24,7 +24,7 @@ def ring_in(folder):
 
 
 def messages_in(folder):
-    """What pymavlink reads."""
+    """The messages that pymavlink reads from the log."""
     (path,) = folder.glob("*.tlog")
     assert path.stat().st_mode & 0o777 == 0o600
     log = mavutil.mavlink_connection(str(path))
@@ -47,7 +47,7 @@ def signing_message():
     return dialect.MAVLink_setup_signing_message(1, 1, list(b"s3cret" * 5 + b"xy"), 7)
 
 
-def test_a_flight_is_read_by_pymavlink_in_both_directions(bench, tmp_path):
+def test_pymavlink_reads_both_directions_of_the_log(bench, tmp_path):
     b = bench()
     received = []
 
@@ -75,7 +75,7 @@ def test_a_flight_is_read_by_pymavlink_in_both_directions(bench, tmp_path):
     assert times == sorted(times)
 
 
-def test_entries_have_microseconds_and_the_packet(tmp_path):
+def test_log_entry_has_microseconds_and_the_packet(tmp_path):
     packet = Writer().pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3), 1)
     logged(tmp_path, packet)
     (path,) = tmp_path.iterdir()
@@ -110,7 +110,7 @@ def test_no_message_with_a_key_or_password_is_logged(tmp_path, message, version)
     assert [message.get_type() for message in messages_in(tmp_path)] == ["HEARTBEAT"]
 
 
-def test_packets_of_a_stream_are_logged_one_by_one_and_noise_is_not():
+def test_packets_of_a_stream_are_logged_without_noise():
     packets, writer = [], Writer()
     for number in range(20):
         packets.append(writer.pack(dialect.MAVLink_system_time_message(number, number), 1))
@@ -125,7 +125,7 @@ def test_packets_of_a_stream_are_logged_one_by_one_and_noise_is_not():
         assert found == [*packets[:5], *packets[6:]]
 
 
-def test_a_packet_with_a_refused_signature_is_logged():
+def test_packet_with_a_refused_signature_is_logged():
     class Stamps:
         latest = 0
 
@@ -139,7 +139,7 @@ def test_a_packet_with_a_refused_signature_is_logged():
     assert found == [packet]
 
 
-def test_nothing_is_logged_before_the_start_and_after_the_end(tmp_path):
+def test_log_is_empty_before_start_and_after_close(tmp_path):
     log = WireLog(ManualClock(NOW))
     packet = Writer().pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3), 1)
     log.log_mavlink(packet)

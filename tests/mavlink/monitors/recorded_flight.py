@@ -18,7 +18,7 @@ from lfield_mavlink.setpoints.motion_orders import Order
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 OWN, OTHERS = Path(__file__).parent / "traces", Path(__file__).parents[2] / "sim" / "replay" / "traces"
-#: Fields that a recording leaves out, which no monitor reads.
+#: The message types that the monitors read; fields that a recording omits become 0.
 NAMES = {
     name: getattr(dialect, f"MAVLink_{name.lower()}_message")
     for name in (
@@ -29,7 +29,7 @@ NAMES = {
 
 
 class Event(NamedTuple):
-    """A note of the one who recorded it, or a message; `at` is the vehicle's own clock, in seconds."""
+    """A note of the recorder, or a message; `at` is the vehicle's own clock, in seconds."""
 
     at: float
     note: str = ""
@@ -49,7 +49,7 @@ def _message(kind: Any, fields: dict[str, Any]) -> Any:
 
 
 def events(name: str) -> Iterator[Event]:
-    """What was recorded, in order."""
+    """The recorded events, in order."""
     paths = [folder / f"{name}.jsonl.gz" for folder in (OWN, OTHERS)]
     path = next(path for path in paths if path.exists())
     now, booted = 0.0, None
@@ -72,7 +72,7 @@ def events(name: str) -> Iterator[Event]:
 
 
 class Watched:
-    """A vehicle of the driver that only listens; `goals` are those of a patrol in turn, in metres of home."""
+    """A passive vehicle of the driver; `goals` are the goals of a patrol in turn, in metres from home."""
 
     def __init__(self, name: str, *goals: tuple[float, float, float]) -> None:
         self.name, self.goals = name, list(goals)
@@ -90,25 +90,25 @@ class Watched:
         self._judged = False
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
         self._mode = ""
-        #: What the monitors have found: when, and in which words.
+        #: The findings of the monitors: time and text.
         self.found: list[tuple[float, str]] = []
 
     def play(
         self, start: float = -math.inf, end: float = math.inf, *, judged: bool = True
     ) -> Iterator[Event]:
-        """Play it; each event is given after the monitors have had it."""
+        """Plays the recording; yields each event after the monitors have processed it."""
         for event in events(self.name):
             self.clock.advance(event.at - self.clock.monotonic())
             if event.message is not None:
                 event.message.pack(self._mav)
                 self.vehicle.on_message(event.message)
                 self._fly(judged)
-                self._look(event.at)
+                self._collect_findings(event.at)
             if start <= event.at <= end:
                 yield event
 
     def _fly(self, judged: bool) -> None:
-        """Expect what lfield commanded: a motion to a goal in the mode of setpoints, else a way down."""
+        """Expects what lfield commanded: a motion to a goal in the setpoint mode, else a descent."""
         state = self.vehicle.state
         if state.profile is None:
             return
@@ -122,13 +122,13 @@ class Watched:
                     Order(frozenset({state.mode}), target=lambda _: None, goal=self.goals[0])
                 )
             else:
-                # What others want of the height is not known: it may go down.
+                # The height that others command is unknown: it may descend.
                 self.monitor.on_mode(state.mode if self.goals else "")
         if mode == "goal" and state.position and math.dist(state.position[:2], self.goals[0][:2]) < 1.0:
             self.goals.append(self.goals.pop(0))
             self._mode = ""
 
-    def _look(self, at: float) -> None:
+    def _collect_findings(self, at: float) -> None:
         for words in (self.monitor.falling, self.monitor.lost_position, self.monitor.foreign):
             if words and words not in (known for _, known in self.found):
                 self.found.append((at, words))

@@ -1,4 +1,4 @@
-"""Falls, impacts and ordinary descents: the monitor alone, and whole flights on fakes."""
+"""Falls, impacts and ordinary descents: the monitor alone, and complete flights on fakes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfield_mavlink.monitors.descent_monitor import DESCENT, DescentMonitor, Exp
 
 
 def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last=1.0):
-    """What is found while it sinks so for `last` seconds each, 10 Hz; seconds and words."""
+    """The findings while it sinks at these rates for `last` seconds each, at 10 Hz: seconds and text."""
     monitor.on_armed(True, landed=False, now=began)
     now, found = began, []
     for sink in sinks:
@@ -26,8 +26,8 @@ def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last
     return found
 
 
-def test_a_descent_faster_than_its_own_speed_is_a_fall_after_a_while():
-    """A motor at 60 %: 2.76 m/s when it hit the ground (gauntlet-b); its own speed of descent was 1.5."""
+def test_descent_faster_than_the_descent_speed_is_a_fall():
+    """A motor at 60 %: impact at 2.76 m/s (gauntlet-b); the descent speed of the vehicle was 1.5 m/s."""
     monitor = DescentMonitor()
     monitor.expect(DESCENT)
     monitor.may_descend(1.5, 0.5)
@@ -37,7 +37,7 @@ def test_a_descent_faster_than_its_own_speed_is_a_fall_after_a_while():
 
 
 @pytest.mark.parametrize("sinks", [(1.5, 2.0, 2.1, 1.5, 1.5), (2.6, 1.5, 2.0), (0.5, 1.7, 0.5)])
-def test_a_descent_may_be_a_little_faster_than_its_speed(sinks):
+def test_descent_slightly_faster_than_the_descent_speed_is_no_fall(sinks):
     """PX4 with 1.5 m/s sank at 2.0 (px4-copter.i-heights)."""
     monitor = DescentMonitor()
     monitor.expect(DESCENT)
@@ -45,7 +45,7 @@ def test_a_descent_may_be_a_little_faster_than_its_speed(sinks):
     assert flown(monitor, *sinks, last=0.5) == []
 
 
-def test_as_long_as_its_own_speed_is_not_known_more_is_allowed():
+def test_unknown_descent_speed_allows_a_faster_descent():
     monitor = DescentMonitor()
     monitor.expect(DESCENT)
     assert flown(monitor, 2.4, 2.4, 2.4) == []
@@ -58,7 +58,7 @@ def test_as_long_as_its_own_speed_is_not_known_more_is_allowed():
     (1.0, (1.5, 2.5), True),
     (3.0, (3.0, 3.3, 3.3), False),
 ])  # fmt: skip
-def test_velocities_are_held_against_what_was_commanded_however_often_that_changes(commanded, sinks, falls):
+def test_sink_rate_is_compared_with_the_commanded_velocity(commanded, sinks, falls):
     monitor = DescentMonitor()
     assert bool(flown(monitor, *sinks, velocity=commanded)) == falls
 
@@ -67,8 +67,8 @@ def test_velocities_are_held_against_what_was_commanded_however_often_that_chang
     ("landing", "touch", "crashes"),
     [(0.5, 1.9, False), (0.5, 2.7, True), (2.0, 2.2, False), (2.0, 2.7, True), (0.0, 2.7, True)],
 )
-def test_a_hard_landing_is_no_impact_and_an_impact_is_one(landing, touch, crashes):
-    """LAND_SPEED is 2 m/s at most."""
+def test_hard_landing_is_distinguished_from_an_impact(landing, touch, crashes):
+    """The maximum of LAND_SPEED is 2 m/s."""
     monitor = DescentMonitor()
     monitor.may_descend(1.5, landing)
     flown(monitor, touch, height=1.2, last=0.5)
@@ -78,8 +78,8 @@ def test_a_hard_landing_is_no_impact_and_an_impact_is_one(landing, touch, crashe
 
 @pytest.mark.parametrize("sink", [0.3, 0.5, 0.8, 1.4])
 @pytest.mark.parametrize("goal", [40.0, 60.0, math.inf])
-def test_height_that_is_lost_is_a_fall_at_whatever_speed(sink, goal):
-    """In a hover, on a level way, and in a climb that it does not make."""
+def test_height_loss_is_a_fall_at_any_sink_rate(sink, goal):
+    """In a hover, on a level leg, and in a climb that fails."""
     monitor = DescentMonitor()
     monitor.may_descend(1.5, 0.5)
     monitor.expect(Expected(goal))
@@ -89,14 +89,14 @@ def test_height_that_is_lost_is_a_fall_at_whatever_speed(sink, goal):
 
 
 @pytest.mark.parametrize("sink", [0.4, 0.8])
-def test_height_that_is_lost_by_velocities_is_a_fall(sink):
+def test_height_loss_under_velocity_commands_is_a_fall(sink):
     monitor = DescentMonitor()
     ((at_, words),) = flown(monitor, 0.0, *[sink] * 6, velocity=0.0)
     assert words.startswith("it falls: 1.")
     assert at_ < 1.0 + 1.0 / (sink - 0.18) + 1.0
 
 
-def test_a_gust_or_a_change_of_the_reference_of_heights_is_no_fall():
+def test_gust_or_new_height_reference_is_no_fall():
     monitor = DescentMonitor()
     monitor.expect(Expected(40.0))
     assert flown(monitor, 0.0, 0.9, 0.9, 0.9, 0.3, -0.3, last=0.4) == [], "it climbs again"
@@ -105,7 +105,7 @@ def test_a_gust_or_a_change_of_the_reference_of_heights_is_no_fall():
     assert monitor.falling == ""
 
 
-def test_a_way_down_ends_at_its_goal():
+def test_sinking_below_the_goal_of_a_descent_is_a_fall():
     monitor = DescentMonitor()
     monitor.may_descend(1.5, 0.5)
     monitor.expect(Expected(35.0))
@@ -114,7 +114,7 @@ def test_a_way_down_ends_at_its_goal():
     assert words.startswith("it falls: 1.")
 
 
-def test_what_stands_falls_no_more():
+def test_fall_ends_on_the_ground():
     monitor = DescentMonitor()
     monitor.expect(Expected(math.inf))
     assert flown(monitor, 1.0, 2.0)
@@ -129,7 +129,7 @@ def test_what_stands_falls_no_more():
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("by", ["setVelocity", "setYawRate"])
 @on_bench("bench", ttl=1.0, given="flavour")
-async def test_a_flight_by_setpoints_is_told_of_a_fall(b, fc, /, flavour, by):
+async def test_fall_ends_a_flight_by_setpoints(b, fc, /, flavour, by):
     await up(fc, 20.0)
     began = at(3.0, lambda: b.faults.apply(["motor_power=0.6"]))
 
@@ -148,7 +148,7 @@ async def test_a_flight_by_setpoints_is_told_of_a_fall(b, fc, /, flavour, by):
 
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", given="flavour")
-async def test_a_fall_in_a_hover_lets_no_motion_begin_but_a_landing(b, fc, /, flavour):
+async def test_fall_in_a_hover_allows_only_a_landing(b, fc, /, flavour):
     await up(fc, 20.0)
     b.faults.apply(["motor_power=0.6"])
     await asyncio.sleep(3.0)
@@ -163,7 +163,7 @@ async def test_a_fall_in_a_hover_lets_no_motion_begin_but_a_landing(b, fc, /, fl
 
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", given="flavour")
-async def test_a_landing_that_ends_in_a_crash_is_none(b, fc, /, flavour):
+async def test_landing_that_ends_in_a_crash_fails(b, fc, /, flavour):
     await up(fc, 5.0)
     landing = asyncio.ensure_future(fc.execute("land", []))
     await b.until(lambda: b.autopilot.vehicle.place[2] > -1.0)
@@ -176,7 +176,7 @@ async def test_a_landing_that_ends_in_a_crash_is_none(b, fc, /, flavour):
 @pytest.mark.parametrize(("flavour", "name", "value"), [
     ("ardupilot", "LAND_SPEED", 200.0), ("px4", "MPC_LAND_SPEED", 2.3),
 ])  # fmt: skip
-def test_a_vehicle_that_lands_fast_by_its_own_parameters_is_not_locked_out(bench, flavour, name, value):
+def test_fast_landing_by_parameter_causes_no_lock_out(bench, flavour, name, value):
     b = bench(flavour=flavour)
     b.autopilot.parameters[name] = value
     b.autopilot.apply_parameters()
@@ -192,8 +192,8 @@ def test_a_vehicle_that_lands_fast_by_its_own_parameters_is_not_locked_out(bench
 @pytest.mark.few(3)
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("what", ["goTo", "yaw", "orbit", "hold", "setVelocity"])
-def test_a_copter_that_sinks_slowly_is_falling(bench, flavour, what, monkeypatch):
-    """At 0.8 m/s, half of its own speed of descent; neither its speed nor a text tells."""
+def test_slow_sinking_is_reported_as_a_fall_in_every_motion(bench, flavour, what, monkeypatch):
+    """At 0.8 m/s, half of the descent speed: neither the speed nor a status text reveals it."""
     monkeypatch.setattr("lfield_sim.autopilot.flight_modes.WARNS_AFTER", math.inf)
     b = bench(flavour=flavour, ttl=1.0, limits={"speed": 2.0})
     values = {

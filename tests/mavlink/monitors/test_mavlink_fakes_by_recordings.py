@@ -1,4 +1,4 @@
-"""Faults of the fakes, event by event, against what a real ArduCopter said and did (gauntlet-a and -b)."""
+"""Faults of the fakes, event by event, against recordings of a real ArduCopter (gauntlet-a and -b)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lfield_sim.mavlink.link.radio_link import make_faults
 from lfield_sim.mavlink.mavlink_fake import STEP, MavlinkFake
 
 GUIDED, LAND = 4, 9
-#: Texts that are about the recorder's own doings, or only about how many cores the estimator has.
+#: Texts about actions of the recorder, or about the number of estimator cores.
 OTHERS = ("Mode change", "EKF3", "EKF primary", "SIM Hit", "Disarming", "PreArm", "Glitch cleared")
-#: Seconds by which a heartbeat or text may come earlier or later: they come at 5 Hz and less.
+#: Seconds by which a heartbeat or text may be early or late: they are sent at 5 Hz or less.
 NEAR = 0.6
 
 
 def condensed(messages):
-    """Changes of mode and system status, and texts: seconds and words."""
+    """Changes of mode and system status, and texts: seconds and text."""
     found, last = [], None
     for at, message in messages:
         kind = message.get_type()
@@ -32,13 +32,13 @@ def condensed(messages):
         elif kind == "STATUSTEXT":
             text = message.text.decode() if isinstance(message.text, bytes) else message.text
             if not text.startswith(OTHERS):
-                # Volts and charges are those of another battery.
+                # Voltages and charges differ by battery.
                 found.append((at, text.rstrip("\0").split(" 10.00V")[0]))
     return found
 
 
 def recorded(name, note, seconds):
-    """What came from the note of a fault on."""
+    """The events from the note of a fault on."""
     began, messages = None, []
     for event in events(name):
         if note in event.note and began is None:
@@ -51,7 +51,7 @@ def recorded(name, note, seconds):
 
 
 class Flight:
-    """A fake of an ArduCopter, 8 m up and on its way."""
+    """A simulated ArduCopter, 8 m up and flying to a goal."""
 
     def __init__(self, **parameters: float) -> None:
         faults = make_faults()
@@ -61,7 +61,7 @@ class Flight:
         self.autopilot.apply_parameters()
         self.fault = lambda *texts: faults.apply(texts)
         self._out, self._back = dialect.MAVLink(None, srcSystem=255, srcComponent=190), dialect.MAVLink(None)
-        self.heard: list = []
+        self.received: list = []
         self.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
         self.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1)
         self.command(dialect.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 8)
@@ -87,15 +87,15 @@ class Flight:
         for _ in range(round(seconds / STEP)):
             packets = self.fake.advance(STEP)
             now = self.autopilot.now
-            self.heard += [(now, m) for m in self._back.parse_buffer(b"".join(packets)) or []]
+            self.received += [(now, m) for m in self._back.parse_buffer(b"".join(packets)) or []]
 
-    def said(self, began):
-        told = condensed([(at - began, message) for at, message in self.heard])
-        return [(at, words) for at, words in told if at >= 0.0]
+    def events_since(self, began):
+        changes = condensed([(at - began, message) for at, message in self.received])
+        return [(at, words) for at, words in changes if at >= 0.0]
 
 
 def recorded_heights(name, note, seconds):
-    """Seconds and metres up, from the note of a fault on."""
+    """Seconds and height in metres, from the note of a fault on."""
     heights, began = [], None
     for event in events(name):
         if note in event.note and began is None:
@@ -109,7 +109,7 @@ def recorded_heights(name, note, seconds):
 
 
 def assert_falls_alike(flight, heights, apart):
-    """The fake falls from now on, as far as the real one by each time."""
+    """The fake falls from now on, as far as the real vehicle at each time."""
     began, top = flight.autopilot.now, -flight.autopilot.vehicle.place[2]
     for at, height in heights:
         flight.wait(began + at - flight.autopilot.now)
@@ -123,19 +123,19 @@ def assert_alike(real, fake):
         assert abs(at - was) <= NEAR, f"{words}: after {at:.1f} s, really {was:.1f} s"
 
 
-def test_without_gps_it_flies_on_and_then_lands():
+def test_gps_loss_leads_to_the_ekf_failsafe_as_recorded():
     real = recorded("ap-copter.gauntlet-a", "GPS off for 25 s: begins", 9.0)
     flight = Flight()
     began = flight.autopilot.now
     flight.fault("gps_loss=true")
     flight.wait(9.0)
     assert any("EKF Failsafe: changed to LAND Mode" in words for _, words in real)
-    assert_alike(real, flight.said(began))
+    assert_alike(real, flight.events_since(began))
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) != dialect.MAV_RESULT_ACCEPTED
 
 
-def test_a_battery_failsafe_is_taken_back_by_guided_and_acts_once():
-    """By voltage it acts after 10 s (BATT_LOW_TIMER); the fake's is by charge. The rest is the same."""
+def test_battery_failsafe_acts_once_and_guided_ends_it_as_recorded():
+    """By voltage it acts after 10 s (BATT_LOW_TIMER); the fake's acts by charge. All else is equal."""
     real = recorded("ap-copter.gauntlet-a", "battery low (10 V), BATT_FS_LOW_ACT 1 land: begins", 48.0)
     acts = next(at for at, words in real if words.startswith("mode"))
     back = next(at for at, words in real if words.startswith(f"mode {GUIDED},") and at > acts)
@@ -146,7 +146,9 @@ def test_a_battery_failsafe_is_taken_back_by_guided_and_acts_once():
     assert flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED) == dialect.MAV_RESULT_ACCEPTED
     flight.goes(60.0)
     flight.wait(20.0)
-    fake = [(at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.said(began)]
+    fake = [
+        (at, words.split(" 1")[0] if "is low" in words else words) for at, words in flight.events_since(began)
+    ]
     real = [(at - acts, words.split(" 1")[0] if "is low" in words else words) for at, words in real]
     assert sorted(words for _, words in fake) == sorted(words for _, words in real)
     assert flight.autopilot.mode == "GUIDED"
@@ -156,47 +158,47 @@ def test_a_battery_failsafe_is_taken_back_by_guided_and_acts_once():
     flight.command(dialect.MAV_CMD_DO_SET_MODE, 1, GUIDED)
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_FAILED
     flight.wait(0.1)
-    assert "Arm: Battery failsafe" in [words for _, words in flight.said(began)]
+    assert "Arm: Battery failsafe" in [words for _, words in flight.events_since(began)]
 
 
-def test_a_weak_motor_falls_as_the_real_one_did():
-    """Heights of both, from the fault to the ground."""
+def test_weak_motor_falls_as_recorded():
+    """Compares the heights from the fault to the ground."""
     heights = recorded_heights("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.1)
     flight = Flight()
     began = flight.autopilot.now
     flight.fault("motor_power=0.6")
     assert_falls_alike(flight, heights, 1.2)
-    said = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
-    assert [words for _, words in flight.said(began)] == said
+    texts = [words for _, words in recorded("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", 4.0)]
+    assert [words for _, words in flight.events_since(began)] == texts
 
 
 @pytest.mark.parametrize(("name", "note", "fault"), [
     ("ap-copter.gauntlet-a", "all compasses fail for 25 s: begins", "compass_failure=true"),
     ("ap-copter.gauntlet-b", "GPS glitch", "gps_glitch=33"),
 ])  # fmt: skip
-def test_it_flies_on_with_a_glitch_and_without_compasses(name, note, fault):
+def test_flight_continues_with_gps_glitch_or_without_compasses(name, note, fault):
     real = recorded(name, note, 7.0)
     flight = Flight()
     began = flight.autopilot.now
     flight.fault(fault)
     flight.wait(7.0)
-    assert_alike(real, flight.said(began))
+    assert_alike(real, flight.events_since(began))
     assert flight.autopilot.mode == "GUIDED"
 
 
-def test_a_forced_disarm_in_flight_is_a_fall_and_it_can_be_armed_at_once():
+def test_forced_disarm_in_flight_falls_and_can_rearm_as_recorded():
     heights = recorded_heights("ap-copter.gauntlet-b", "forced disarm by a second station", 1.4)
     flight = Flight()
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, 21196) == dialect.MAV_RESULT_ACCEPTED
-    # The first height after the note is that of the begin of the fall.
+    # The first height after the note is the start of the fall.
     assert_falls_alike(flight, [(at - heights[0][0], height) for at, height in heights], 0.6)
     flight.wait(0.3)
     assert flight.autopilot.vehicle.place[2] == pytest.approx(0.0, abs=0.3)
     assert flight.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1) == dialect.MAV_RESULT_ACCEPTED
 
 
-def test_a_goal_of_another_station_is_obeyed_and_no_mode_or_text_shows_it():
-    """The packet of the recording: a place at (-20, -20), 8 m up, from system 77."""
+def test_goal_of_another_station_is_flown_without_mode_or_text():
+    """The packet of the recording: a goal at (-20, -20), 8 m up, from system 77."""
     goal, began, real, places = (-20.0, -20.0), None, [], []
     for event in events("ap-copter.gauntlet-a"):
         if "second station: GUIDED and a goal of its own" in event.note:
@@ -214,5 +216,5 @@ def test_a_goal_of_another_station_is_obeyed_and_no_mode_or_text_shows_it():
     given = dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 3576, *goal, -8.0, *[0.0] * 8)
     flight.fake.receive("other", given.pack(other))
     flight.wait(10.0)
-    assert flight.said(began) == []
+    assert flight.events_since(began) == []
     assert math.dist(flight.autopilot.vehicle.place[:2], goal) < math.dist(place, goal) - 5.0

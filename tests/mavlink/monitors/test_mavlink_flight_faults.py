@@ -1,4 +1,4 @@
-"""Falls, crashes, a lost GPS and foreign targets: the driver on fakes that do what real autopilots did."""
+"""Falls, crashes, GPS loss and foreign targets: the driver on fakes that act as real autopilots did."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ async def up(fc, height=8.0):
 
 
 async def fails(b, work):
-    """The reason of a motion that ends early, and when."""
+    """The time and reason of a motion that ends early."""
     loop = asyncio.get_running_loop()
     try:
         await work
     except DeviceError as error:
         return loop.time(), error.reason
-    pytest.fail("it ended well")
+    pytest.fail("the motion ended without an error")
 
 
 def at(seconds, do, *values):
-    """Do something later; when it is done, on the loop's clock."""
+    """Schedules a call; returns its time on the loop's clock."""
     loop = asyncio.get_running_loop()
     loop.call_later(seconds, do, *values)
     return loop.time() + seconds
@@ -64,8 +64,8 @@ def reposition(b, north, east, height):
 
 @pytest.mark.parametrize("known", [False, True])
 @on_bench("bench")
-async def test_a_foreign_setpoint_that_ours_overwrites_is_a_takeover_within_two_seconds(b, fc, /, known):
-    """ArduCopter follows the last setpoint, whoever sent it, and tells nobody; once is enough."""
+async def test_one_foreign_setpoint_is_a_takeover_within_two_seconds(b, fc, /, known):
+    """ArduCopter follows the last setpoint of any sender without a report; one setpoint is enough."""
     await up(fc)
 
     def interferes():
@@ -85,13 +85,13 @@ async def test_a_foreign_setpoint_that_ours_overwrites_is_a_takeover_within_two_
         await fc.execute("goTo", [60.0, 0.0, -8.0])
     mode = b.autopilot.mode
     await fc.make_safe()
-    assert b.autopilot.mode == mode, "left to them, as a mode that a pilot chose is"
+    assert b.autopilot.mode == mode, "left to the other station, like a mode of a pilot"
     await fc.execute("release", [])
     await fc.execute("goTo", [20.0, 0.0, -8.0])
 
 
 @on_bench("bench")
-async def test_a_station_that_keeps_sending_setpoints_is_seen_although_ours_never_is(b, fc, /):
+async def test_continuous_foreign_setpoints_end_the_motion(b, fc, /):
     await up(fc)
 
     async def interfere():
@@ -108,18 +108,18 @@ async def test_a_station_that_keeps_sending_setpoints_is_seen_although_ours_neve
 
 
 @on_bench("bench", flavour="px4", limits={"speed": 3.0})
-async def test_px4_that_another_station_repositions_in_flight_is_taken_over(b, fc, /):
+async def test_foreign_reposition_of_px4_in_flight_is_a_takeover(b, fc, /):
     await up(fc)
     began = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
     assert "AUTO.LOITER" in reason
-    assert "system" not in reason, "its messages do not come here"
+    assert "system" not in reason, "its messages are not received here"
     assert fc.taken_over()
 
 
 @on_bench("bench", flavour="px4", limits={"speed": 3.0})
-async def test_setpoints_of_another_station_to_px4_in_offboard_are_a_takeover(b, fc, /):
+async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
     await up(fc)
 
     async def interfere():
@@ -133,14 +133,14 @@ async def test_setpoints_of_another_station_to_px4_in_offboard_are_a_takeover(b,
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
     assert "another station has sent it elsewhere" in reason
-    assert not b.driver.devices["a1.fc"].motion.stream.runs, "it does not fight the other one"
+    assert not b.driver.devices["a1.fc"].motion.stream.runs, "the driver stops its own setpoints"
     other.cancel()
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0, given="flavour")
-async def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(b, fc, /, flavour):
+async def test_own_goals_on_a_bad_link_are_no_takeover(b, fc, /, flavour):
     await up(fc)
     for goal in ((12.0, 0.0, -8.0), (0.0, 9.0, -5.0), (0.0, 0.0, -8.0)):
         await fc.execute("goTo", list(goal))
@@ -156,7 +156,7 @@ async def test_own_goals_one_after_another_on_a_bad_link_are_nobody_elses(b, fc,
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("goal", [(60.0, 0.0, -8.0), (60.0, 0.0, -20.0)])
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
-async def test_a_weak_motor_ends_a_motion_well_before_the_ground(b, fc, /, flavour, goal):
+async def test_weak_motor_ends_a_motion_before_the_ground(b, fc, /, flavour, goal):
     await up(fc)
     began = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
     ended, reason = await fails(b, fc.execute("goTo", list(goal)))
@@ -172,7 +172,7 @@ async def test_a_weak_motor_ends_a_motion_well_before_the_ground(b, fc, /, flavo
 
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
-async def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(b, fc, /, flavour):
+async def test_forced_disarm_in_flight_is_a_crash_and_blocks_arming(b, fc, /, flavour):
     await up(fc)
     at(5.0, lambda: b.autopilot.disarm(force=True))
     _, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
@@ -184,7 +184,7 @@ async def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(b,
     (why,) = b.lock_outs
     assert why.startswith("it crashed: its motors went off in the air")
     await asyncio.sleep(3.0)
-    # What the guard lets through once an operator has ended the lock-out.
+    # These calls pass the guard after an operator has ended the lock-out.
     await fc.execute("release", [])
     await fc.execute("waitReady", [20.0])
     await fc.execute("arm", [])
@@ -193,7 +193,7 @@ async def test_a_forced_disarm_in_flight_is_a_crash_and_nothing_arms_it_again(b,
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, waivers=("device_watchdog", "autonomous_motion"), given="flavour")
-async def test_ordinary_landings_and_low_speeds_are_no_crashes(b, fc, /, flavour):
+async def test_ordinary_landings_and_descents_are_no_crashes(b, fc, /, flavour):
     await up(fc, 12.0)
     await fc.execute("goTo", [10.0, 0.0, -3.0])
     await fc.execute("goTo", [0.0, 0.0, -12.0])
@@ -216,7 +216,7 @@ async def test_ordinary_landings_and_low_speeds_are_no_crashes(b, fc, /, flavour
 @pytest.mark.few(2)
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0, "radius": 100.0}, given="flavour")
-async def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordered(b, fc, /, flavour):
+async def test_gps_loss_ends_a_motion_within_two_seconds(b, fc, /, flavour):
     await up(fc)
     began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
@@ -236,7 +236,7 @@ async def test_a_lost_gps_ends_a_motion_within_two_seconds_and_nothing_is_ordere
 @pytest.mark.parametrize("flavour", STACKS)
 @pytest.mark.parametrize("state", ["hold", "return", "land"])
 @on_bench("bench", given="flavour safe_state=state")
-async def test_a_safe_state_without_a_position_is_a_landing(b, fc, /, flavour, state):
+async def test_safe_state_without_position_is_a_landing(b, fc, /, flavour, state):
     await up(fc)
     b.faults.apply(["gps_loss=true"])
     await asyncio.sleep(1.5)
@@ -246,15 +246,15 @@ async def test_a_safe_state_without_a_position_is_a_landing(b, fc, /, flavour, s
 
 @pytest.mark.parametrize("fault", ["gps_glitch=33", "compass_failure=true"])
 @on_bench("bench", limits={"speed": 3.0})
-async def test_what_real_ones_fly_on_with_ends_no_motion(b, fc, /, fault):
+async def test_gps_glitch_or_compass_failure_does_not_end_a_motion(b, fc, /, fault):
     await up(fc)
     at(3.0, lambda: b.faults.apply([fault]))
     await fc.execute("goTo", [30.0, 0.0, -8.0])
     assert b.lock_outs == [] == b.breaches
 
 
-def test_a_refusal_after_a_crash_comes_when_the_motors_are_known_to_be_off(bench):
-    """ArduCopter says "Crash: Disarming" up to a second before its heartbeat shows it."""
+def test_refusal_after_a_crash_waits_until_the_motors_are_off(bench):
+    """ArduCopter sends "Crash: Disarming" up to a second before its heartbeat shows the disarming."""
     b = bench()
 
     async def mission(fc):

@@ -1,4 +1,4 @@
-"""Targets of another station: velocities, heights, at any time of a flight; and what is no such thing."""
+"""Targets of another station: velocities and heights, at any time of a flight; and false alarms."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def velocity(north, east, down, target=1):
 
 
 def interfered(b, message, *, after, pause=0.2, known=True):
-    """A station sends a message again and again; when it begins, on the loop's clock."""
+    """A station sends a message repeatedly; returns the start on the loop's clock, and the task."""
     begins = asyncio.get_running_loop().time() + after
 
     async def interfere():
@@ -52,9 +52,7 @@ def interfered(b, message, *, after, pause=0.2, known=True):
     ],
 )
 @on_bench("bench", limits={"speed": 3.0}, given="flavour kind")
-async def test_velocities_of_another_station_are_a_takeover_within_two_seconds(
-    b, fc, /, flavour, kind, sent, words
-):
+async def test_foreign_velocities_are_a_takeover_within_two_seconds(b, fc, /, flavour, kind, sent, words):
     if kind == "copter":
         await up(fc)
     else:
@@ -71,7 +69,7 @@ async def test_velocities_of_another_station_are_a_takeover_within_two_seconds(
 
 @pytest.mark.parametrize("message", [setpoint(*ELSEWHERE), velocity(-2.0, 0.0, 0.0)])
 @on_bench("bench", limits={"speed": 3.0}, ttl=1.0)
-async def test_a_flight_by_velocities_that_another_station_takes_over_is_told_of_it(b, fc, /, message):
+async def test_takeover_ends_a_flight_by_velocities(b, fc, /, message):
     await up(fc)
     began, other = interfered(b, message, after=3.03, pause=0.1)
 
@@ -87,7 +85,7 @@ async def test_a_flight_by_velocities_that_another_station_takes_over_is_told_of
 
 
 @on_bench("bench")
-async def test_a_copter_that_takes_off_or_hovers_is_seen_to_be_sent_elsewhere(b, fc, /):
+async def test_takeover_in_takeoff_or_hover_is_detected(b, fc, /):
     await fc.execute("arm", [])
     began = at(4.0, lambda: foreign(b, setpoint(*ELSEWHERE)))
     ended, reason = await fails(b, fc.execute("takeoff", [20.0]))
@@ -103,18 +101,20 @@ async def test_a_copter_that_takes_off_or_hovers_is_seen_to_be_sent_elsewhere(b,
 
 
 @on_bench("bench")
-async def test_another_height_and_what_a_router_sends_back(b, fc, /):
+async def test_foreign_height_is_a_takeover_although_a_router_echoes(b, fc, /):
     await up(fc)
     send = b.links[0].send
     b.links[0].send = lambda data: (send(data), b.links[0].on_data(data))
     began = at(6.25, lambda: foreign(b, setpoint(60.0, 0.0, -15.0)))
     ended, reason = await fails(b, fc.execute("goTo", list(GOAL)))
     assert ended - began < 2.0
-    assert "sent it elsewhere, 7 m from its goal;" in reason, "nobody else's message came here"
+    assert "sent it elsewhere, 7 m from its goal;" in reason, (
+        "no message of the other station was received here"
+    )
 
 
 @on_bench("bench", flavour="px4", kind="rover", limits={"speed": 3.0})
-async def test_a_px4_rover_that_is_repositioned_is_in_other_hands(b, fc, /):
+async def test_foreign_reposition_of_a_px4_rover_is_a_takeover(b, fc, /):
     await fc.execute("arm", [])
     at(6.25, lambda: b.links[0].on_data(foreign(b, reposition(b, -20.0, -20.0, 0.0))))
     _, reason = await fails(b, fc.execute("goTo", list(GOAL)))
@@ -125,8 +125,8 @@ async def test_a_px4_rover_that_is_repositioned_is_in_other_hands(b, fc, /):
 # -- pure ---------------------------------------------------------------------------------------------
 
 
-def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
-    """ArduPilot is sent where it is, then its goal; on a bad radio the goal comes late."""
+def test_goal_before_a_lost_goal_is_still_an_own_target():
+    """ArduPilot receives its own position, then its goal; on a bad radio the goal is late."""
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(HOME, 0.0, HOME)
@@ -140,7 +140,7 @@ def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
 
 
 @pytest.mark.parametrize(
-    ("told", "strange"),
+    ("reported", "is_foreign"),
     [
         ((60.02, 0.0, -8.0), False),
         ((60.0, 0.0, -8.3), False),
@@ -149,17 +149,17 @@ def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
         ((60.0, 0.0, math.nan), False),
     ],
 )
-def test_targets_near_the_own_one_are_not_the_own_one(told, strange):
+def test_reported_target_is_own_within_a_tolerance(reported, is_foreign):
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(GOAL, 0.0, HOME)
     monitor.on_reported_place((1.5, 1.0, -6.0), 0.5, HOME, aloft=True)
     monitor.on_reported_place(GOAL, 1.0, HOME, aloft=True)
-    monitor.on_reported_place(told, 3.0, HOME, aloft=True)
-    assert bool(monitor.on_guided(4.0)) == strange
+    monitor.on_reported_place(reported, 3.0, HOME, aloft=True)
+    assert bool(monitor.on_guided(4.0)) == is_foreign
 
 
-def test_targets_of_the_motion_before_may_come_late_but_not_for_ever():
+def test_targets_of_the_last_motion_are_own_for_a_limited_time():
     monitor = TargetMonitor()
     for at_, place in enumerate((HOME, GOAL)):
         monitor.on_place(place, float(at_), None)
@@ -172,7 +172,7 @@ def test_targets_of_the_motion_before_may_come_late_but_not_for_ever():
     assert monitor.on_guided(9.0) != ""
 
 
-def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_been_seen():
+def test_earlier_foreign_stream_is_found_after_the_first_timeout():
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(GOAL, 0.0, HOME)
@@ -183,7 +183,7 @@ def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_be
 
 
 @pytest.mark.parametrize(
-    ("sent", "told", "strange"),
+    ("sent", "reported", "is_foreign"),
     [
         ((2.0, 0.0, 0.0), (2.0, 0.0, 0.0), False),
         ((2.0, 0.0, 0.0), (1.2, 0.0, 0.0), False),  # bounded by its own limit
@@ -195,37 +195,37 @@ def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_be
         ((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), True),
     ],
 )
-def test_velocities_are_the_same_or_bounded(sent, told, strange):
+def test_reported_velocity_is_own_if_equal_or_limited(sent, reported, is_foreign):
     monitor = TargetMonitor()
     monitor.on_velocity(sent, 0.0)
-    monitor.on_reported_velocity(told, 0.2)
-    assert bool(monitor.on_guided(1.0)) == strange
+    monitor.on_reported_velocity(reported, 0.2)
+    assert bool(monitor.on_guided(1.0)) == is_foreign
 
 
-def told_distances(*told, here=HOME, seen=True, goal=GOAL):
-    """What is found when a rover tells these distances, five in a second, on its way to a goal."""
+def reported_distances(*reported, here=HOME, received=True, goal=GOAL):
+    """The finding when a rover reports these distances, five per second, on its way to a goal."""
     monitor = TargetMonitor(level=False)
     monitor.clear(0.0)
     monitor.on_place(goal, 0.0, HOME)
-    if seen:
+    if received:
         monitor.on_reported_place(goal, 0.5, HOME, aloft=False)
-    for number, distance in enumerate(told):
+    for number, distance in enumerate(reported):
         monitor.on_reported_distance(distance, here, 2.0, 1.0 + number / 5)
     return monitor.on_guided(9.0)
 
 
-def test_a_rover_that_tells_no_distance_to_a_far_goal_follows_velocities():
+def test_rover_that_reports_distance_0_far_from_its_goal_is_foreign():
     """NAV_CONTROLLER_OUTPUT of ap-rover.f-fence-landing: 34, 33, 33, then 0 while it follows velocities."""
-    assert told_distances(59, 59, 0, 0) == "to no place, 60 m before its goal"
-    assert told_distances(59, 0, 59, 0) != "", "the own goal is sent again in between"
-    assert told_distances(59, 0, *[59] * 20, 0) == "", "these are too far apart"
-    assert told_distances(59, 59, 58, 57) == ""
-    assert told_distances(0, 0, 0, seen=False) == "", "it has not taken the goal yet"
-    assert told_distances(2, 0, 0, here=(58.0, 0.0, 0.0)) == "", "it arrives"
-    assert told_distances(0, 0, here=None) == ""
+    assert reported_distances(59, 59, 0, 0) == "to no place, 60 m before its goal"
+    assert reported_distances(59, 0, 59, 0) != "", "the own goal is sent again in between"
+    assert reported_distances(59, 0, *[59] * 20, 0) == "", "these are too far apart"
+    assert reported_distances(59, 59, 58, 57) == ""
+    assert reported_distances(0, 0, 0, received=False) == "", "it has not accepted the goal yet"
+    assert reported_distances(2, 0, 0, here=(58.0, 0.0, 0.0)) == "", "it arrives"
+    assert reported_distances(0, 0, here=None) == ""
 
 
-def test_a_rover_that_has_arrived_and_has_not_taken_its_next_goal_follows_no_velocity():
+def test_arrived_rover_with_a_pending_goal_is_not_foreign():
     monitor = TargetMonitor(level=False)
     monitor.clear(0.0)
     monitor.on_place(HOME, 0.0, HOME)
@@ -240,7 +240,7 @@ def test_a_rover_that_has_arrived_and_has_not_taken_its_next_goal_follows_no_vel
     assert monitor.on_guided(9.0) == "to no place, 60 m before its goal"
 
 
-def test_a_goal_told_by_the_motion_before_is_not_the_same_goal_again():
+def test_same_goal_of_an_earlier_motion_needs_a_new_report():
     monitor = TargetMonitor(level=False)
     monitor.clear(0.0)
     monitor.on_place(GOAL, 0.0, HOME)
@@ -257,7 +257,7 @@ def test_a_goal_told_by_the_motion_before_is_not_the_same_goal_again():
     assert monitor.on_guided(9.0) != ""
 
 
-def test_on_the_ground_a_target_of_long_ago_means_nothing():
+def test_old_target_on_the_ground_is_ignored():
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_reported_place(GOAL, 50.0, HOME, aloft=False)
@@ -265,7 +265,7 @@ def test_on_the_ground_a_target_of_long_ago_means_nothing():
 
 
 def course(*velocities, start=(0.0, 0.0, 0.0), step=0.1):
-    """Whether it leaves its course to GOAL, flying so for a second each."""
+    """Whether it leaves its course to GOAL, with each velocity for a second."""
     monitor, place, now = CourseMonitor(), start, 0.0
     monitor.start(GOAL)
     left = []
@@ -277,19 +277,19 @@ def course(*velocities, start=(0.0, 0.0, 0.0), step=0.1):
     return left
 
 
-def test_a_course_is_left_once_it_was_taken():
+def test_leaving_the_course_is_found_only_after_following_it():
     assert course((2.0, 0.0), (0.0, 2.0)) == [False, True]
     assert course((2.0, 0.0), (-2.0, 0.0), (2.0, 0.0)) == [False, True, False]
     assert course((2.0, 0.5), (2.0, -1.0)) == [False, False], "it swerves"
     assert course((-2.0, 0.0), (0.0, 2.0), (2.0, 1.0)) == [False] * 3, "a rover turns first"
-    assert course((2.0, 0.0), (0.0, 0.5)) == [False, False], "wind pushes what stands"
+    assert course((2.0, 0.0), (0.0, 0.5)) == [False, False], "wind moves a standing vehicle"
     assert course((2.0, 0.0), (-2.0, 0.0), start=(58.0, 0.0, 0.0)) == [False, False], "it is there"
 
 
-def test_who_has_commanded_a_vehicle_is_named_for_commands_that_lead_it():
+def test_sender_of_a_motion_command_is_named():
     mav = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
 
-    def heard(message, target):
+    def commander(message, target):
         message.pack(mav)
         neighbours = Neighbours()
         neighbours.on_command(message, 1.0)
@@ -298,14 +298,14 @@ def test_who_has_commanded_a_vehicle_is_named_for_commands_that_lead_it():
     def command(number, target=1):
         return dialect.MAVLink_command_long_message(target, 1, number, 0, *[0.0] * 7)
 
-    assert heard(velocity(1.0, 0.0, 0.0), 1) == "system 255, component 190"
-    assert heard(velocity(1.0, 0.0, 0.0, target=0), 1) == "system 255, component 190"
-    assert heard(command(dialect.MAV_CMD_DO_REPOSITION), 1) == "system 255, component 190"
-    assert heard(command(dialect.MAV_CMD_DO_REPOSITION, target=2), 1) == ""
-    assert heard(command(dialect.MAV_CMD_REQUEST_MESSAGE), 1) == "", "QGroundControl asks for much"
+    assert commander(velocity(1.0, 0.0, 0.0), 1) == "system 255, component 190"
+    assert commander(velocity(1.0, 0.0, 0.0, target=0), 1) == "system 255, component 190"
+    assert commander(command(dialect.MAV_CMD_DO_REPOSITION), 1) == "system 255, component 190"
+    assert commander(command(dialect.MAV_CMD_DO_REPOSITION, target=2), 1) == ""
+    assert commander(command(dialect.MAV_CMD_REQUEST_MESSAGE), 1) == "", "QGroundControl sends many requests"
 
 
-def test_own_velocities_one_after_another_are_nobody_elses():
+def test_own_successive_velocities_are_not_foreign():
     monitor = TargetMonitor()
     sent = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, -0.5), (0.0, 0.0, 0.0)]
     for number, (before, now) in enumerate(pairwise(sent)):

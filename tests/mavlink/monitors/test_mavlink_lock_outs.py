@@ -1,4 +1,4 @@
-"""After a crash nothing arms a vehicle before an operator ends the lock-out. Whole hosts, in virtual time."""
+"""After a crash a vehicle cannot be armed before an operator ends the lock-out. Hosts in virtual time."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ agents:
 
 
 class Operator:
-    """Lifts what holds the devices of a host."""
+    """Lifts the lock-out of the devices of a host."""
 
     who = Identity("person", "anna", ALL_RIGHTS)
 
@@ -55,7 +55,7 @@ class Operator:
     ("autopilot", "ends"),
     [("ardupilot", "power_off"), ("px4", "guard"), ("px4", "crash"), ("ardupilot", "crash")],
 )
-def test_a_lock_out_outlives_the_guard_the_host_and_its_computer(tmp_path, lfield_mission, autopilot, ends):
+def test_lock_out_persists_over_guard_host_and_computer_restarts(tmp_path, lfield_mission, autopilot, ends):
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@bravo\n")
     (tmp_path / "mission.devices.yaml").write_text(BINDINGS.format(autopilot=autopilot))

@@ -1,4 +1,4 @@
-"""A lost position: what ends, what is refused, what goes on; a second without a fix, a second receiver."""
+"""A lost position: ended and refused motions, a fix lost for one second, a second receiver."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GPS2_RAW = int(dialect.MAVLINK_MSG_ID_GPS2_RAW)
 
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
-async def test_a_fix_that_is_away_for_a_second_ends_nothing(b, fc, /, flavour):
+async def test_fix_lost_for_one_second_does_not_end_a_motion(b, fc, /, flavour):
     await up(fc)
     at(4.0, lambda: b.faults.apply(["gps_loss=true"]))
     at(5.0, lambda: b.faults.apply(["gps_loss=false"]))
@@ -27,20 +27,20 @@ async def test_a_fix_that_is_away_for_a_second_ends_nothing(b, fc, /, flavour):
 
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, faults=("loss=0.2", "delay=0.5"), ttl=1.0, given="flavour")
-async def test_a_loss_is_thrown_within_two_seconds_also_over_a_slow_radio(b, fc, /, flavour):
+async def test_fix_loss_over_a_slow_radio_ends_a_motion_within_two_seconds(b, fc, /, flavour):
     await up(fc)
     began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
     assert "its GNSS fix is lost" in reason
-    assert b.values["gpsFix"] < 3, "read where it is caught"
+    assert b.values["gpsFix"] < 3, "the value is current where the exception is caught"
 
 
 @pytest.mark.parametrize(("flavour", "refused", "taken"), [
     ("ardupilot", "RTL", "ALT_HOLD"), ("px4", "AUTO.RTL", "AUTO.LAND"),
 ])  # fmt: skip
 @on_bench("bench", given="flavour")
-async def test_modes_that_need_a_position_are_refused_without_one(b, fc, /, flavour, refused, taken):
+async def test_mode_that_needs_a_position_is_refused_without_a_fix(b, fc, /, flavour, refused, taken):
     await up(fc)
     b.faults.apply(["gps_loss=true"])
     await asyncio.sleep(1.6)
@@ -50,7 +50,7 @@ async def test_modes_that_need_a_position_are_refused_without_one(b, fc, /, flav
 
 
 @on_bench("bench", kind="rover", safe_state="return")
-async def test_a_rover_without_a_position_stops_and_does_not_return(b, fc, /):
+async def test_rover_without_position_holds_instead_of_returning(b, fc, /):
     await fc.execute("arm", [])
     began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, 0.0]))
@@ -76,7 +76,7 @@ def second(monkeypatch):
 
 
 @on_bench("bench", limits={"speed": 3.0}, safe_state="hold")
-async def test_with_a_second_receiver_all_goes_on_until_both_have_no_fix(b, fc, /, second):
+async def test_motion_continues_until_both_receivers_have_no_fix(b, fc, /, second):
     await up(fc)
     second["first"] = 1
     await asyncio.sleep(3.0)
@@ -86,12 +86,12 @@ async def test_with_a_second_receiver_all_goes_on_until_both_have_no_fix(b, fc, 
     await fc.execute("release", [])
     began = at(3.0, second.update, {"second": 1})
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
-    # It is asked every 0.4 s.
+    # The second receiver is polled every 0.4 s.
     assert 0.0 < ended - began < 2.0
     assert "its GNSS fix is lost (GPS_FIX_TYPE 1)" in reason
 
 
-def test_receivers_count_together_and_what_never_had_a_fix_is_not_lost():
+def test_fix_is_lost_only_after_one_and_only_on_all_receivers():
     monitor = PositionMonitor()
     monitor.on_fix(0, 1, 0.0)
     assert monitor.lost(10.0) == ""

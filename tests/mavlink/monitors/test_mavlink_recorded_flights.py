@@ -1,4 +1,4 @@
-"""The monitors on recordings of real autopilots: no false alarm in normal flights, and faults in time."""
+"""The monitors on recordings of real autopilots: no false alarms in normal flights, faults found in time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NORMAL = [
     ("ap-copter.deaths-33", ((200.0, 0.0, -8.0),)),
     ("px4-copter.deaths-6", ((200.0, 0.0, -8.0),)),
 ]
-#: Flown by scripts: what they wanted of the height is not known, only that nothing has failed.
+#: Flown by scripts: the commanded heights are unknown, but no fault occurred.
 SCRIPTED = [
     "ap-copter.c-speed",
     "ap-copter.d-velocity",
@@ -43,7 +43,7 @@ SCRIPTED = [
 
 
 @pytest.mark.parametrize(("name", "goals"), NORMAL)
-def test_nothing_is_found_in_flights_in_which_nothing_fails(name, goals):
+def test_normal_recorded_flight_has_no_findings(name, goals):
     watched = watch(name, *goals)
     assert watched.found == []
     assert watched.reports.lock_outs == []
@@ -51,14 +51,14 @@ def test_nothing_is_found_in_flights_in_which_nothing_fails(name, goals):
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("name", SCRIPTED)
-def test_nothing_is_found_in_flights_of_others(name):
+def test_scripted_recorded_flight_has_no_findings(name):
     watched = watch(name)
     assert watched.found == []
     assert watched.reports.lock_outs == []
 
 
 def faulty(name, note, *, within=60.0, goals=PATROL):
-    """What is found from the note of a fault on: seconds after it, in words; and the vehicle."""
+    """The findings from the note of a fault on, as seconds and text; and the watched vehicle."""
     watched, begins = Watched(name, *goals), None
     for event in watched.play():
         if note in event.note and begins is None:
@@ -70,8 +70,8 @@ def faulty(name, note, *, within=60.0, goals=PATROL):
     return [(at - begins, words) for at, words in watched.found], watched
 
 
-def test_a_weak_motor_is_a_fall_long_before_the_ground():
-    """It hit the ground 4.2 s after the fault; "Potential Thrust Loss" came after 3.1."""
+def test_recorded_weak_motor_is_a_fall_before_the_impact():
+    """The impact was 4.2 s after the fault; "Potential Thrust Loss" was sent after 3.1 s."""
     found, watched = faulty("ap-copter.gauntlet-b", "set SIM_ENGINE_FAIL = 1", within=10.0)
     (falls_at, falls), (crashes_at, crashes) = found
     assert falls.startswith("it falls: ")
@@ -82,8 +82,8 @@ def test_a_weak_motor_is_a_fall_long_before_the_ground():
     assert watched.monitor.crashed == crashes
 
 
-def test_motors_that_go_off_in_the_air_are_a_crash_before_the_ground():
-    """It hit the ground at 11 m/s 1.3 s after; that it could be armed 0.1 s later is how it went on."""
+def test_recorded_disarm_in_flight_is_a_crash_before_the_impact():
+    """The impact was 1.3 s later, at 11 m/s; 0.1 s after that the vehicle could be armed."""
     found, watched = faulty(
         "ap-copter.gauntlet-b", "forced disarm by a second station in the air", within=1.3
     )
@@ -93,18 +93,20 @@ def test_motors_that_go_off_in_the_air_are_a_crash_before_the_ground():
     assert watched.reports.lock_outs[-1] == f"it crashed: {words}"
 
 
-def test_a_termination_in_flight_is_a_fall():
+def test_recorded_flight_termination_is_a_fall():
     watched = watch("px4-copter.g-commands-armed")
     assert [words.split(" ")[1] for _, words in watched.found][:1] in (["sinks"], ["falls:"], ["is"])
 
 
-def test_a_lost_gps_is_known_within_two_seconds_of_its_fix():
-    """Its mode was the same for 7 s more, and so was the health of its sensors."""
+def test_recorded_gps_loss_is_found_within_a_second():
+    """Its mode and sensor health did not change for another 7 s."""
     watched, fix_lost = Watched("ap-copter.gauntlet-a", *PATROL), None
     for event in watched.play():
         message = event.message
-        told = message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
-        if told and message.fix_type < 3 and fix_lost is None:
+        is_fix_report = (
+            message is not None and message.get_type() == "GPS_RAW_INT" and watched.vehicle.state.armed
+        )
+        if is_fix_report and message.fix_type < 3 and fix_lost is None:
             fix_lost = event.at
         if fix_lost is not None and watched.monitor.lost_position:
             break
@@ -122,7 +124,7 @@ def test_a_lost_gps_is_known_within_two_seconds_of_its_fix():
         ("ap-copter.gauntlet-b", "wind 9 m/s from the north: begins", "motor 1 at 60 %: begins"),
     ],
 )
-def test_wind_glitches_compasses_fences_and_batteries_are_no_falls(name, begins, ends):
+def test_recorded_wind_and_sensor_faults_are_no_falls(name, begins, ends):
     watched, on = Watched(name, *PATROL), False
     for event in watched.play():
         if begins in event.note:

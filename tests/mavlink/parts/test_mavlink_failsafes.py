@@ -1,4 +1,4 @@
-"""A failsafe that has the vehicle in a mode that the program uses too: its, until release()."""
+"""A failsafe controls the vehicle in a mode that the program also uses, until release()."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ async def up(fc, height=6.0):
 
 
 async def out_of_the_fence(b, fc, *, outwards=(3.0, 0.0, 0.0)):
-    """Renew a velocity until that is refused; the reason."""
+    """Renews a velocity until it is refused; returns the reason."""
     for _ in range(400):
         try:
             await fc.execute("setVelocity", list(outwards))
         except DeviceError as refusal:
             return refusal.reason
         await asyncio.sleep(0.2)
-    pytest.fail("it flies on")
+    pytest.fail("the velocity was never refused")
 
 
-def says(packet, kind):
+def contains(packet, kind):
     return any(message.get_msgId() == kind for message in Reader().feed(packet))
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("action", ["hold", "land", "return"])
 @on_bench("bench", flavour="px4", ttl=3.5, limits={"speed": 3.0})
-async def test_a_breach_of_px4s_fence_takes_the_vehicle_until_it_is_released(b, fc, /, action):
+async def test_px4_fence_breach_takes_control_until_release(b, fc, /, action):
     await fc.execute("fenceAction", [action])
     b.autopilot.parameters["GF_MAX_HOR_DIST"] = 15.0
     await up(fc)
@@ -59,8 +59,8 @@ async def test_a_breach_of_px4s_fence_takes_the_vehicle_until_it_is_released(b, 
 
 
 @on_bench("bench", flavour="px4", ttl=3.5, limits={"speed": 3.0})
-async def test_an_orbit_that_px4s_fence_ended_says_so_and_is_not_taken_from_it(b, fc, /):
-    """It is pushed out: what is told before is refused before."""
+async def test_px4_fence_ends_an_orbit_and_keeps_control(b, fc, /):
+    """The fence is set during the orbit: earlier commands would be refused earlier."""
     await up(fc)
     asyncio.get_running_loop().call_later(20.0, lambda: b.autopilot.parameters.update(GF_MAX_HOR_DIST=8.0))
     with pytest.raises(DeviceError, match=r"to AUTO.LOITER, which its failsafe chose.*Geofence: exc"):
@@ -72,12 +72,12 @@ async def test_an_orbit_that_px4s_fence_ended_says_so_and_is_not_taken_from_it(b
 
 
 @on_bench("bench", flavour="px4")
-async def test_words_that_come_after_the_mode_are_waited_for(b, fc, /):
+async def test_status_text_after_the_mode_change_is_awaited(b, fc, /):
     await up(fc)
     loop = asyncio.get_running_loop()
 
     def later(link, packet):
-        late = 0.2 if says(packet, dialect.MAVLINK_MSG_ID_STATUSTEXT) else 0.0
+        late = 0.2 if contains(packet, dialect.MAVLINK_MSG_ID_STATUSTEXT) else 0.0
         loop.call_later(late, link.on_data, packet)
 
     b.filter = later
@@ -88,14 +88,14 @@ async def test_words_that_come_after_the_mode_are_waited_for(b, fc, /):
 
 @pytest.mark.parametrize("kept", ["texts", "heartbeats"])
 @on_bench("bench", flavour="px4", safe_state="hold")
-async def test_a_hold_that_was_to_hold_is_told_by_words_and_by_the_heartbeat(b, fc, /, kept):
-    """Nothing is intended otherwise: PX4 has lost its station while it stays where it was told to."""
+async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
+    """PX4 has lost its station while it holds its commanded position: the mode does not change."""
     lost = dialect.MAVLINK_MSG_ID_STATUSTEXT
 
     await up(fc)
     await fc.execute("goTo", [3.0, 0.0, -6.0])
     if kept == "heartbeats":
-        b.filter = lambda link, packet: None if says(packet, lost) else link.on_data(packet)
+        b.filter = lambda link, packet: None if contains(packet, lost) else link.on_data(packet)
     b.driver.quiet()
     await asyncio.sleep(9.0)
     b.driver.resume()
@@ -109,7 +109,7 @@ async def test_a_hold_that_was_to_hold_is_told_by_words_and_by_the_heartbeat(b, 
 
 @pytest.mark.parametrize(("action", "own"), [("hold", "hold"), ("return", "returnHome"), ("land", "land")])
 @on_bench("bench")
-async def test_ardupilots_fence_takes_it_in_the_mode_of_the_program(b, fc, /, action, own):
+async def test_ardupilot_fence_takes_control_in_the_mode_of_the_program(b, fc, /, action, own):
     await up(fc, 20.0)
     await fc.execute("fenceAction", [action])
     await fc.execute("goTo", [20.0, 0.0, -20.0])
@@ -127,7 +127,7 @@ async def test_ardupilots_fence_takes_it_in_the_mode_of_the_program(b, fc, /, ac
 
 
 @on_bench("bench", ttl=1.0)
-async def test_a_failsafe_that_an_ardupilot_lands_on_with_has_it(b, fc, /):
+async def test_failsafe_during_an_ardupilot_landing_takes_control(b, fc, /):
     await up(fc, 20.0)
     under_way = asyncio.create_task(fc.execute("land", []))
     await asyncio.sleep(2.0)
@@ -135,14 +135,14 @@ async def test_a_failsafe_that_an_ardupilot_lands_on_with_has_it(b, fc, /):
     await asyncio.sleep(3.5)
     b.driver.resume()
     assert fc.taken_over()
-    # It lands all the same, and may be armed then.
+    # It lands nevertheless, and can then be armed.
     await under_way
     assert not fc.taken_over()
     await up(fc, 3.0)
 
 
 @on_bench("bench", flavour="px4")
-async def test_one_that_a_failsafe_had_when_its_guard_died_is_its_after_that(b, fc, /):
+async def test_failsafe_keeps_control_after_a_guard_restart(b, fc, /):
     await up(fc)
     await fc.execute("setMode", ["AUTO.LOITER"])
     fc.guard_restarted(True)
@@ -152,7 +152,7 @@ async def test_one_that_a_failsafe_had_when_its_guard_died_is_its_after_that(b, 
 
 
 @on_bench("bench", flavour="px4")
-async def test_what_is_said_of_a_failsafe_that_does_nothing_takes_nothing(b, fc, /):
+async def test_status_text_of_an_inactive_failsafe_is_no_takeover(b, fc, /):
     await up(fc)
     for text in (
         "GCS Failsafe Cleared",
@@ -162,14 +162,14 @@ async def test_what_is_said_of_a_failsafe_that_does_nothing_takes_nothing(b, fc,
         b.autopilot.say(text)
         await asyncio.sleep(0.3)
         assert not fc.taken_over()
-    # Its own word for it, but in a mode that no failsafe chooses.
+    # The text of an active failsafe, but in a mode that no failsafe chooses.
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
     b.autopilot.say("Failsafe activated")
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
 
 
-def test_a_battery_failsafe_is_left_alone_until_release_and_then_guided_is_flown(bench):
-    """As the real one (gauntlet-a): GUIDED is obeyed again, it stays CRITICAL, and is not armed after it."""
+def test_battery_failsafe_keeps_control_until_release(bench):
+    """As recorded (gauntlet-a): GUIDED works again, the status stays CRITICAL, later arming is refused."""
     b = bench(limits={"speed": 3.0})
     b.autopilot.parameters |= {"BATT_FS_LOW_ACT": 1, "BATT_LOW_MAH": 660}
 
@@ -181,7 +181,9 @@ def test_a_battery_failsafe_is_left_alone_until_release_and_then_guided_is_flown
             DeviceError, match=r"went to LAND, which its failsafe chose, Battery 1 is low .*, Batt"
         ):
             await fc.execute("goTo", [60.0, 0.0, -6.0])
-        assert (b.values["mode"], b.values["failsafe"]) == ("LAND", True), "read where it is caught"
+        assert (b.values["mode"], b.values["failsafe"]) == ("LAND", True), (
+            "the values are current where the exception is caught"
+        )
         assert fc.taken_over()
         with pytest.raises(
             DeviceError, match=r"goTo refused: .* its failsafe has it .*release\(\) takes control again"
@@ -190,7 +192,7 @@ def test_a_battery_failsafe_is_left_alone_until_release_and_then_guided_is_flown
         await fc.execute("release", [])
         await fc.execute("goTo", [12.0, 0.0, -6.0])
         assert b.values["failsafe"] is True
-        assert not fc.taken_over(), "it acts once"
+        assert not fc.taken_over(), "the failsafe acts once"
         await fc.execute("land", [])
         with pytest.raises(DeviceError, match=r"arm refused: .*Battery failsafe"):
             await fc.execute("arm", [])

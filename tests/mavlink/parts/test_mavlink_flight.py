@@ -1,4 +1,4 @@
-"""The driver against the fake: every instruction, each failure, in jumping time."""
+"""The driver against the fake: every instruction and each failure, in virtual time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def refusal(error) -> tuple[str, str]:
 
 
 @on_bench("bench")
-async def test_a_whole_flight(b, fc, /):
+async def test_complete_flight(b, fc, /):
     assert b.values["armed"] is False
     assert b.values["landed"] is True
     await up(fc, 6.0)
@@ -43,19 +43,19 @@ async def test_a_whole_flight(b, fc, /):
     assert b.values["mode"] == "LAND"
 
 
-def test_it_asks_for_streams_and_reports_the_failsafe(bench):
+def test_open_requests_streams_and_reports_the_failsafe(bench):
     b = bench()
     b.run(lambda fc: asyncio.sleep(3.0))
-    told = {quantity.name for quantity in b.driver.manifests["Mavlink"].device.telemetry}
-    # ArduCopter tells nothing of a fence that is off.
-    assert told - {"winchLine", "fenceBreached"} <= set(b.values)
+    declared = {quantity.name for quantity in b.driver.manifests["Mavlink"].device.telemetry}
+    # ArduCopter reports nothing about a disabled fence.
+    assert declared - {"winchLine", "fenceBreached"} <= set(b.values)
     assert b.values["gcsFailsafe"] is True
     assert b.values["gpsFix"] == 3
     assert b.values["globalPosition"][:2] == pytest.approx([47.397742, 8.545594], abs=1e-6)
 
 
 @on_bench("bench")
-async def test_takeoff_while_disarmed_is_refused_in_words(b, fc, /):
+async def test_takeoff_while_disarmed_is_refused(b, fc, /):
     with pytest.raises(DeviceError) as error:
         await fc.execute("takeoff", [5.0])
     kind, reason = refusal(error)
@@ -63,7 +63,7 @@ async def test_takeoff_while_disarmed_is_refused_in_words(b, fc, /):
     assert reason == "takeoff refused: the motors are off; call arm() first"
 
 
-def test_a_long_reason_is_joined_from_its_chunks(bench):
+def test_long_refusal_reason_is_joined_from_its_chunks(bench):
     why = "compass not calibrated, and the safety switch is on, and there is no logging"
     b = bench(refuse_arming=why)
 
@@ -106,7 +106,7 @@ async def test_disarming_in_the_air_is_refused(b, fc, /):
     ],
 )
 @on_bench("bench", limits={"altitude": 20.0, "radius": 50.0, "speed": 3.0})
-async def test_limits_are_kept_before_anything_is_sent(b, fc, /, instruction, arguments, words):
+async def test_argument_beyond_a_limit_is_refused_before_sending(b, fc, /, instruction, arguments, words):
     sent = len(b.sent)
     with pytest.raises(DeviceError, match=words):
         await fc.execute(instruction, arguments)
@@ -114,7 +114,7 @@ async def test_limits_are_kept_before_anything_is_sent(b, fc, /, instruction, ar
 
 
 @on_bench("bench", limits={"speed": 2.0})
-async def test_the_speed_limit_is_set_in_the_autopilot(b, fc, /):
+async def test_speed_limit_is_set_in_the_autopilot(b, fc, /):
     fastest = 0.0
 
     await up(fc)
@@ -127,8 +127,8 @@ async def test_the_speed_limit_is_set_in_the_autopilot(b, fc, /):
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize("seed", range(8))
-def test_lost_packets_cost_time_but_not_the_flight(bench, seed):
-    # The dice of a fake are those of its system id.
+def test_flight_with_packet_loss_completes(bench, seed):
+    # The system id seeds the losses.
     b = bench(faults=("loss=0.1",), systems=(seed + 1,))
 
     async def mission(fc):
@@ -141,7 +141,7 @@ def test_lost_packets_cost_time_but_not_the_flight(bench, seed):
 
 
 @on_bench("bench")
-async def test_a_lost_link_is_an_exception_within_bounds_and_recovers(b, fc, /):
+async def test_link_loss_raises_within_three_seconds_and_recovers(b, fc, /):
     loop = asyncio.get_running_loop()
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [200.0, 0.0, -5.0]))
@@ -162,14 +162,14 @@ async def test_a_lost_link_is_an_exception_within_bounds_and_recovers(b, fc, /):
 
 
 @on_bench("bench", options={"connect": 2.0}, faults=("silence=true",), opened=False)
-async def test_nobody_there_is_an_error_within_its_bound(b, fc, /):
+async def test_open_without_vehicle_times_out(b, fc, /):
     start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match=r"from system 1 at udp:127.0.0.1:1 within 2 s; nothing on link 0"):
         await fc.open()
     assert asyncio.get_running_loop().time() - start < 2.1
 
 
-def test_who_is_heard_instead_is_named(bench):
+def test_open_names_the_systems_that_send_instead(bench):
     b = bench(systems=(1,), options={"connect": 2.0})
     b.bindings[0].options["system"] = 2
     camera = FakeWriter(1, 100)
@@ -189,26 +189,26 @@ def test_who_is_heard_instead_is_named(bench):
 
 
 @on_bench("bench", options={"connect": 1.0}, faults=("silence=true",), opened=False)
-async def test_what_is_no_mavlink_is_named(b, fc, /):
+async def test_open_reports_bytes_that_are_no_mavlink(b, fc, /):
     b.links[0].on_data(b"login: ")
     with pytest.raises(DeviceError, match=r"the 7 received bytes contain no heartbeat.*baud rate"):
         await fc.open()
 
 
 @on_bench("bench", options={"kind": "rover"}, opened=False)
-async def test_another_kind_of_vehicle_is_refused(b, fc, /):
+async def test_vehicle_of_another_kind_is_refused(b, fc, /):
     with pytest.raises(DeviceError, match="is not a rover"):
         await fc.open()
 
 
 @on_bench("bench", options={"autopilot": "px4"}, opened=False)
-async def test_another_autopilot_is_refused(b, fc, /):
+async def test_vehicle_with_another_autopilot_is_refused(b, fc, /):
     with pytest.raises(DeviceError, match="system 1 has ArduPilot, but the binding has px4"):
         await fc.open()
 
 
 @on_bench("bench")
-async def test_a_failsafe_ends_the_flight_and_is_not_fought(b, fc, /):
+async def test_failsafe_ends_the_flight_and_keeps_control_until_release(b, fc, /):
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [100.0, 0.0, -5.0]))
     await asyncio.sleep(2.0)
@@ -223,7 +223,7 @@ async def test_a_failsafe_ends_the_flight_and_is_not_fought(b, fc, /):
     await fc.execute("goTo", [0.0, 0.0, -5.0])
 
 
-def test_an_accepted_command_that_does_not_happen_is_an_error(bench, monkeypatch):
+def test_accepted_command_without_effect_is_an_error(bench, monkeypatch):
     b = bench()
     monkeypatch.setattr(Autopilot, "arm", lambda self, force=False: 0)
 
@@ -235,12 +235,12 @@ def test_an_accepted_command_that_does_not_happen_is_an_error(bench, monkeypatch
 
 
 @on_bench("bench")
-async def test_a_stuck_vehicle_gives_up(b, fc, /):
+async def test_motion_without_progress_is_given_up(b, fc, /):
     await up(fc)
     b.autopilot.pace.own = lambda: 0.0
     with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
         await fc.execute("goTo", [30.0, 0.0, -5.0])
-    # It does not set out after all when what held it has gone.
+    # It does not start later when the obstruction is gone.
     place = b.autopilot.vehicle.place
     b.autopilot.pace.own = lambda: 5.0
     await asyncio.sleep(3.0)
@@ -250,7 +250,7 @@ async def test_a_stuck_vehicle_gives_up(b, fc, /):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
 @on_bench("bench", given="safe_state=state")
-async def test_safe_states_in_the_air(b, fc, /, state):
+async def test_each_safe_state_in_the_air(b, fc, /, state):
     await up(fc)
     await fc.execute("setVelocity", [3.0, 0.0, 0.0])
     await asyncio.sleep(0.5)
@@ -261,14 +261,14 @@ async def test_safe_states_in_the_air(b, fc, /, state):
 
 
 @on_bench("bench")
-async def test_the_safe_state_of_an_armed_copter_on_the_ground_is_disarmed(b, fc, /):
+async def test_safe_state_of_an_armed_copter_on_the_ground_disarms_it(b, fc, /):
     await fc.execute("arm", [])
     await fc.make_safe()
     assert not b.autopilot.armed
 
 
 @on_bench("bench")
-async def test_positions_are_of_home_even_when_home_has_moved(b, fc, /):
+async def test_positions_are_relative_to_the_current_home(b, fc, /):
     await up(fc)
     await fc.execute("goTo", [8.0, 3.0, -5.0])
     await fc.execute("land", [])
@@ -282,7 +282,7 @@ async def test_positions_are_of_home_even_when_home_has_moved(b, fc, /):
 
 
 @on_bench("bench", kind="rover")
-async def test_a_rover_drives_and_holds_and_does_not_take_off(b, fc, /):
+async def test_rover_drives_holds_and_refuses_takeoff(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("goTo", [6.0, 6.0, 0.0])
     with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
@@ -293,7 +293,7 @@ async def test_a_rover_drives_and_holds_and_does_not_take_off(b, fc, /):
 
 
 @on_bench("bench", limits={"radius": 50.0, "altitude": 20.0})
-async def test_global_goals_keep_the_limits_about_home(b, fc, /):
+async def test_global_goals_are_checked_against_the_limits(b, fc, /):
     await up(fc)
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("goToGlobal", [latitude, longitude + 1e-4, 6.0])
@@ -310,7 +310,7 @@ async def test_global_goals_keep_the_limits_about_home(b, fc, /):
 
 
 @on_bench("bench")
-async def test_return_home_lands_there(b, fc, /):
+async def test_return_home_lands_at_home(b, fc, /):
     await up(fc)
     await fc.execute("goTo", [20.0, 0.0, -5.0])
     await fc.execute("returnHome", [])
@@ -319,7 +319,7 @@ async def test_return_home_lands_there(b, fc, /):
 
 
 @on_bench("bench", limits={"radius": 30.0, "speed": 4.0})
-async def test_orbit_goes_round_and_holds(b, fc, /):
+async def test_orbit_completes_a_circle_and_holds(b, fc, /):
     quarters = set()
 
     await up(fc)
@@ -345,7 +345,7 @@ async def test_orbit_goes_round_and_holds(b, fc, /):
 
 
 @on_bench("bench", limits={"speed": 4.0})
-async def test_speed_is_kept_over_changes_of_mode(b, fc, /):
+async def test_set_speed_persists_over_mode_changes(b, fc, /):
     await up(fc)
     await fc.execute("setSpeed", [1.5])
     await fc.execute("hold", [])
@@ -361,7 +361,7 @@ async def test_speed_is_kept_over_changes_of_mode(b, fc, /):
 
 
 @on_bench("bench")
-async def test_a_yaw_rate_turns_on_the_spot(b, fc, /):
+async def test_yaw_rate_turns_in_place(b, fc, /):
     await up(fc)
     before = b.values["heading"]
     for _ in range(5):
@@ -372,7 +372,7 @@ async def test_a_yaw_rate_turns_on_the_spot(b, fc, /):
 
 
 @on_bench("bench")
-async def test_modes_by_name(b, fc, /):
+async def test_mode_is_set_by_name_and_unknown_mode_refused(b, fc, /):
     await fc.execute("setMode", ["alt_hold"])
     assert b.values["mode"] == "ALT_HOLD"
     with pytest.raises(DeviceError, match="ArduPilot has no mode 'HOVER'; it has ACRO, ALT_HOLD"):
@@ -380,7 +380,7 @@ async def test_modes_by_name(b, fc, /):
 
 
 @on_bench("bench", limits={"radius": 12.0, "altitude": 6.0, "speed": 5.0})
-async def test_a_velocity_may_not_lead_out_of_the_fence(b, fc, /):
+async def test_velocity_that_leads_beyond_the_limits_is_refused(b, fc, /):
     await up(fc)
     await fc.execute("goTo", [11.0, 0.0, -5.0])
     with pytest.raises(DeviceError, match="leads beyond the limit of 12 m"):
@@ -391,7 +391,7 @@ async def test_a_velocity_may_not_lead_out_of_the_fence(b, fc, /):
 
 
 @on_bench("bench")
-async def test_a_setpoint_is_sent_once(b, fc, /):
+async def test_velocity_setpoint_is_sent_once_to_ardupilot(b, fc, /):
     await up(fc)
     before = len(b.sent)
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
@@ -400,7 +400,7 @@ async def test_a_setpoint_is_sent_once(b, fc, /):
 
 
 @on_bench("bench")
-async def test_a_call_that_is_given_up_in_the_middle_leaves_the_next_one_free(b, fc, /):
+async def test_cancelled_call_does_not_block_the_next_call(b, fc, /):
     await fc.execute("arm", [])
     for delay in (0.0, 0.01, 0.03, 0.1, 0.4):
         climb = asyncio.create_task(fc.execute("takeoff", [5.0]))
@@ -414,8 +414,8 @@ async def test_a_call_that_is_given_up_in_the_middle_leaves_the_next_one_free(b,
 
 
 @on_bench("bench")
-async def test_streams_that_stopped_are_asked_for_again(b, fc, /):
-    # Another ground station on the link has stopped them.
+async def test_stopped_streams_are_requested_again(b, fc, /):
+    # Another ground station has stopped them.
     for kind in SOURCES:
         stop = dialect.MAVLink_command_long_message(1, 1, 511, 0, kind, -1, 0, 0, 0, 0, 0)
         b.fakes[1].receive("another", Writer().pack(stop, 255))
@@ -424,7 +424,7 @@ async def test_streams_that_stopped_are_asked_for_again(b, fc, /):
     assert {"position", "attitude", "battery"} <= set(b.values)
 
 
-def test_an_autopilot_without_intervals_is_asked_for_groups(bench, monkeypatch):
+def test_autopilot_without_message_intervals_gets_stream_requests(bench, monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.dialect.dialect.MAV_CMD_SET_MESSAGE_INTERVAL", 31011)
     b = bench()
     b.run(lambda fc: asyncio.sleep(2.0))
@@ -435,14 +435,14 @@ FENCED = {"FENCE_ENABLE": 1, "FENCE_TYPE": 3, "FENCE_RADIUS": 80.0, "FENCE_ALT_M
 
 
 @pytest.mark.parametrize(
-    ("options", "parameters", "told"),
+    ("options", "parameters", "expected"),
     [
         ({}, {}, ("multirotor", 10.0, 1.0e6, 1.0e6)),
         ({}, FENCED, ("multirotor", 10.0, 80.0, 30.0)),
         ({"limits": {"speed": 4.0}}, {}, ("multirotor", 4.0, 1.0e6, 1.0e6)),
     ],
 )
-def test_it_tells_what_it_is_how_fast_it_goes_and_where_its_fence_ends(bench, options, parameters, told):
+def test_chassis_speed_limit_and_fence_are_published(bench, options, parameters, expected):
     b = bench(**options)
 
     async def mission(fc):
@@ -452,4 +452,4 @@ def test_it_tells_what_it_is_how_fast_it_goes_and_where_its_fence_ends(bench, op
 
     b.run(mission)
     names = ("chassis", "speedLimit", "fenceRadius", "fenceHeight")
-    assert tuple(b.values[name] for name in names) == told
+    assert tuple(b.values[name] for name in names) == expected

@@ -1,4 +1,4 @@
-"""Where a vehicle is in its team's frame: on the Earth, by a pose, before it tells its origin, restarted."""
+"""Position in the team's frame: geodetic, by a pose, before the origin is known, after a restart."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4, RADII
 
-#: Of the ellipsoid WGS 84: the half axis in metres, the square of its eccentricity.
+#: WGS 84 ellipsoid: semi-major axis in metres, squared eccentricity.
 AXIS, ECCENTRICITY = 6378137.0, 6.69437999014e-3
 
 latitudes, longitudes = st.floats(-75.0, 75.0), st.floats(-180.0, 180.0)
@@ -26,7 +26,7 @@ radii = st.sampled_from(sorted(RADII.values()))
 
 
 def in_space(latitude, longitude):
-    """Metres from the middle of the Earth."""
+    """Cartesian metres from the centre of the Earth."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     n = AXIS / math.sqrt(1.0 - ECCENTRICITY * math.sin(phi) ** 2)
     across = n * math.cos(phi)
@@ -34,15 +34,15 @@ def in_space(latitude, longitude):
 
 
 @given(latitude=latitudes, longitude=longitudes, off=ways, place=ways, radius=radii)
-def test_the_earth_leads_there_and_back(latitude, longitude, off, place, radius):
+def test_conversion_to_the_team_frame_and_back_is_exact(latitude, longitude, off, place, radius):
     team = Origin(latitude, longitude, 100.0)
     frame = GeodeticFrame(team, Place(latitude, longitude, 100.0).shifted(off), radius)
     assert frame.from_team(frame.to_team(place)) == pytest.approx(place, abs=1e-5)
 
 
 @given(latitude=latitudes, longitude=longitudes, place=ways, radius=radii)
-def test_metres_of_the_team_are_those_of_a_tape(latitude, longitude, place, radius):
-    """Distances by the way through space, which is shorter than that over ground by a millimetre at most."""
+def test_team_frame_metres_are_true_distances(latitude, longitude, place, radius):
+    """Compared with straight-line distances, which are at most 1 mm shorter than over ground."""
     team, origin = Origin(latitude, longitude, 0.0), Place(latitude, longitude, 0.0)
     north, east, down = GeodeticFrame(team, origin, radius).to_team(place)
     there = origin.shifted(place, radius)
@@ -53,7 +53,7 @@ def test_metres_of_the_team_are_those_of_a_tape(latitude, longitude, place, radi
 
 
 @given(latitude=latitudes, longitude=longitudes, spots=st.tuples(ways, ways), place=ways)
-def test_two_autopilots_that_count_otherwise_agree_on_a_spot(latitude, longitude, spots, place):
+def test_autopilots_with_different_radii_agree_on_a_position(latitude, longitude, spots, place):
     team, base = Origin(latitude, longitude, 50.0), Place(latitude, longitude, 50.0)
     one, other = (
         GeodeticFrame(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True)
@@ -66,7 +66,7 @@ def test_two_autopilots_that_count_otherwise_agree_on_a_spot(latitude, longitude
     assert ones.altitude == pytest.approx(their.altitude)
 
 
-def test_meridians_come_together():
+def test_heading_is_corrected_for_converging_meridians():
     team = Origin(60.0, 10.0, 0.0)
     east = GeodeticFrame(team, Place(60.0, 10.1, 0.0), AXIS)
     assert east.heading == pytest.approx(-math.radians(0.1) * math.sin(math.radians(60.0)), rel=1e-3)
@@ -75,24 +75,24 @@ def test_meridians_come_together():
     assert way == pytest.approx(east.heading, abs=1e-4)
 
 
-def test_across_the_date_line():
+def test_team_frame_crosses_the_date_line():
     frame = GeodeticFrame(Origin(-17.0, 179.9999, 0.0), Place(-17.0, -179.9999, 0.0), AXIS)
     north, east, _ = frame.to_team((0.0, 0.0, 0.0))
     assert (north, east) == pytest.approx((0.0, 21.3), abs=0.1)
 
 
-def test_no_place_stays_none():
+def test_invalid_position_stays_invalid():
     frame = HomeFrame(GeodeticFrame(Origin(47.0, 8.0, 0.0), Place(47.0, 8.0, 0.0), AXIS), (0.0, 0.0, 0.0))
     assert not any(map(math.isfinite, frame.from_team((math.nan, math.nan, math.nan))))
     assert frame.from_team((math.inf, 0.0, 0.0))[0] == math.inf
 
 
-# -- what a vehicle has told ------------------------------------------------------------
+# -- reports of a vehicle --------------------------------------------------------------
 
 TEAM = Placement(Origin(47.0, 8.0, 400.0))
 
 
-def told(state, *messages):
+def apply(state, *messages):
     for message in messages:
         state.update(message, 0.0)
 
@@ -123,45 +123,45 @@ def state():
     return state
 
 
-def test_home_and_origin_are_two_places(state):
-    told(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
+def test_home_and_origin_may_be_different_positions(state):
+    apply(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
     assert state.position == pytest.approx((7.0, -4.0, -4.0), abs=0.05)
     frame = frame_of(TEAM, state)
     assert frame.to_team(state.position) == pytest.approx((110.0, 0.0, -6.0), abs=0.35)
     moved = frame.to_team(state.position)
-    told(state, home(60.0, 0.0, 0.0))
+    apply(state, home(60.0, 0.0, 0.0))
     assert frame_of(TEAM, state).to_team(state.position) == pytest.approx(moved, abs=0.02)
 
 
-def test_a_pose_is_of_the_origin_and_not_of_home(state):
+def test_pose_is_relative_to_the_origin(state):
     placed = Placement(pose=Pose(1.0, 2.0, 3.0))
-    told(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
+    apply(state, origin(100.0, 0.0), home(103.0, 4.0, -2.0), local(5000, 10.0, 0.0, -6.0))
     assert frame_of(placed, state).to_team(state.position) == pytest.approx((11.0, 2.0, -3.0))
 
 
-def test_who_has_not_told_its_origin_is_nowhere(state):
-    told(state, home(0.0, 0.0, 0.0), local(5000, 10.0, 0.0, 0.0))
+def test_vehicle_without_reported_origin_has_no_team_position(state):
+    apply(state, home(0.0, 0.0, 0.0), local(5000, 10.0, 0.0, 0.0))
     assert frame_of(TEAM, state) is None
     assert frame_of(Placement(pose=Pose(1.0, 2.0)), state) is not None
-    told(state, origin())
+    apply(state, origin())
     assert frame_of(TEAM, state) is not None
 
 
-def test_after_a_restart_the_origin_of_before_does_not_count(state):
+def test_origin_from_before_a_restart_is_discarded(state):
     placed = Placement(pose=Pose(1.0, 2.0))
-    told(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0))
-    # ArduRover tells positions 11 s before it tells where its frame begins now.
-    told(state, local(900, 0.0, 0.0, 0.0))
+    apply(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0))
+    # After a restart ArduRover sends positions 11 s before its new origin.
+    apply(state, local(900, 0.0, 0.0, 0.0))
     assert frame_of(TEAM, state) is None
     assert frame_of(placed, state) is None
     assert not state.knows_frames
-    told(state, origin(20.0, 0.0), home(20.0, 0.0, 0.0), local(2000, 0.0, 0.0, 0.0))
+    apply(state, origin(20.0, 0.0), home(20.0, 0.0, 0.0), local(2000, 0.0, 0.0, 0.0))
     assert frame_of(TEAM, state).to_team((0.0, 0.0, 0.0)) == pytest.approx((20.0, 0.0, 0.0), abs=0.1)
     assert frame_of(placed, state).to_team((0.0, 0.0, 0.0)) == pytest.approx((21.0, 2.0, 0.0), abs=0.1)
 
 
-def test_a_packet_that_was_overtaken_is_no_restart(state):
-    told(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0), local(59_900, 19.0, 0.0, 0.0))
+def test_reordered_packet_is_no_restart(state):
+    apply(state, origin(), home(0.0, 0.0, 0.0), local(60_000, 20.0, 0.0, 0.0), local(59_900, 19.0, 0.0, 0.0))
     assert state.knows_frames
     assert frame_of(TEAM, state) is not None
 
@@ -169,13 +169,13 @@ def test_a_packet_that_was_overtaken_is_no_restart(state):
 # -- on the wire ----------------------------------------------------------------------
 
 
-#: 300 m south of where fakes are switched on, and 20 m below.
+#: 300 m south of the start of the fakes, and 20 m below.
 SOUTH = Placement(Origin(47.395044, 8.545594, 468.0))
 
 
 @pytest.mark.parametrize("stack", ["ardupilot", "px4"])
 @on_bench("bench", frame=SOUTH, limits={"radius": 60.0, "altitude": 20.0}, given="flavour=stack")
-async def test_it_flies_to_places_of_the_team(flight, device, /, stack):
+async def test_goto_uses_the_team_frame(flight, device, /, stack):
     await flight.until(lambda: "position" in flight.values)
     assert flight.values["position"] == pytest.approx([300.0, 0.0, -20.0], abs=0.5)
     assert flight.values["altitude"] == pytest.approx(0.0, abs=0.1)
@@ -184,12 +184,12 @@ async def test_it_flies_to_places_of_the_team(flight, device, /, stack):
     await device.execute("goTo", [310.0, 12.0, -28.0])
     assert flight.autopilot.vehicle.place == pytest.approx((10.0, 12.0, -8.0), abs=0.7)
     assert flight.values["position"] == pytest.approx([310.0, 12.0, -28.0], abs=0.7)
-    # Its limits are about home all the same.
+    # Its limits are still relative to home.
     with pytest.raises(DeviceError, match="from home is beyond the limit of 60 m"):
         await device.execute("goTo", [0.0, 0.0, -28.0])
 
 
-def test_a_vehicle_without_an_origin_is_nowhere_until_it_tells_one(bench):
+def test_goto_is_refused_until_the_origin_is_reported(bench):
     flight = bench(flavour="px4", frame=SOUTH)
     passed = flight.filter
     hidden = [True]
@@ -217,7 +217,7 @@ def test_a_vehicle_without_an_origin_is_nowhere_until_it_tells_one(bench):
     flight.run(story)
 
 
-def test_px4_and_ardupilot_have_their_own_spheres():
+def test_px4_uses_its_own_earth_radius():
     state = VehicleState("copter")
     state.autopilot = PX4
     assert state.radius == 6371000.0

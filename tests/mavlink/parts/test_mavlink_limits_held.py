@@ -1,4 +1,4 @@
-"""Every limit of a binding, on each autopilot, by each instruction that moves it: what is truly flown."""
+"""Every limit of a binding, on each autopilot, with each motion instruction: the flown values."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from coroutine_tests import on_bench
 from lfield.errors import DeviceError
 
 LIMITS = {"speed": 3.0, "altitude": 12.0, "radius": 40.0}
-#: What gusts and noise may add, as a binding has it by default.
+#: Default tolerance of a binding for gusts and noise.
 TOLERANCE = 1.2
-#: The parameter of the height at which it returns, and one below the limit.
+#: The parameter of the return height, and a value below the limit.
 RETURNS = {"ardupilot": ("RTL_ALT", 1000.0), "px4": ("RTL_RETURN_ALT", 10.0)}
 
 
-class Most:
-    """The most of each limited quantity that a fake has flown."""
+class FlownMaxima:
+    """The maximum of each limited quantity that a fake has flown."""
 
     def __init__(self, vehicle):
-        self._vehicle, self.most = vehicle, dict.fromkeys(LIMITS, 0.0)
+        self._vehicle, self.maxima = vehicle, dict.fromkeys(LIMITS, 0.0)
 
     async def watch(self):
         while True:
             await asyncio.sleep(0.05)
             (north, east, down), velocity = self._vehicle.place, self._vehicle.velocity
             now = {"speed": math.hypot(*velocity[:2]), "altitude": -down, "radius": math.hypot(north, east)}
-            self.most = {name: max(value, now[name]) for name, value in self.most.items()}
+            self.maxima = {name: max(value, now[name]) for name, value in self.maxima.items()}
 
 
 async def push(fc, *velocity):
-    """Velocities until they are refused, and then a stop."""
+    """Commands a velocity until it is refused, then a stop."""
 
     async def on():
         while True:
@@ -47,7 +47,7 @@ async def push(fc, *velocity):
 
 
 async def tour(b, fc, *, flies, circles):
-    """Everything that moves it, to the edge of what is allowed."""
+    """Every motion instruction, up to the limits."""
     down = -8.0 if flies else 0.0
     await fc.execute("arm", [])
     if flies:
@@ -70,11 +70,11 @@ async def tour(b, fc, *, flies, circles):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):
+def test_every_limit_holds_in_every_motion(bench, kind, flavour):
     b = bench(kind=kind, flavour=flavour, limits=LIMITS)
     name, height = RETURNS[flavour]
     b.autopilot.parameters[name] = height
-    flown, flies = Most(b.autopilot.vehicle), kind == "copter"
+    flown, flies = FlownMaxima(b.autopilot.vehicle), kind == "copter"
 
     async def mission(fc):
         watching = asyncio.create_task(flown.watch())
@@ -82,16 +82,16 @@ def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):
         watching.cancel()
 
     b.run(mission)
-    assert all(flown.most[limit] <= LIMITS[limit] * TOLERANCE for limit in LIMITS), flown.most
-    assert flown.most["speed"] > 0.8 * LIMITS["speed"]
-    assert flown.most["radius"] > 36.0
+    assert all(flown.maxima[limit] <= LIMITS[limit] * TOLERANCE for limit in LIMITS), flown.maxima
+    assert flown.maxima["speed"] > 0.8 * LIMITS["speed"]
+    assert flown.maxima["radius"] > 36.0
     assert [note for note in b.notes if "beyond" in note] == []
     assert b.breaches == []
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", limits=LIMITS, given="flavour")
-async def test_a_return_that_would_climb_too_high_is_refused_before_it_begins(b, fc, /, flavour):
+async def test_return_with_a_climb_above_the_limit_is_refused(b, fc, /, flavour):
     name, height = RETURNS[flavour]
     mode = {"ardupilot": "RTL", "px4": "AUTO.RTL"}[flavour]
 

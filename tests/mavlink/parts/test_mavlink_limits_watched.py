@@ -1,4 +1,4 @@
-"""Limits in telemetry: the core by samples, and the driver with an autopilot that does not keep them."""
+"""Limits in telemetry: the core by samples, and the driver with an autopilot that exceeds them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIMIT, BOUND, TIME, STEP = 3.0, 3.6, 1.0, 0.1
 
 
 def verdicts(values, *, still=0.0, step=STEP, excess=lambda value: value - BOUND):
-    """What a watch says to samples at a rate, told at once: (seconds, verdict)."""
+    """The verdicts of a watch on samples at a fixed rate: (seconds, verdict)."""
     watch, found = LimitWatch(BOUND, TIME, still), []
     for n, value in enumerate(values):
         verdict = watch.sample(value, excess(value), n * step)
@@ -33,13 +33,13 @@ def verdicts(values, *, still=0.0, step=STEP, excess=lambda value: value - BOUND
 
 
 @given(st.lists(st.tuples(st.integers(1, 10), st.floats(3.61, 50.0)), max_size=30))
-def test_gusts_that_are_shorter_than_its_time_are_no_breach(gusts):
+def test_excess_shorter_than_the_limit_time_is_no_breach(gusts):
     values = [value for samples, value in gusts for value in [*[value] * samples, 3.0]]
     assert verdicts(values) == []
 
 
 @given(st.integers(0, 40), st.lists(st.floats(5.0, 50.0), min_size=40, max_size=40))
-def test_what_stays_beyond_is_corrected_once_and_only_then_given_up(before, beyond):
+def test_lasting_excess_is_corrected_once_then_helpless(before, beyond):
     found = verdicts([*[2.0] * before, *beyond])
     corrected_at, first = found[0]
     assert first is Verdict.CORRECT
@@ -48,8 +48,8 @@ def test_what_stays_beyond_is_corrected_once_and_only_then_given_up(before, beyo
 
 
 @given(st.floats(5.0, 30.0), st.floats(0.2, 0.45))
-def test_a_correction_that_helps_is_given_its_time(speed, share):
-    """However fast it was: it comes near the limit by the same share each second."""
+def test_effective_correction_gets_its_time(speed, share):
+    """At any initial speed: the excess decreases by the same share each second."""
     after = [LIMIT + (speed - LIMIT) * share ** (n * STEP) for n in range(1, 100)]
     assert [verdict for _, verdict in verdicts([*[speed] * 11, *after])] == [
         Verdict.CORRECT,
@@ -58,8 +58,8 @@ def test_a_correction_that_helps_is_given_its_time(speed, share):
 
 
 @given(st.floats(4.0, 12.0), st.integers(0, 5), st.floats(0.0, 3.0), st.floats(0.3, 5.0))
-def test_what_is_seen_to_slow_down_is_being_corrected(speed, late, gains, slows):
-    """It may gain speed at first, and slow down only a little at a time."""
+def test_slowing_vehicle_is_not_helpless(speed, late, gains, slows):
+    """It may accelerate at first, and then slow down slowly."""
     top = speed + gains * late * STEP
     gaining = [speed + gains * n * STEP for n in range(1, late + 1)]
     slowing = [max(top - slows * n * STEP, 2.0) for n in range(1, 200)]
@@ -72,32 +72,32 @@ def test_what_is_seen_to_slow_down_is_being_corrected(speed, late, gains, slows)
 
 
 @given(st.floats(4.0, 30.0), st.lists(st.floats(0.0, 0.05), min_size=60, max_size=60), st.integers(0, 30))
-def test_what_is_not_seen_to_slow_down_within_its_time_is_helpless(speed, noise, told):
-    """Its time begins when the correction has been taken, or should have been."""
+def test_vehicle_that_does_not_slow_down_in_time_is_helpless(speed, noise, sent_after):
+    """The time starts when the correction was sent, or at its deadline."""
     watch, given_up = LimitWatch(BOUND, TIME), []
     for n, more in enumerate([0.0] * 11 + noise):
         if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.HELPLESS:
             given_up.append(n * STEP)
-        if n == 10 + told:
+        if n == 10 + sent_after:
             watch.on_correction_sent(n * STEP)
-    assert given_up[0] == pytest.approx(TIME + min(told * STEP, TIME) + TIME, abs=1.01 * STEP)
+    assert given_up[0] == pytest.approx(TIME + min(sent_after * STEP, TIME) + TIME, abs=1.01 * STEP)
 
 
-def test_what_slows_down_for_too_long_is_helpless_at_last():
+def test_vehicle_that_slows_down_too_long_is_helpless():
     found = verdicts([*[20.0] * 11, *(20.0 - 0.2 * n * STEP for n in range(1, 100))])
     assert found[:2] == [(TIME, Verdict.CORRECT), (TIME + LONGEST * TIME, Verdict.HELPLESS)]
 
 
-def test_a_hold_beyond_a_radius_helps_although_it_stays_there():
+def test_hold_beyond_the_radius_is_a_sufficient_correction():
     out = [5.0, *[5.0] * 10, *[max(5.0 - 0.25 * n, 0.0) for n in range(60)]]
-    watch, said = LimitWatch(96.0, TIME, 0.5), []
-    said = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
-    assert [v for v in said if v] == [Verdict.CORRECT]
-    # And when it then goes on outwards it does not.
+    watch = LimitWatch(96.0, TIME, 0.5)
+    found = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
+    assert [v for v in found if v] == [Verdict.CORRECT]
+    # If it then moves further outwards, it is not.
     assert Verdict.HELPLESS in [watch.sample(101.0, 2.0, (len(out) + n) * STEP) for n in range(12)]
 
 
-def test_what_was_not_heard_is_not_known_to_have_been_beyond():
+def test_gap_in_telemetry_is_no_excess():
     assert verdicts([9.0, 9.0, 9.0], step=TIME + 0.1) == []
     watch = LimitWatch(BOUND, TIME)
     watch.sample(9.0, 5.4, 0.0)
@@ -116,7 +116,7 @@ def limited(bench):
 
 
 async def fastest(b, work):
-    """The highest speed over ground while something is done."""
+    """The highest speed over ground during `work`."""
     flight, most = asyncio.create_task(work), 0.0
     while not flight.done():
         await asyncio.sleep(0.05)
@@ -128,15 +128,15 @@ async def fastest(b, work):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @on_bench("limited", limits={"speed": 3.0}, given="kind")
-async def test_ardupilot_is_told_its_speed_when_it_keeps_it(b, fc, /, kind):
+async def test_ardupilot_flies_the_commanded_speed_in_every_motion(b, fc, /, kind):
     await fc.execute("arm", [])
     if kind == "copter":
         await fc.execute("takeoff", [5.0])
-    # It may be asked for before there is anything that it could be kept for.
+    # A speed may be set before any motion.
     await fc.execute("setSpeed", [2.0])
     assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 2.05
     await fc.execute("setSpeed", [3.0])
-    # A rover approaches its speed from below: the real one shoots over it by 15 %.
+    # A rover approaches its speed from below: a real one overshoots by 15 %.
     least = 2.9 if kind == "copter" else 2.4
     assert least < await fastest(b, fc.execute("goTo", [30.0, 0.0, -5.0])) <= 3.07
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
@@ -150,17 +150,17 @@ async def test_ardupilot_is_told_its_speed_when_it_keeps_it(b, fc, /, kind):
 
 
 @on_bench("limited", flavour="px4", kind="rover", limits={"speed": 2.0})
-async def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(b, fc, /):
+async def test_px4_rover_overspeed_is_compensated(b, fc, /):
     await fc.execute("arm", [])
     assert 1.8 < await fastest(b, fc.execute("goTo", [25.0, 0.0, 0.0])) <= 2.1
-    await asyncio.sleep(3.0)  # it rolls out
+    await asyncio.sleep(3.0)  # it coasts
     await fc.execute("setSpeed", [0.6])
     assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
     assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
 @on_bench("limited", limits={"speed": 3.0})
-async def test_a_speed_that_was_lost_is_said_and_told_again(b, fc, /):
+async def test_changed_speed_is_reported_and_commanded_again(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
@@ -177,7 +177,7 @@ async def test_a_speed_that_was_lost_is_said_and_told_again(b, fc, /):
     assert b.breaches == []
 
 
-def test_what_is_too_fast_again_at_its_wanted_speed_stays_slower_for_this_motion(limited, monkeypatch):
+def test_repeated_overspeed_stays_corrected_for_the_motion(limited, monkeypatch):
     b, set_speed = limited(limits={"speed": 3.0}), Autopilot.set_speed
     monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: set_speed(self, 1.5 * speed))
 
@@ -188,16 +188,16 @@ def test_what_is_too_fast_again_at_its_wanted_speed_stays_slower_for_this_motion
             await fc.execute("goTo", [goal, 0.0, -5.0])
 
     b.run(mission)
-    said = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
+    reports = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
     motion = [
         "commanded to be slower", "within its limit of 3 m/s again", "speed of 3 m/s commanded again",
         "commanded to be slower for the rest of this motion", "within its limit of 3 m/s again",
     ]  # fmt: skip
-    assert said == motion * 2
+    assert reports == motion * 2
     assert b.breaches == []
 
 
-def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
+def test_overspeed_without_effective_correction_is_a_breach(limited, monkeypatch):
     b = limited(limits={"speed": 3.0})
     monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: MavResult.ACCEPTED)
 
@@ -214,7 +214,7 @@ def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
 
 
 @on_bench("limited", limits={"speed": 3.0})
-async def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(b, fc, /):
+async def test_lost_correction_is_repeated_without_a_breach(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
@@ -237,7 +237,7 @@ async def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(b,
     assert b.breaches == []
 
 
-def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
+def test_excess_of_the_radius_holds_and_ends_the_motion(limited, monkeypatch):
     b, guide = limited(limits={"radius": 20.0}), Autopilot.guide
 
     async def mission(fc):
@@ -245,7 +245,7 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
         await fc.execute("takeoff", [5.0])
         astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=SetpointControl.PLACE)
         monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
-        # It does not tell where it is going: else it would be taken for another station's doing.
+        # Its target reports are dropped: else the driver would report a takeover.
         target = dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
         b.filter = lambda link, packet: (
             None if any(m.get_msgId() == target for m in Reader().feed(packet)) else link.on_data(packet)
@@ -256,14 +256,14 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
         await asyncio.sleep(5.0)
 
     b.run(mission)
-    # It has stopped in BRAKE, and hovers.
+    # It has stopped and hovers.
     assert b.autopilot.mode == "GUIDED"
     assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
     assert b.breaches == []
 
 
 @on_bench("limited", limits={"speed": 3.0})
-async def test_a_pilot_is_only_told(b, fc, /):
+async def test_excess_under_pilot_control_is_only_reported(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     b.autopilot.enter("RTL")
@@ -271,14 +271,14 @@ async def test_a_pilot_is_only_told(b, fc, /):
     b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
     b.autopilot.pace.change(7.0)
     await asyncio.sleep(8.0)
-    (said,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
-    assert said.endswith("since a pilot or a failsafe controls it in RTL")
+    (report,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
+    assert report.endswith("since a pilot or a failsafe controls it in RTL")
     assert b.breaches == []
 
 
 @on_bench("limited", flavour="px4", limits={"speed": 3.0})
-async def test_px4_is_sent_to_where_it_can_stop_to_hold_it(b, fc, /):
-    """In OFFBOARD, which it leaves by itself when nothing is sent any more."""
+async def test_px4_hold_targets_the_stopping_position(b, fc, /):
+    """In OFFBOARD, which PX4 leaves by itself when setpoints stop."""
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))

@@ -1,4 +1,4 @@
-"""A mission that another station changes while it is flown: held before it leaves the limits."""
+"""Another station changes a mission in flight: the vehicle holds before it leaves the limits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def item(b, north, east=0.0, height=8.0, command=16, parameters=(0.0, 0.0, 0.0, 
 
 
 def to(b, *messages):
-    """Send it messages of another station on a link of its own; its answers."""
+    """Sends messages of another station on a separate link; returns the answers."""
     writer, reader, answers = (
         b.__dict__.setdefault("another", (PacketWriter(77, 190), Reader())),
         Reader(),
@@ -35,7 +35,7 @@ def to(b, *messages):
 
 
 def change(b, items, kind=PlanKind.MISSION):
-    """Another station uploads a plan; nothing of that is heard on a link of this computer."""
+    """Another station uploads a plan on a link that this computer does not receive."""
     first = [HOME] if b.autopilot.flavour.home_item and kind is PlanKind.MISSION else []
     wire, number = [*first, *items], 0
     answers = to(b, dialect.MAVLink_mission_count_message(1, 1, len(wire), int(kind)))
@@ -46,11 +46,11 @@ def change(b, items, kind=PlanKind.MISSION):
             return
         number = asked[0].seq
         answers = to(b, wire[number].message(1, number, kind))
-    raise AssertionError(f"it asked for no item after {number}")
+    raise AssertionError(f"no item requested after {number}")
 
 
 async def begin(b, fc, items):
-    """Upload and begin a mission."""
+    """Uploads and starts a mission."""
     await fc.plans.upload(PlanKind.MISSION, items)
     await fc.execute("arm", [])
     if b.autopilot.flies:
@@ -59,7 +59,7 @@ async def begin(b, fc, items):
 
 
 async def farthest(b, seconds):
-    """The greatest distance from home and height that it comes to, in metres."""
+    """The greatest distance from home and height in this time, in metres."""
     far = high = 0.0
     for _ in range(int(seconds * 10)):
         await asyncio.sleep(0.1)
@@ -69,7 +69,7 @@ async def farthest(b, seconds):
 
 
 def changes(b, name):
-    """Plans of another station that lead out of the limits."""
+    """Plans of another station that lead beyond the limits."""
     near, far = item(b, 10.0, 5.0), item(b, 900.0)
     return {
         "longer": [item(b, 20.0), item(b, 20.0, 20.0), far],
@@ -84,7 +84,7 @@ def changes(b, name):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["longer", "as long", "at once", "high", "spline", "arc"])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_it_holds_before_it_leaves_the_limits(bench, flavour, kind, name):
+def test_vehicle_holds_before_a_changed_mission_leaves_the_limits(bench, flavour, kind, name):
     if (name in ("spline", "arc") and flavour == "px4") or (kind == "rover" and name in ("high", "spline")):
         pytest.skip("it takes no curves, or has no heights")
     b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": CEILING, "speed": 5.0})
@@ -106,7 +106,7 @@ def test_it_holds_before_it_leaves_the_limits(bench, flavour, kind, name):
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @on_bench("bench", limits={"radius": RADIUS, "altitude": CEILING, "speed": 5.0}, given="flavour kind")
-async def test_a_change_inside_the_limits_is_flown(b, fc, /, flavour, kind):
+async def test_changed_mission_inside_the_limits_is_flown(b, fc, /, flavour, kind):
     await begin(b, fc, [item(b, 20.0), item(b, 20.0, 20.0)])
     await asyncio.sleep(2.0)
     change(b, [item(b, 20.0), item(b, -20.0), item(b, -20.0, 20.0)])
@@ -118,7 +118,7 @@ async def test_a_change_inside_the_limits_is_flown(b, fc, /, flavour, kind):
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0}, given="flavour kind")
-async def test_it_holds_before_it_returns_to_a_rally_point_beyond_the_limits(b, fc, /, flavour, kind):
+async def test_vehicle_holds_before_a_return_to_a_rally_point_beyond_limits(b, fc, /, flavour, kind):
     await begin(b, fc, [item(b, 10.0), item(b, 40.0), Item(RETURN, 2, 0, 0)])
     await asyncio.sleep(2.0)
     change(b, [item(b, 70.0, command=RALLY)], PlanKind.RALLY)
@@ -128,8 +128,8 @@ async def test_it_holds_before_it_returns_to_a_rally_point_beyond_the_limits(b, 
 
 
 @on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0})
-async def test_a_foreign_choice_of_a_curve_is_held(b, fc, /):
-    """Inside its limits from where the mission begins, outside from where another station has it begin."""
+async def test_foreign_jump_to_a_curve_beyond_the_limits_is_held(b, fc, /):
+    """The curve is inside the limits from the mission's start, and outside from the foreign start."""
     plan = [item(b, 48.0, 12.0), item(b, 0.0, 10.0), item(b, 30.0, command=SPLINE), item(b, -5.0, -40.0)]
     await begin(b, fc, plan)
     async with asyncio.timeout(60.0):
@@ -146,7 +146,7 @@ async def test_a_foreign_choice_of_a_curve_is_held(b, fc, /):
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @on_bench("bench", limits={"radius": RADIUS, "altitude": 70.0}, given="flavour kind")
-async def test_a_return_ends_at_a_rally_point(b, fc, /, flavour, kind):
+async def test_return_ends_at_a_rally_point(b, fc, /, flavour, kind):
     change(b, [item(b, 30.0, 10.0, command=RALLY)], PlanKind.RALLY)
     await fc.execute("arm", [])
     if kind == "copter":

@@ -1,4 +1,4 @@
-"""Motions as real autopilots need them: heights on PX4, turning rovers, their fences, a landing's end."""
+"""Motions of real autopilots: heights on PX4, turning rovers, fences, end of a landing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ async def up(fc, height=5.0):
 
 
 @on_bench("bench", flavour="px4")
-async def test_heights_are_those_of_the_takeoff_however_home_drifts(b, fc, /):
+async def test_heights_stay_relative_to_takeoff_when_home_drifts(b, fc, /):
     await up(fc, 6.0)
     homes, heights = set(), []
     for way in (3.0, 0.0, 3.0, 0.0):
@@ -41,7 +41,7 @@ async def test_heights_are_those_of_the_takeoff_however_home_drifts(b, fc, /):
 
 
 @on_bench("bench", kind="rover", limits={"altitude": 20.0})
-async def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(b, fc, /):
+async def test_rover_ignores_the_height_of_an_early_home(b, fc, /):
     await fc.execute("arm", [])
     await asyncio.sleep(5.0)
     assert b.values["altitude"] == pytest.approx(0.0, abs=0.5)
@@ -54,7 +54,7 @@ async def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_o
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", kind="rover", given="flavour")
-async def test_what_does_not_fly_refuses_to_take_off_at_once(b, fc, /, flavour):
+async def test_rover_refuses_takeoff_at_once(b, fc, /, flavour):
     await fc.execute("arm", [])
     start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
@@ -68,7 +68,7 @@ async def turn_on(fc, times):
         await asyncio.sleep(0.4)
 
 
-def test_a_rover_turns_by_setpoints(bench):
+def test_rover_with_differential_drive_turns_by_setpoints(bench):
     b = bench(kind="rover")
     b.autopilot.vehicle.wheels = Wheels()
 
@@ -84,7 +84,7 @@ def test_a_rover_turns_by_setpoints(bench):
 
 
 @on_bench("bench", kind="rover")
-async def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(b, fc, /):
+async def test_rover_with_car_steering_refuses_turns_in_place(b, fc, /):
     loop = asyncio.get_running_loop()
     await fc.execute("arm", [])
     start = loop.time()
@@ -94,7 +94,7 @@ async def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(b, 
     with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
         await turn_on(fc, 10)
     await fc.execute("hold", [])
-    # It turns round for a goal behind it, driving away from it first.
+    # For a goal behind it, it turns while driving away first.
     await fc.execute("goTo", [-12.0, 0.0, 0.0])
     await fc.execute("returnHome", [])
     await fc.execute("land", [])
@@ -103,7 +103,7 @@ async def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(b, 
 
 
 @on_bench("bench", kind="rover")
-async def test_a_rover_may_drive_round_on_its_way_to_a_circle(b, fc, /):
+async def test_rover_may_take_a_detour_to_an_orbit(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("orbit", [-6.0, 0.0, 0.0, 3.0, 0.5, 0.25])
     north, east, _ = b.autopilot.vehicle.place
@@ -119,8 +119,8 @@ SLOW = {
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", SLOW)
-def test_a_slow_rover_is_given_the_time_that_its_way_round_takes(bench, name):
-    """It drives away from a goal behind it for as many metres as a fast one, and for longer."""
+def test_slow_rover_gets_time_for_its_detour(bench, name):
+    """Its detour is as long in metres as that of a fast rover, and takes longer."""
     speed, (what, values) = SLOW[name]
     b = bench(kind="rover", limits={"speed": speed})
 
@@ -134,7 +134,7 @@ def test_a_slow_rover_is_given_the_time_that_its_way_round_takes(bench, name):
 
 
 @on_bench("bench", limits={"speed": 0.2})
-async def test_a_slow_vehicle_that_stands_is_given_up_all_the_same(b, fc, /):
+async def test_standing_slow_vehicle_is_given_up(b, fc, /):
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [9.0, 0.0, -5.0]))
     await asyncio.sleep(5.0)
@@ -146,24 +146,26 @@ async def test_a_slow_vehicle_that_stands_is_given_up_all_the_same(b, fc, /):
 
 
 @on_bench("bench", kind="rover", flavour="px4")
-async def test_px4_has_no_orbit_for_what_drives(b, fc, /):
+async def test_px4_orbit_is_refused_for_a_rover(b, fc, /):
     await fc.execute("arm", [])
     with pytest.raises(DeviceError, match="orbit refused: PX4 orbits only with flying vehicles; use goTo"):
         await fc.execute("orbit", [9.0, 0.0, 0.0, 4.0, 1.0, 1.0])
 
 
-def test_a_rate_is_judged_by_what_it_should_have_turned():
+def test_yaw_rate_is_judged_by_the_expected_turn():
     turning, slow = Turning(), Turning()
     assert not any(turning.fails(0.5, 0.5 * n * 0.4, 1.0, n * 0.4) for n in range(40))
     assert not any(slow.fails(0.05, 0.0, 1.0, n * 0.4) for n in range(9))
-    assert not any(turning.fails(0.5, 0.0, 1.0, 50.0 + n * 1.5) for n in range(9))  # told anew each time
+    assert not any(
+        turning.fails(0.5, 0.0, 1.0, 50.0 + n * 1.5) for n in range(9)
+    )  # commanded again each time
     assert any(turning.fails(0.5, 0.0, 1.0, 90.0 + n * 0.4) for n in range(9))
 
 
-# -- what is left of a way ------------------------------------------------------------------------------
+# -- remaining distance ----------------------------------------------------------------------------------
 
 
-def test_a_rover_has_arrived_where_its_autopilot_stops_it():
+def test_rover_has_arrived_where_its_autopilot_stops():
     now, moves = 0.0, True
     arrival = Arrival(2.0, lambda: moves, lambda: now)
     assert arrival.left(1.9) == 1.9
@@ -177,7 +179,7 @@ def test_a_rover_has_arrived_where_its_autopilot_stops_it():
     assert Arrival(0.0, lambda: False, lambda: now).left(0.0) == 0.0
 
 
-def test_a_detour_is_given_time_and_a_stand_is_not():
+def test_detour_gets_more_time_than_a_standstill():
     patience = ProgressPatience(10.0, 0.1, turning=40.0)
     detour, stand = Progress(patience, 0.0), Progress(patience, 0.0)
     assert not detour.is_over(20.0, True, 0.0)
@@ -187,29 +189,29 @@ def test_a_detour_is_given_time_and_a_stand_is_not():
     assert stand.is_over(20.0, False, 11.1)
 
 
-def test_patience_grows_as_a_speed_falls():
+def test_progress_timeout_grows_at_low_speed():
     drives = ProgressPatience(10.0, 0.1, turning=40.0, detour=30.0)
     bounds = [drives.bound(moves, pace) for moves in (False, True) for pace in (None, 5.0, 0.3, 0.01)]
     assert bounds == pytest.approx([10.0, 10.0, 10.0, 80.0, 40.0, 40.0, 200.0, 6000.0])
 
 
-def test_a_hover_on_the_way_back_is_no_progress():
-    """However its position trembles."""
+def test_hover_during_a_return_is_no_progress():
+    """With noise in the position."""
     way = ReturnProgress()
     hover = [way.left((0.1 * (n % 3), -0.1 * (n % 2), -10.0)) for n in range(1000)]
     assert set(hover) == {hover[0]}
     assert way.left((0.0, 3.0, -10.0)) == pytest.approx(hover[0] - 3.0)
 
 
-def test_the_farthest_place_of_a_circle():
+def test_farthest_point_of_a_circle():
     assert Circle((3.0, 4.0, -5.0), 5.0, 1.0, True).farthest == pytest.approx((6.0, 8.0, -5.0))
 
 
 # -- its own fence ------------------------------------------------------------------------------------
 
 
-def test_ardupilots_fence_is_named_when_it_ignores_a_goal(bench, monkeypatch):
-    """As recorded: a setpoint beyond its fence is ignored without a word."""
+def test_goal_ignored_beyond_the_ardupilot_fence_names_the_fence(bench, monkeypatch):
+    """As recorded: a setpoint beyond the fence is ignored without a message."""
     b, guide = bench(), Autopilot.guide
     b.autopilot.parameters.update(FENCE_ENABLE=1, FENCE_TYPE=7, FENCE_RADIUS=30, FENCE_ALT_MAX=25)
 
@@ -235,8 +237,8 @@ def test_ardupilots_fence_is_named_when_it_ignores_a_goal(bench, monkeypatch):
     b.run(mission)
 
 
-def test_its_fence_is_named_once_when_it_does_not_follow_a_velocity(bench):
-    """As recorded: its avoidance stops ArduPilot before its fence, and it says nothing."""
+def test_velocity_blocked_by_the_fence_is_reported_once(bench):
+    """As recorded: avoidance stops ArduPilot before the fence without a message."""
     b = bench()
     b.autopilot.parameters.update(FENCE_ENABLE=1, FENCE_TYPE=7, FENCE_RADIUS=20, FENCE_ALT_MAX=50)
 
@@ -247,19 +249,19 @@ def test_its_fence_is_named_once_when_it_does_not_follow_a_velocity(bench):
             await asyncio.sleep(0.3)
 
     b.run(mission)
-    (said,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
-    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in said
-    assert said.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
+    (report,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
+    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in report
+    assert report.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
 
 
-def test_a_velocity_of_nothing_is_followed_by_what_stands():
+def test_zero_velocity_is_followed_by_a_standing_vehicle():
     following, still = Following(), (0.0, 0.0, 0.0)
     assert not any(following.fails(still, still, 0.5, 0.3 * n) for n in range(20))
     slow = [following.fails((0.0, 3.0, 0.0), (1.0, 0.9, 0.0), 0.5, 6.0 + 0.3 * n) for n in range(20)]
     assert slow.count(True) == 1
 
 
-def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
+def test_goal_beyond_the_px4_fence_is_refused_before_the_motion(bench):
     b = bench(flavour="px4")
     b.autopilot.parameters.update(GF_ACTION=2, GF_MAX_HOR_DIST=30)
 
@@ -284,7 +286,7 @@ def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", given="flavour")
-async def test_after_a_landing_it_can_be_armed_and_fly_again(b, fc, /, flavour):
+async def test_vehicle_can_fly_again_after_landing_or_return(b, fc, /, flavour):
     for instruction in ("land", "returnHome"):
         await up(fc)
         await fc.execute(instruction, [])
@@ -294,8 +296,8 @@ async def test_after_a_landing_it_can_be_armed_and_fly_again(b, fc, /, flavour):
 
 
 @on_bench("bench")
-async def test_a_landing_goes_on_below_home(b, fc, /, monkeypatch):
-    """A slope: where it comes down is 20 m lower than where it took off."""
+async def test_landing_continues_below_home(b, fc, /, monkeypatch):
+    """A slope: the landing point is 20 m below the takeoff point."""
     await up(fc, 9.0)
     monkeypatch.setattr(VehicleState, "home_offset", (0.0, 0.0, -20.0))
     await fc.execute("land", [])

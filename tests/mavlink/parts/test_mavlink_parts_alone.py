@@ -1,4 +1,4 @@
-"""Parts of a vehicle alone, each with a small stand-in for what it takes."""
+"""Parts of a vehicle alone, each with small stand-ins for its dependencies."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def binding(**limits: float) -> DeviceBinding:
 
 
 class StandIn:
-    """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
+    """The part of a Contact that parts use; commands are recorded, and accepted unless `refused`."""
 
     def assume_control(self) -> None:
-        """It is ours."""
+        """Control is always assumed."""
 
     def __init__(self, autopilot: int = ARDUPILOT) -> None:
         self.clock, self.system, self.binding = ManualClock(), 1, binding()
@@ -70,7 +70,7 @@ class StandIn:
     def check_identity(self): ...
 
     async def command(self, *words, once=False):
-        """Of Contact, where `words` begin with what is done, and of its Exchange, where with a number."""
+        """The method of Contact (first a name) and of its Exchange (first a number)."""
         self.asked.append(words)
         if self.refused:
             raise self.error(f"{words[0]} refused")
@@ -81,7 +81,7 @@ class StandIn:
 
 
 class Plans:
-    """The plans of a vehicle, as a table."""
+    """The plans of a vehicle, as a dictionary."""
 
     def __init__(self) -> None:
         self.held: dict[PlanKind, list[Item]] = {}
@@ -97,7 +97,7 @@ class Plans:
 
 
 class Parameters:
-    """The parameters of a vehicle, as a table; those in `stuck` keep their values."""
+    """The parameters of a vehicle, as a dictionary; those in `stuck` keep their values."""
 
     def __init__(self, **values: float) -> None:
         self.values = values
@@ -126,7 +126,7 @@ def refused(work) -> str:
     return raised.value.reason
 
 
-def test_rally_points_are_what_the_plans_hold():
+def test_rally_points_are_stored_in_the_plans():
     plans = Plans()
     rally = Rally(StandIn(), plans)
     points = [47.4, 8.5, 10.0, 47.5, 8.6, 12.0]
@@ -138,7 +138,7 @@ def test_rally_points_are_what_the_plans_hold():
     assert asyncio.run(rally.do_rally_points()) == []
 
 
-def test_a_fence_is_switched_on_beside_what_is_on_already():
+def test_fence_types_are_enabled_additionally():
     plans, parameters = Plans(), Parameters(FENCE_TYPE=3.0, FENCE_ENABLE=0.0)
     fences = Fences(StandIn(), plans, parameters)
     asyncio.run(fences.do_set_fence_circle(47.4, 8.5, 100.0))
@@ -152,7 +152,7 @@ def test_a_fence_is_switched_on_beside_what_is_on_already():
     assert (parameters.values["FENCE_ENABLE"], plans.held) == (0, {})
 
 
-def test_a_fence_that_is_off_is_not_breached():
+def test_disabled_fence_is_not_breached():
     vehicle = StandIn()
     vehicle.state.autopilot = ARDUPILOT
     Fences(vehicle, Plans(), Parameters())
@@ -162,7 +162,7 @@ def test_a_fence_that_is_off_is_not_breached():
     assert vehicle.values == {"fenceBreached": False}
 
 
-def test_parameters_that_protect_the_vehicle_are_not_for_programs():
+def test_protected_parameter_cannot_be_set():
     parameters = Parameters(FS_GCS_ENABLE=5.0, WPNAV_SPEED=500.0)
     settings = Settings(StandIn(), parameters, lambda name: name == "FS_GCS_ENABLE")
     assert refused(settings.do_set_parameter("FS_GCS_ENABLE", 0.0)).startswith("setParameter refused")
@@ -171,7 +171,7 @@ def test_parameters_that_protect_the_vehicle_are_not_for_programs():
     assert refused(settings.do_parameter("NONE")) == "no answer about NONE"
 
 
-def test_only_texts_become_strings():
+def test_file_that_is_no_text_or_too_long_is_refused():
     class Card:
         async def read(self, path, most):
             assert most == MAX_TEXT
@@ -182,7 +182,7 @@ def test_only_texts_become_strings():
     assert "exceed the limit" in refused(files.do_write_file("/a", "x" * (MAX_TEXT + 1)))
 
 
-def test_the_watchdog_tells_what_is_and_what_must_be():
+def test_watchdog_reports_present_and_required_settings():
     parameters = Parameters(
         FS_GCS_ENABLE=0.0, FS_GCS_TIMEOUT=5.0, SYSID_MYGCS=1.0, GUID_TIMEOUT=3.0, FS_OPTIONS=1.0
     )
@@ -202,7 +202,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
     assert refused(watchdog.settings()).startswith("it does not report FS_GCS_TIMEOUT")
 
 
-def test_older_cameras_are_triggered_by_the_older_command():
+def test_camera_trigger_falls_back_to_the_older_command():
     class Old(StandIn):
         async def command(self, *words, once=False, optional=False, component=""):
             await super().command(*words, once=once)
@@ -214,7 +214,7 @@ def test_older_cameras_are_triggered_by_the_older_command():
     assert numbers == [dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL]
 
 
-def test_raw_commands_are_looked_at_before_they_are_sent():
+def test_invalid_raw_command_is_refused_before_sending():
     vehicle = StandIn()
     upkeep = Maintenance(vehicle, renew=lambda: asyncio.sleep(0))
     for number, values in ((dialect.MAV_CMD_NAV_LAND, []), (70000, []), (512, [math.nan]), (512, [0.0] * 8)):
@@ -224,7 +224,7 @@ def test_raw_commands_are_looked_at_before_they_are_sent():
     assert vehicle.asked == [(512, 148.0)]
 
 
-def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
+def test_refused_mode_change_keeps_control():
     vehicle = StandIn()
     motion = Motion(vehicle, Parameters())
     vehicle.state.armed = True
@@ -241,7 +241,7 @@ def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
         motion.start_motion("land")
 
 
-def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
+def test_target_speed_is_the_last_set_speed_or_the_limit():
     vehicle = StandIn(PX4)
     motion = Motion(vehicle, Parameters())
     asyncio.run(motion.speed.apply_target())
@@ -249,7 +249,7 @@ def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
     vehicle.binding = binding(speed=5.0)
     assert motion.speed.target == 5.0
     asyncio.run(motion.speed.set(2.0))
-    assert vehicle.asked == [], "there is nothing yet that PX4 would keep it for"
+    assert vehicle.asked == [], "PX4 would not keep it before a motion"
     asyncio.run(motion.speed.apply_target())
     assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)]
 
@@ -269,7 +269,7 @@ def farthest(centre, radius):
         (lambda limits: limits.check_speed("setSpeed", 5.1), "setSpeed of 5.1 m/s is above the limit of 5"),
         (lambda limits: limits.check_way_out((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
         (lambda limits: limits.check_way_out((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)), "above the limit of 30 m"),
-        # With a ttl of 1 s and 4 m for braking.
+        # With a TTL of 1 s and 4 m for braking.
         (lambda limits: limits.check_way_out((72.1, 0.0, 0.0), (4.0, 0.0, 0.0)), "beyond the limit of 80 m"),
         (
             lambda limits: limits.check_return("returnHome", 31.0, "RTL_ALT"),
@@ -277,7 +277,7 @@ def farthest(centre, radius):
         ),
     ],
 )
-def test_what_is_beyond_the_limits(check, words):
+def test_value_beyond_a_limit_is_refused(check, words):
     limits = Limits(binding(altitude=30.0, radius=80.0, speed=5.0), StandIn().error)
     with pytest.raises(DeviceError, match=words):
         check(limits)
@@ -291,12 +291,12 @@ def check_all_allowed(limits: Limits) -> None:
     limits.check_speed("setSpeed", 5.0)
     limits.check_return("returnHome", 30.0, "RTL_ALT")
     limits.check_way_out((71.9, 0.0, 0.0), (4.0, 0.0, 0.0))
-    # Who is outside already may come back.
+    # A vehicle that is already outside may come back.
     limits.check_way_out((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))
     limits.check_way_out(None, (99.0, 0.0, 0.0))
 
 
-def test_without_limits_only_nonsense_is_refused():
+def test_without_limits_only_invalid_numbers_are_refused():
     limits = Limits(binding(), StandIn().error)
     assert not limits.bound_places
     limits.check_goal("goTo", (1e6, 0.0, -1e6))

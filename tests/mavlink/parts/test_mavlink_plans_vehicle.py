@@ -15,7 +15,7 @@ BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
 
 def at(bench, north, east):
-    """Latitude and longitude of a place about home."""
+    """Latitude and longitude of a position relative to home."""
     latitude, longitude = bench.fakes[1].place.at(north, east)
     return [latitude / 1e7, longitude / 1e7]
 
@@ -37,7 +37,7 @@ async def until(condition, seconds=60.0):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_mission_is_flown_paused_and_finished(b, fc, /, flavour):
+async def test_mission_is_flown_paused_and_finished(b, fc, /, flavour):
     places = [(20.0, 0.0, 8.0), (20.0, 20.0, 8.0), (0.0, 20.0, 8.0)]
 
     values = route(b, *places)
@@ -61,7 +61,7 @@ async def test_a_mission_is_flown_paused_and_finished(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_mission_jumps_to_a_waypoint(b, fc, /, flavour):
+async def test_mission_item_is_selected_and_an_invalid_one_refused(b, fc, /, flavour):
     await fc.execute("uploadMission", [route(b, (9.0, 0.0, 5.0), (9.0, 9.0, 5.0), (0.0, 9.0, 5.0))])
     await fc.execute("setMissionItem", [2])
     await until(lambda: b.values.get("missionItem") == 2, 5.0)
@@ -72,7 +72,7 @@ async def test_a_mission_jumps_to_a_waypoint(b, fc, /, flavour):
 
 
 @BOTH
-def test_what_cannot_be_started_or_uploaded(bench, flavour):
+def test_invalid_mission_start_and_upload_are_refused(bench, flavour):
     b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0})
 
     async def refused(work, words):
@@ -91,7 +91,7 @@ def test_what_cannot_be_started_or_uploaded(bench, flavour):
         await refused(upload(route(b, (60.0, 0.0, 5.0))), "waypoint 0 refused: .* beyond the limit of 50 m")
         await refused(upload([1.0]), "which 1 numbers are not")
         await refused(upload([float("nan"), 0.0, 5.0]), "is not a position in degrees")
-        # Nothing of all that was sent (message 44 is MISSION_COUNT).
+        # No upload was sent (message 44 is MISSION_COUNT).
         assert not any(packet[7:10] == b"\x2c\0\0" for packet in b.sent)
         await upload(route(b, (30.0, 0.0, 5.0)))
         await refused(fc.execute("startMission", []), "is on the ground")
@@ -106,9 +106,9 @@ def test_what_cannot_be_started_or_uploaded(bench, flavour):
 
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
-async def test_a_mission_that_others_made_is_held_to_the_limits(b, fc, /, flavour):
+async def test_foreign_mission_is_checked_against_the_limits(b, fc, /, flavour):
     await fly_up(fc)
-    # As another ground station would: past the checks of uploadMission.
+    # Like another ground station: without the checks of uploadMission.
     await fc.plans.upload(PlanKind.MISSION, waypoints(route(b, (90.0, 0.0, 5.0)), yaw=0.0))
     with pytest.raises(DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"):
         await fc.execute("startMission", [])
@@ -120,7 +120,7 @@ async def test_a_mission_that_others_made_is_held_to_the_limits(b, fc, /, flavou
 
 @BOTH
 @on_bench("bench", faults=("loss=0.2", "delay=0.05"), given="flavour")
-async def test_a_mission_survives_a_bad_radio(b, fc, /, flavour):
+async def test_mission_and_fence_upload_over_a_bad_radio(b, fc, /, flavour):
     places = [(float(number), 0.0, 5.0) for number in range(1, 20)]
 
     await fc.execute("uploadMission", [route(b, *places)])
@@ -133,7 +133,7 @@ async def test_a_mission_survives_a_bad_radio(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_fence_is_set_extended_told_and_cleared(b, fc, /, flavour):
+async def test_fence_is_set_extended_read_and_cleared(b, fc, /, flavour):
     centre = at(b, 0.0, 0.0)
     await fc.execute("setFenceCircle", [*centre, 60.0])
     await fc.execute("excludePolygon", [[*at(b, 30, 0), *at(b, 30, 9), *at(b, 40, 0)]])
@@ -159,14 +159,14 @@ async def test_a_fence_is_set_extended_told_and_cleared(b, fc, /, flavour):
 
 
 @on_bench("bench", options={"tolerance": 1.0})
-async def test_a_breach_is_told(b, fc, /):
+async def test_fence_breach_is_published(b, fc, /):
     await fc.execute("setFenceCircle", [*at(b, 0.0, 0.0), 30.0])
     await fc.execute("fenceAction", ["report"])
     assert b.autopilot.parameters["FENCE_ENABLE"] == 1.0
     assert int(b.autopilot.parameters["FENCE_TYPE"]) & 4
     await fly_up(fc)
     await until(lambda: b.values.get("fenceBreached") is False, 5.0)
-    # A goal beyond it is ignored, so a gust takes it out.
+    # A goal beyond it is ignored, so the test moves the vehicle.
     with pytest.raises(DeviceError, match=r"no progress .* its own fence has zones, which may be the reason"):
         await fc.execute("goTo", [45.0, 0.0, -5.0])
     b.autopilot.vehicle.place = (33.0, 0.0, -5.0)
@@ -175,7 +175,7 @@ async def test_a_breach_is_told(b, fc, /):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_rally_points(b, fc, /, flavour):
+async def test_rally_points_are_set_read_and_cleared(b, fc, /, flavour):
     points = route(b, (20.0, 0.0, 10.0), (0.0, 20.0, 12.0))
     await fc.execute("setRallyPoints", [points])
     assert await fc.execute("rallyPoints", []) == pytest.approx(points, abs=1e-6)
@@ -185,7 +185,7 @@ async def test_rally_points(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_parameters(b, fc, /, flavour):
+async def test_parameters_are_set_read_protected_and_listed(b, fc, /, flavour):
     real, whole = (
         ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE") if flavour == "px4" else ("PILOT_TKOFF_ALT", "RTL_LOIT_TIME")
     )
@@ -209,7 +209,7 @@ async def test_parameters(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_files(b, fc, /, flavour):
+async def test_files_are_written_listed_read_and_removed(b, fc, /, flavour):
     await fc.execute("makeFolder", ["/notes"])
     text = "grüezi\n" * 500
     await fc.execute("writeFile", ["/notes/a.txt", text])
@@ -227,7 +227,7 @@ async def test_files(b, fc, /, flavour):
 
 
 @on_bench("bench")
-async def test_a_service_ends_with_the_link(b, fc, /):
+async def test_upload_ends_with_a_link_loss_and_works_later(b, fc, /):
     values = route(b, *[(float(number), 0.0, 5.0) for number in range(1, 50)])
     task = asyncio.create_task(fc.execute("uploadMission", [values]))
     await asyncio.sleep(0)
@@ -242,16 +242,16 @@ async def test_a_service_ends_with_the_link(b, fc, /):
 
 
 @on_bench("bench")
-async def test_the_state_of_the_link_is_told(b, fc, /):
+async def test_link_quality_and_clock_offset_are_published(b, fc, /):
     await until(lambda: "clockOffset" in b.values, 5.0)
     await asyncio.sleep(2.0)
     assert b.values["linkQuality"] == 1.0
     assert b.values["packetsLost"] == 0
     assert b.values["roundTrip"] < 0.5
-    told = b.values["clockOffset"]
+    published = b.values["clockOffset"]
     true = b.autopilot.uptime - asyncio.get_running_loop().time()
-    assert told == pytest.approx(true, abs=0.5)
-    b.links[0].on_data(b"\xfd\x01\0\0\0\x01\x01\0\0\0\x07nonsense")
+    assert published == pytest.approx(true, abs=0.5)
+    b.links[0].on_data(b"\xfd\x01\0\0\0\x01\x01\0\0\0\x07garbage!")
     await asyncio.sleep(2.0)
     assert b.values["packetsBroken"] >= 1
 
@@ -260,7 +260,7 @@ async def test_the_state_of_the_link_is_told(b, fc, /):
 
 
 def signed(bench, tmp_path, **options):
-    """A bench whose vehicle and driver have the same key."""
+    """A bench whose vehicle and driver use the same key."""
     path = tmp_path / "alpha.key"
     path.write_bytes(b"k" * 32)
     path.chmod(0o600)
@@ -271,9 +271,9 @@ def signed(bench, tmp_path, **options):
     return b, gate
 
 
-def test_a_signed_vehicle_is_flown(bench, tmp_path, monkeypatch):
+def test_vehicle_with_signing_is_flown(bench, tmp_path, monkeypatch):
     async def at_once(work, *given):
-        """Jumping time waits for no thread, and the flight is long enough for timestamps to be written."""
+        """Virtual time does not wait for threads, and timestamps are written during the flight."""
         return work(*given)
 
     monkeypatch.setattr(asyncio, "to_thread", at_once)
@@ -293,7 +293,7 @@ def test_a_signed_vehicle_is_flown(bench, tmp_path, monkeypatch):
     assert all(packet[2] & 1 for packet in b.sent)
 
 
-def test_a_vehicle_without_the_key_is_not_heard(bench, tmp_path):
+def test_vehicle_without_the_key_is_not_accepted(bench, tmp_path):
     b, gate = signed(bench, tmp_path)
     gate.key = None
 
@@ -306,7 +306,7 @@ def test_a_vehicle_without_the_key_is_not_heard(bench, tmp_path):
     b.run(mission, opened=False)
 
 
-def test_a_vehicle_without_the_key_is_heard_where_that_is_waived(bench, tmp_path):
+def test_vehicle_without_the_key_is_accepted_with_a_waiver(bench, tmp_path):
     b, gate = signed(bench, tmp_path, waivers=("device_watchdog", "unsigned"))
     gate.key = None
 
@@ -318,11 +318,11 @@ def test_a_vehicle_without_the_key_is_heard_where_that_is_waived(bench, tmp_path
 
 
 def plan_item(bench, number, north=0.0, east=0.0, height=8.0, frame=6, parameters=(0.0, 0.0, 0.0, 0.0)):
-    """An item at metres of home, and at a height above it."""
+    """An item at metres from home, and at a height above it."""
     return Item(number, frame, *bench.fakes[1].place.at(north, east), height, parameters)
 
 
-#: What both real autopilots flew: a camera's mode and a speed before the takeoff (22).
+#: As flown by both real autopilots: a camera mode and speeds before the takeoff (22).
 PRELUDE = [
     Item(530, 2, 0, 0, 0.0, (0.0, 1.0, 0.0, 0.0)),
     Item(178, 2, 0, 0, 0.0, (1.0, 3.0, -1.0, 0.0)),
@@ -333,7 +333,7 @@ PRELUDE = [
 
 @BOTH
 @on_bench("bench", limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0}, given="flavour")
-async def test_a_plan_whose_first_item_is_no_takeoff_is_flown_from_the_ground(b, fc, /, flavour):
+async def test_plan_with_settings_before_its_takeoff_starts_on_the_ground(b, fc, /, flavour):
     plan = [*PRELUDE, plan_item(b, 22), plan_item(b, 16, 15.0)]
     await fc.plans.upload(PlanKind.MISSION, plan)
     await fc.execute("arm", [])
@@ -344,21 +344,21 @@ async def test_a_plan_whose_first_item_is_no_takeoff_is_flown_from_the_ground(b,
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_plan_that_begins_with_a_waypoint_needs_a_takeoff_first(b, fc, /, flavour):
+async def test_plan_that_begins_with_a_waypoint_is_refused_on_the_ground(b, fc, /, flavour):
     await fc.plans.upload(PlanKind.MISSION, [*PRELUDE, plan_item(b, 16, 15.0), plan_item(b, 22)])
     await fc.execute("arm", [])
     with pytest.raises(DeviceError, match="is on the ground"):
         await fc.execute("startMission", [])
 
 
-#: Items that a real copter takes, by autopilot.
-TAKEN = [("ardupilot", n) for n in (30, 31, 36, 82, 84, 85, 94)] + [("px4", n) for n in (31, 84, 85)]
+#: Items that a real copter accepts, by autopilot.
+ACCEPTED = [("ardupilot", n) for n in (30, 31, 36, 82, 84, 85, 94)] + [("px4", n) for n in (31, 84, 85)]
 
 
 @pytest.mark.few(4)
-@pytest.mark.parametrize(("flavour", "number"), TAKEN)
+@pytest.mark.parametrize(("flavour", "number"), ACCEPTED)
 @on_bench("bench", limits={"altitude": 20.0, "radius": 50.0}, given="flavour")
-async def test_items_beyond_the_limits_are_taken_by_the_vehicle_and_not_started(b, fc, /, flavour, number):
+async def test_uploaded_items_beyond_the_limits_are_not_started(b, fc, /, flavour, number):
     await fly_up(fc)
     for bad in (plan_item(b, number, 1000.0), plan_item(b, number, 5.0, height=200.0)):
         await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), bad])
@@ -367,9 +367,9 @@ async def test_items_beyond_the_limits_are_taken_by_the_vehicle_and_not_started(
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize(("flavour", "number"), [each for each in TAKEN if each[1] != 30])
+@pytest.mark.parametrize(("flavour", "number"), [each for each in ACCEPTED if each[1] != 30])
 @on_bench("bench", limits={"altitude": 20.0, "radius": 50.0}, given="flavour")
-async def test_items_inside_the_limits_are_flown(b, fc, /, flavour, number):
+async def test_items_inside_the_limits_are_flown_to_the_end(b, fc, /, flavour, number):
     values = (5.0 if number == 94 else 0.0, 0.0, 0.0, 0.0)
     plan = [plan_item(b, number, 10.0, parameters=values)]
     if number in (84, 85):
@@ -390,7 +390,7 @@ async def test_items_inside_the_limits_are_flown(b, fc, /, flavour, number):
 
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
-async def test_a_mission_that_another_station_changes_meanwhile_is_held(b, fc, /, flavour):
+async def test_mission_changed_during_its_start_is_held(b, fc, /, flavour):
     await fly_up(fc)
     await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 20.0)])
     download = fc.plans.download
@@ -409,12 +409,12 @@ async def test_a_mission_that_another_station_changes_meanwhile_is_held(b, fc, /
 
 
 @on_bench("bench")
-async def test_a_mission_in_its_middle_is_not_begun_on_the_ground(b, fc, /):
+async def test_partly_flown_mission_is_not_resumed_on_the_ground(b, fc, /):
     await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 22), plan_item(b, 16, 9.0), plan_item(b, 21)])
     await fc.execute("arm", [])
     await fc.execute("startMission", [])
     await until(lambda: not b.values["armed"])
-    # It is over, and begins anew.
+    # It is complete, and starts again.
     await fc.execute("arm", [])
     await fc.execute("startMission", [])
     await until(lambda: b.values["missionItem"] == 1)
@@ -427,8 +427,8 @@ async def test_a_mission_in_its_middle_is_not_begun_on_the_ground(b, fc, /):
 
 
 @BOTH
-def test_a_return_is_held_to_the_limits(bench, flavour):
-    """Its height, the rally points, and the mission that PX4 may return by."""
+def test_return_is_checked_against_the_limits(bench, flavour):
+    """Its height, the rally points, and the mission along which PX4 may return."""
     b = bench(flavour=flavour, limits={"radius": 50.0, "altitude": 30.0})
     parameters, px4 = b.autopilot.parameters, flavour == "px4"
 
@@ -463,7 +463,7 @@ def test_a_return_is_held_to_the_limits(bench, flavour):
 
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
-async def test_rally_points_beyond_the_limits_are_refused(b, fc, /, flavour):
+async def test_rally_point_beyond_the_limits_is_refused(b, fc, /, flavour):
     await fly_up(fc)
     with pytest.raises(DeviceError, match=r"setRallyPoints: rally point 1 refused: .* limit of 50 m"):
         await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0), (90.0, 0.0, 5.0))])

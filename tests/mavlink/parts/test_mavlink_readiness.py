@@ -1,4 +1,4 @@
-"""Readiness: by the checks before arming and a position, with the autopilot's own reasons, cold and warm."""
+"""Readiness: pre-arm checks and position, with the autopilot's reasons, after a cold or warm start."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lfield_mavlink.parts.readiness import missing_condition
 GYRO = dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
 
 
-def told(autopilot, *, present=0, enabled=0, healthy=0, status=3, position=True, armed=False):
-    """A state that has heard these at 1.0 s."""
+def state_after(autopilot, *, present=0, enabled=0, healthy=0, status=3, position=True, armed=False):
+    """The state after these messages at 1.0 s."""
     state = VehicleState("copter")
     mode = 3 << 24 | 4 << 16 if autopilot == PX4 else 4
     flags = dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
@@ -37,29 +37,29 @@ CHECKED = {"present": PREARM | GYRO, "enabled": PREARM | GYRO}
 
 
 @pytest.mark.parametrize(
-    ("autopilot", "told_of_it", "words"),
+    ("autopilot", "reports", "words"),
     [
         (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO}, ""),
         (ARDUPILOT, {**CHECKED, "healthy": GYRO}, "the pre-arm checks have failed"),
         (ARDUPILOT, CHECKED, "the pre-arm checks have failed; not well: 3d gyro"),
-        # In STABILIZE the bit is there 19 s before a position is.
+        # In STABILIZE the bit is set 19 s before a position exists.
         (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO, "position": False}, "its position is unknown"),
-        # Where nothing is checked, there is nothing to pass.
+        # Without enabled checks, none can fail.
         (ARDUPILOT, {"present": PREARM, "healthy": 0}, ""),
         (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO, "status": 5}, "its failsafe is active"),
-        # PX4 has the bit in its health only.
+        # PX4 sets the bit in its health only.
         (PX4, {"healthy": PREARM}, ""),
         (PX4, {"healthy": GYRO}, "the pre-arm checks have failed"),
         (PX4, {"armed": True}, ""),
     ],
 )  # fmt: skip
-def test_what_a_vehicle_lacks(autopilot, told_of_it, words):
-    state = told(autopilot, **told_of_it)
+def test_missing_condition_by_autopilot_status(autopilot, reports, words):
+    state = state_after(autopilot, **reports)
     assert missing_condition(state, 0.5, px4=autopilot == PX4) == words
 
 
-def test_what_was_told_long_ago_is_not_known():
-    state = told(ARDUPILOT, **CHECKED, healthy=PREARM | GYRO)
+def test_old_status_is_not_used_for_readiness():
+    state = state_after(ARDUPILOT, **CHECKED, healthy=PREARM | GYRO)
     assert missing_condition(state, 2.0, px4=False) == "waiting for the autopilot's pre-arm checks"
 
 
@@ -68,7 +68,7 @@ def test_what_was_told_long_ago_is_not_known():
     ("kind", "flavour"), [("copter", "ardupilot"), ("rover", "ardupilot"), ("copter", "px4")]
 )
 @on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind flavour")
-async def test_from_cold_it_waits_until_it_can_be_armed_and_is(b, fc, /, kind, flavour):
+async def test_wait_ready_after_a_cold_start_ends_when_arming_works(b, fc, /, kind, flavour):
     assert await fc.execute("isReady", []) is False
     with pytest.raises(DeviceError, match="arm refused"):
         await fc.execute("arm", [])
@@ -83,8 +83,8 @@ async def test_from_cold_it_waits_until_it_can_be_armed_and_is(b, fc, /, kind, f
 @pytest.mark.parametrize("after", [5.0, 15.0, 25.0, 33.0, 36.5])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @on_bench("bench", warm_up=43.0, options={"connect": 45.0}, given="kind")
-async def test_checks_that_pass_in_another_mode_are_no_readiness(b, fc, /, kind, after):
-    """The first mode needs no position, and says so by the bit: the wait is for that to be armed in."""
+async def test_checks_passed_in_another_mode_are_no_readiness(b, fc, /, kind, after):
+    """The first mode needs no position, so its bit is set early; waitReady waits for the arming mode."""
     await asyncio.sleep(after)
     if why := await fc.execute("whyNotReady", []):
         assert "Arm: " in why or f"checks are for {b.autopilot.mode}, but it is armed in GUIDED" in why
@@ -95,7 +95,7 @@ async def test_checks_that_pass_in_another_mode_are_no_readiness(b, fc, /, kind,
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", refuse_arming="Compass not calibrated", given="flavour")
-async def test_a_wait_in_vain_is_bounded_and_says_why(b, fc, /, flavour):
+async def test_wait_ready_times_out_with_the_reason(b, fc, /, flavour):
     assert await fc.execute("isReady", []) is False
     with pytest.raises(DeviceError, match="Compass not calibrated"):
         await fc.execute("arm", [])
@@ -111,13 +111,13 @@ async def test_a_wait_in_vain_is_bounded_and_says_why(b, fc, /, flavour):
 
 @pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
 @on_bench("bench")
-async def test_a_wait_needs_a_bound(b, fc, /, seconds):
+async def test_wait_ready_refuses_an_invalid_timeout(b, fc, /, seconds):
     with pytest.raises(DeviceError, match="requires seconds of at least 0"):
         await fc.execute("waitReady", [seconds])
 
 
 @on_bench("bench")
-async def test_one_that_is_not_heard_is_not_ready(b, fc, /):
+async def test_vehicle_without_contact_is_not_ready(b, fc, /):
     assert await fc.execute("isReady", []) is True
     b.cut = True
     await asyncio.sleep(4.0)
@@ -127,13 +127,13 @@ async def test_one_that_is_not_heard_is_not_ready(b, fc, /):
 
 @pytest.mark.few(10)
 @pytest.mark.parametrize("gap", [n * 0.02 for n in range(50)])
-def test_a_warm_copter_is_armed_right_after_it_was_opened(bench, gap):
-    """As measured: its failsafe for the station is up, and comes down up to 0.35 s after a heartbeat."""
+def test_warm_copter_is_armed_directly_after_open(bench, gap):
+    """As measured: its GCS failsafe is active, and ends up to 0.35 s after a heartbeat."""
     b = bench(ttl=1.0, waivers=())
     b.autopilot.parameters |= {"FS_GCS_ENABLE": 5, "FS_GCS_TIMEOUT": 2}
 
     async def mission(fc):
-        # Somebody was a station here, and went.
+        # A station was connected and stopped.
         await b.until(lambda: b.autopilot.failsafes.gcs_contact_at is not None)
         b.driver.quiet()
         await asyncio.sleep(4.0 + gap)
@@ -146,15 +146,15 @@ def test_a_warm_copter_is_armed_right_after_it_was_opened(bench, gap):
     assert b.autopilot.armed
 
 
-def test_one_that_refuses_since_it_has_not_noticed_us_is_armed_again(bench, monkeypatch):
-    # It would be noticed while its unique id is asked for.
+def test_arming_is_repeated_while_the_gcs_failsafe_clears(bench, monkeypatch):
+    # Else the failsafe would clear during the query of its unique id.
     monkeypatch.setattr("lfield_mavlink.vehicle.SECOND", 0.0)
     b = bench(ttl=1.0, waivers=())
     deliver = b.filter
 
     async def mission(fc):
         await fc.execute("setMode", ["GUIDED"])
-        # Its failsafe is up, and no heartbeat has told so.
+        # Its failsafe is active, and no heartbeat has reported it.
         b.filter = lambda link, data: None if data[7] == 0 else deliver(link, data)
         b.driver.quiet()
         await asyncio.sleep(4.0)

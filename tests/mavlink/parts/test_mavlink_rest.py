@@ -1,4 +1,4 @@
-"""What a vehicle still does in its safe state: seen on the fakes, and told one by one."""
+"""Remaining motion of a vehicle in its safe state: on the fakes, and by state."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ async def up(fc, height=5.0):
 
 
 async def watched(fc, seconds=120.0):
-    """Every word until it is at rest, without the numbers, and how long that took."""
+    """Every description until it is at rest, with numbers as #, and the time that took."""
     words, start = [], asyncio.get_running_loop().time()
-    while told := fc.moving():
+    while text := fc.moving():
         now = asyncio.get_running_loop().time()
-        assert now - start < seconds, told
-        told = re.sub(r"\d+(\.\d+)?", "#", told)
-        if words[-1:] != [told]:
-            words.append(told)
+        assert now - start < seconds, text
+        text = re.sub(r"\d+(\.\d+)?", "#", text)
+        if words[-1:] != [text]:
+            words.append(text)
         await asyncio.sleep(0.2)
     return words, asyncio.get_running_loop().time() - start
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", waivers=("device_watchdog",), given="flavour")
-async def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(b, fc, /, flavour):
+async def test_landing_copter_is_at_rest_with_motors_off(b, fc, /, flavour):
     assert fc.moving() == ""
     await up(fc)
     await fc.make_safe()
@@ -51,19 +51,19 @@ async def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(b, fc, /, 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", safe_state="return", given="flavour")
-async def test_a_copter_that_returns_is_told_all_the_way(b, fc, /, flavour):
+async def test_returning_copter_is_described_until_rest(b, fc, /, flavour):
     await up(fc)
     await fc.execute("goTo", [30.0, 0.0, -5.0])
     await fc.make_safe()
     words, _ = await watched(fc)
-    assert any("moving at # m/s, # m from home" in told for told in words)
-    assert any("sinking" in told for told in words)
+    assert any("moving at # m/s, # m from home" in text for text in words)
+    assert any("sinking" in text for text in words)
     assert not b.autopilot.armed
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", safe_state="hold", given="flavour")
-async def test_a_copter_that_is_to_hover_is_at_rest_when_it_hovers(b, fc, /, flavour):
+async def test_copter_with_safe_state_hold_is_at_rest_in_a_hover(b, fc, /, flavour):
     await up(fc)
     for _ in range(8):
         await fc.execute("setVelocity", [3.0, 0.0, 0.0])
@@ -76,7 +76,7 @@ async def test_a_copter_that_is_to_hover_is_at_rest_when_it_hovers(b, fc, /, fla
 
 
 @on_bench("bench")
-async def test_a_vehicle_that_is_not_heard_is_not_at_rest(b, fc, /):
+async def test_silent_flying_vehicle_is_not_at_rest(b, fc, /):
     await up(fc)
     await fc.make_safe()
     await asyncio.sleep(1.0)
@@ -88,7 +88,7 @@ async def test_a_vehicle_that_is_not_heard_is_not_at_rest(b, fc, /):
 
 
 @on_bench("bench")
-async def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_off(b, fc, /):
+async def test_silent_disarmed_vehicle_is_not_at_rest(b, fc, /):
     await fc.make_safe()
     b.cut = True
     await asyncio.sleep(4.0)
@@ -96,7 +96,7 @@ async def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors
 
 
 @on_bench("bench")
-async def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motors_are_off(b, fc, /):
+async def test_pilot_takeover_during_landing_is_kept_until_disarmed(b, fc, /):
     await up(fc)
     await fc.make_safe()
     await asyncio.sleep(2.0)
@@ -118,8 +118,8 @@ async def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its
 
 @pytest.mark.parametrize("role", ["go_home", "brake"])
 @on_bench("bench")
-async def test_what_a_failsafe_has_taken_is_watched_on(b, fc, /, role):
-    """Nobody has it: to leave it would take our heartbeats away, and another failsafe would come."""
+async def test_failsafe_mode_in_the_safe_state_is_watched_until_rest(b, fc, /, role):
+    """No pilot controls it: without heartbeats of the driver another failsafe would follow."""
     await up(fc)
     await fc.make_safe()
     await asyncio.sleep(2.0)
@@ -133,7 +133,7 @@ async def test_what_a_failsafe_has_taken_is_watched_on(b, fc, /, role):
 
 
 @on_bench("bench")
-async def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(b, fc, /):
+async def test_failsafe_from_before_the_stop_is_watched_until_rest(b, fc, /):
     await up(fc)
     b.autopilot.go_home()
     await asyncio.sleep(1.5)
@@ -144,7 +144,7 @@ async def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(b, fc, /):
 
 
 @on_bench("bench", safe_state="hold")
-async def test_one_that_is_led_out_of_its_safe_state_is_not_at_rest(b, fc, /):
+async def test_vehicle_taken_out_of_its_safe_state_is_not_at_rest(b, fc, /):
     await up(fc)
     await fc.make_safe()
     await watched(fc)
@@ -154,7 +154,7 @@ async def test_one_that_is_led_out_of_its_safe_state_is_not_at_rest(b, fc, /):
 
 
 @on_bench("bench", kind="rover", safe_state="hold")
-async def test_a_rover_is_at_rest_when_it_stands(b, fc, /):
+async def test_rover_is_at_rest_when_it_stands(b, fc, /):
     await fc.execute("arm", [])
     for _ in range(8):
         await fc.execute("setVelocity", [2.0, 0.0, 0.0])
@@ -167,20 +167,20 @@ async def test_a_rover_is_at_rest_when_it_stands(b, fc, /):
 
 
 @on_bench("bench", kind="rover", safe_state="return")
-async def test_a_rover_that_returns_is_at_rest_at_home_and_not_before(b, fc, /):
+async def test_returning_rover_is_at_rest_only_at_home(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("goTo", [15.0, 0.0, 0.0])
     await fc.make_safe()
-    assert fc.moving(), "it only begins to drive"
+    assert fc.moving(), "it has just started to drive"
     await watched(fc)
     assert math.hypot(*b.autopilot.vehicle.place[:2]) < 6.0
 
 
-# -- what is said of states that the fakes do not have -------------------------------------------------
+# -- descriptions of states that the fakes do not have --------------------------------------------------
 
 
 class Known:
-    """What is known of a vehicle, as Rest and Motion look at it."""
+    """The known state of a vehicle, as StandstillCheck and Motion read it."""
 
     def __init__(self, stack, kind, mode, safe_state="land", **known):
         self.profile, self.kind = PROFILES[stack, kind], kind
@@ -216,7 +216,7 @@ class Known:
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        # What is not known is not rest, unless the motors are off.
+        # An unknown state is not rest, unless the motors are off.
         (Known(ARDUPILOT, "copter", "LAND", landed=None), "motors on, at an unknown speed"),
         (Known(ARDUPILOT, "copter", "LAND", landed=None, armed=False), ""),
         (Known(ARDUPILOT, "copter", "LAND"), "in the air, at an unknown speed"),
@@ -236,7 +236,7 @@ class Known:
         (Known(ARDUPILOT, "copter", "BRAKE", "hold", landed=True, speeds=(0, 0)), "on the ground, motors on"),
         (Known(PX4, "copter", "TERMINATION", height=3.0, speeds=(0, -5.0)),
          "3.0 m up, sinking at 5.0 m/s, in TERMINATION"),
-        # A fixed wing rests when it circles where it was asked to.
+        # A fixed wing is at rest when it circles at its target.
         (
             Known(ARDUPILOT, "plane", "RTL", "return", type=1, height=80.0, speeds=(18.0, 0.2),
                   position=(400.0, 300.0, -80.0)),
@@ -247,7 +247,7 @@ class Known:
                   position=(40.0, 30.0, -80.0)),
             "",
         ),
-        # One that takes off vertically comes down at home, and so does PX4's.
+        # A VTOL descends at home, and so does a plane of PX4.
         (
             Known(ARDUPILOT, "plane", "RTL", "return", type=22, height=80.0, speeds=(18.0, 0.0),
                   position=(40.0, 30.0, -80.0)),
@@ -270,35 +270,35 @@ class Known:
         (Known(ARDUPILOT, "submarine", "POSHOLD", "hold", landed=True, height=-4.2, speeds=(0.1, 0.0)), ""),
     ],
 )  # fmt: skip
-def test_words(known, words):
+def test_description_of_the_remaining_motion(known, words):
     assert known.moving() == words
 
 
-def test_nothing_heard_at_all():
+def test_vehicle_without_any_message_is_described():
     known = Known(ARDUPILOT, "copter", "", heartbeat_at=None, silence=math.inf, armed=False)
     assert known.moving() == "no message yet"
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "STABILIZE", "AUTO", "mode 77"])
-def test_modes_of_others(mode):
+def test_mode_of_a_pilot_is_described(mode):
     known = Known(ARDUPILOT, "copter", mode, height=9.0, speeds=(0.0, 0.0))
     assert known.moving(ours=False) == f"flown by a pilot in {mode}, 9.0 m up"
     known.armed = False
     assert known.moving(ours=False) == ""
 
 
-def test_a_rover_in_the_hands_of_a_pilot():
+def test_rover_steered_by_a_pilot_is_described():
     known = Known(ARDUPILOT, "rover", "MANUAL", landed=True, type=10, speeds=(1.5, 0.0))
     assert known.moving(ours=False) == "steered by a pilot in MANUAL, motors on, moving at 1.5 m/s"
 
 
-# -- whose landing it is -------------------------------------------------------------------------------
+# -- control of a landing -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [("goTo", [20.0, 0.0, -5.0]), ("setVelocity", [1.0, 0.0, 0.0])])
 @on_bench("bench", flavour="px4", safe_state="hold")
-async def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(b, fc, /, order):
-    """Else the next safe state would be left to a pilot whom there is not."""
+async def test_refused_order_during_a_px4_landing_keeps_control(b, fc, /, order):
+    """Else the next safe state would be left to a pilot that does not exist."""
     await up(fc)
     landing = asyncio.create_task(fc.execute("land", []))
     await asyncio.sleep(2.0)

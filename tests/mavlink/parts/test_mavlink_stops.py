@@ -1,4 +1,4 @@
-"""Stops that come while an arming, or the silence of the vehicle, is not known yet."""
+"""Stops during an unfinished arming, or during an undetected silence of the vehicle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.errors import DeviceError
 
 
 def slow(bench, seconds):
-    """What the driver sends takes so long to arrive."""
+    """Delays the packets of the driver by so many seconds."""
     for link in bench.links:
         deliver, loop = link._deliver, asyncio.get_running_loop()
         link._deliver = lambda data, deliver=deliver, loop=loop: loop.call_later(seconds, deliver, data)
@@ -23,9 +23,7 @@ def slow(bench, seconds):
 @pytest.mark.parametrize("back", [0.0, 0.4, 1.2])
 @pytest.mark.parametrize("after", [0.0, 0.05, 0.3])
 @on_bench("bench", given="flavour")
-async def test_an_arming_that_is_under_way_at_a_stop_does_not_outlive_it(
-    b, fc, /, flavour, there, back, after
-):
+async def test_arming_in_progress_does_not_survive_a_stop(b, fc, /, flavour, there, back, after):
     slow(b, there)
     b.faults.apply([f"delay={back}"])
     await asyncio.sleep(3.0)
@@ -40,7 +38,7 @@ async def test_an_arming_that_is_under_way_at_a_stop_does_not_outlive_it(
 
 
 async def safe(fc):
-    """Made safe as the guard does it: again until it is confirmed, and until it is at rest."""
+    """Repeats the safe state as the guard does, until it is confirmed and the vehicle is at rest."""
     for _ in range(20):
         try:
             await fc.make_safe()
@@ -55,7 +53,7 @@ async def safe(fc):
 
 @pytest.mark.parametrize("before", [0.3, 1.0, 2.0])
 @on_bench("bench")
-async def test_a_vehicle_that_fell_silent_before_a_stop_has_not_been_seen(b, fc, /, before):
+async def test_stop_of_a_silent_vehicle_is_not_confirmed(b, fc, /, before):
     b.cut = True
     await asyncio.sleep(before)
     begun = asyncio.get_running_loop().time()
@@ -67,7 +65,7 @@ async def test_a_vehicle_that_fell_silent_before_a_stop_has_not_been_seen(b, fc,
 
 
 @on_bench("bench")
-async def test_one_that_is_silent_in_the_hands_of_a_pilot_has_not_been_seen(b, fc, /):
+async def test_stop_of_a_silent_vehicle_under_pilot_control_fails(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [4.0])
     b.autopilot.command_mode("LOITER")
@@ -80,14 +78,14 @@ async def test_one_that_is_silent_in_the_hands_of_a_pilot_has_not_been_seen(b, f
 
 
 @on_bench("bench")
-async def test_a_vehicle_that_stands_with_its_motors_off_is_seen_within_a_heartbeat(b, fc, /):
+async def test_stop_of_a_disarmed_vehicle_takes_one_heartbeat(b, fc, /):
     begun = asyncio.get_running_loop().time()
     await fc.make_safe()
     assert asyncio.get_running_loop().time() - begun <= 1.0
 
 
 @on_bench("bench")
-async def test_what_flies_is_told_to_land_at_once(b, fc, /):
+async def test_stop_of_a_flying_vehicle_lands_at_once(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [4.0])
     making = asyncio.create_task(fc.make_safe())
@@ -97,10 +95,10 @@ async def test_what_flies_is_told_to_land_at_once(b, fc, /):
 
 
 @on_bench("bench")
-async def test_one_that_arms_although_it_said_that_its_motors_are_off_is_disarmed(b, fc, /):
-    """An arming that nobody here has sent: seen by the heartbeat that the stop waits for."""
+async def test_stop_disarms_a_vehicle_armed_by_another_station(b, fc, /):
+    """The foreign arming is detected by the heartbeat that the stop waits for."""
     b.autopilot.command_mode("GUIDED")
     b.autopilot.arm()
-    assert fc.moving() == "", "it is not heard of yet"
+    assert fc.moving() == "", "it is not reported yet"
     await fc.make_safe()
     assert not b.autopilot.armed

@@ -1,4 +1,4 @@
-"""What the autopilot keeps for a binding: looked at, never written, refused when it is wrong or too slow."""
+"""Failsafe settings of the autopilot for a binding: read, not written, refused if wrong or too slow."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ def written(b):
 
 
 def without(b, name):
-    """The vehicle says nothing that has this name in it, as one that does not have the parameter."""
+    """Drops packets with this name, like a vehicle without the parameter."""
     deliver = b.filter
     b.filter = lambda link, packet: None if name in packet else deliver(link, packet)
 
 
 async def set_up(fc):
-    """What `lfield setup` does to one device."""
+    """The steps of `lfield setup` for one device."""
     await fc.find()
     for setting in mismatched(await fc.settings()):
         await fc.write_setting(setting.name, setting.wanted)
 
 
-def told(uid, uid2):
-    """What a fake tells instead of its own board."""
+def board_report(uid, uid2):
+    """A report of the fake with another board id."""
     return lambda autopilot, place: dialect.MAVLink_autopilot_version_message(
         autopilot.flavour.capabilities, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid, uid2
     )
@@ -51,7 +51,7 @@ def told(uid, uid2):
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", board=0x3F21, faults=("loss=0.2",), given="flavour")
-async def test_it_is_told_by_its_board_also_after_a_reboot(b, fc, /, flavour):
+async def test_serial_is_the_board_uid_also_after_a_reboot(b, fc, /, flavour):
     first = await fc.serial()
     b.autopilot.reboot()
     await fc.find()
@@ -66,8 +66,8 @@ async def test_it_is_told_by_its_board_also_after_a_reboot(b, fc, /, flavour):
         (0, [0] * 18, ""),
     ],
 )
-def test_the_longer_number_of_a_board_wins(bench, monkeypatch, uid, uid2, serial):
-    monkeypatch.setitem(MESSAGES, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, told(uid, uid2))
+def test_longer_board_uid_is_preferred(bench, monkeypatch, uid, uid2, serial):
+    monkeypatch.setitem(MESSAGES, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, board_report(uid, uid2))
 
     async def story(fc):
         return await fc.serial()
@@ -75,16 +75,17 @@ def test_the_longer_number_of_a_board_wins(bench, monkeypatch, uid, uid2, serial
     assert bench().run(story) == serial
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
 @on_bench("bench", limits={"speed": 1.5}, set_up=False, given="flavour kind safe_state=state", opened=False)
-async def test_a_stock_vehicle_is_refused_set_up_and_then_opened(b, fc, /, flavour, kind, state):
+async def test_stock_vehicle_is_refused_then_set_up_and_opened(b, fc, /, flavour, kind, state):
     with pytest.raises(DeviceNotSetUp, match="it is not set up for its binding: ") as refused:
         await fc.open()
     assert written(b) == []
     named = [setting.name for setting in mismatched(await fc.settings())]
     assert f"{named[0]} is " in refused.value.reason
-    told = [note for note in b.notes if note.code == "setting-mismatch"]
-    assert all(any(f" {name} is " in note for note in told) for name in named)
+    mismatches = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert all(any(f" {name} is " in note for note in mismatches) for name in named)
     await set_up(fc)
     assert sorted(written(b)) == sorted(named)
     await fc.open()
@@ -93,22 +94,23 @@ async def test_a_stock_vehicle_is_refused_set_up_and_then_opened(b, fc, /, flavo
     assert written(b).count("NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE") == 1
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
 @pytest.mark.parametrize("ttl", [0.1, 4.0])
-def test_the_fakes_of_a_mission_come_set_up(bench, flavour, kind, state, ttl):
+def test_fakes_of_a_mission_need_no_setup(bench, flavour, kind, state, ttl):
     b = bench(flavour=flavour, kind=kind, safe_state=state, ttl=ttl, limits={"speed": 1.5})
     b.run(lambda fc: asyncio.sleep(0.1))
     assert written(b) == []
 
 
 @pytest.mark.parametrize(("state", "action"), [("land", 5), ("hold", 7), ("return", 1)])
-def test_a_copter_does_by_itself_what_its_safe_state_is(bench, state, action):
+def test_copter_setup_maps_the_safe_state_to_its_failsafe(bench, state, action):
     b = bench(safe_state=state, ttl=1.0, waivers=(), set_up=False)
     b.run(set_up, opened=False)
     assert read(b, "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "GUID_TIMEOUT", "FS_OPTIONS") == [action, 2, 2, 24]
 
 
-def test_times_that_are_short_enough_are_right_as_they_are(bench):
+def test_short_enough_failsafe_times_are_accepted(bench):
     b = bench(ttl=2.0, waivers=(), set_up=False)
     b.autopilot.parameters.update(
         {
@@ -126,7 +128,7 @@ def test_times_that_are_short_enough_are_right_as_they_are(bench):
     ("flavour", "kind", "least"),
     [("ardupilot", "copter", 2), ("ardupilot", "rover", 3)],
 )
-def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench, flavour, kind, least):
+def test_ttl_below_the_autopilot_minimum_needs_a_waiver(bench, flavour, kind, least):
     def opened(ttl):
         b = bench(flavour=flavour, kind=kind, ttl=ttl, waivers=())
         b.run(lambda fc: asyncio.sleep(0.1))
@@ -139,7 +141,7 @@ def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench
 
 
 @pytest.mark.parametrize(("waived", "seconds"), [((), 1.0), (("autonomous_motion",), 7.0)])
-def test_a_px4_that_moves_by_setpoints_alone_needs_no_waiver_of_its_watchdog(bench, waived, seconds):
+def test_px4_with_setpoints_only_needs_no_watchdog_waiver(bench, waived, seconds):
     b = bench(flavour="px4", ttl=0.5, waivers=(*waived, "device_watchdog"))
 
     async def story(fc):
@@ -155,7 +157,7 @@ def test_a_px4_that_moves_by_setpoints_alone_needs_no_waiver_of_its_watchdog(ben
     [(0.1, 0.25, 5), (0.5, 1.0, 5), (4.0, 1.0, 6), (7.0, 1.0, 10)],
 )
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
-def test_px4_acts_at_once_when_setpoints_end_and_lets_a_pilot_take_over(bench, state, ttl, setpoints, lost):
+def test_px4_setup_acts_on_lost_setpoints_and_permits_a_pilot(bench, state, ttl, setpoints, lost):
     b = bench(flavour="px4", ttl=ttl, safe_state=state, set_up=False)
     b.run(set_up, opened=False)
     assert read(b, "COM_FAIL_ACT_T", "COM_OF_LOSS_T", "COM_DL_LOSS_T") == [0, setpoints, lost]
@@ -165,31 +167,31 @@ def test_px4_acts_at_once_when_setpoints_end_and_lets_a_pilot_take_over(bench, s
     )
 
 
-def test_sticks_that_take_over_already_stay_as_their_owner_has_them(bench):
+def test_px4_setup_keeps_an_enabled_stick_override(bench):
     b = bench(flavour="px4", set_up=False)
     b.autopilot.parameters["COM_RC_OVERRIDE"] = 2
     b.run(set_up, opened=False)
     assert read(b, "COM_RC_OVERRIDE") == [2]
 
 
-def test_an_ardupilot_is_set_up_for_its_own_station_and_goes_on_with_no_mission(bench):
+def test_ardupilot_setup_sets_its_station_and_mission_failsafe(bench):
     b = bench(set_up=False, ttl=9.0)
     b.autopilot.parameters.update({"FS_OPTIONS": 2 | 16, "MAV_GCS_SYSID_HI": 255})
     b.run(set_up, opened=False)
     assert read(b, "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "FS_OPTIONS", "FS_GCS_TIMEOUT") == [128, 0, 24, 2]
 
 
-def test_a_rover_stops(bench):
+def test_rover_setup_holds_on_a_failsafe(bench):
     b = bench(kind="rover", ttl=1.5, waivers=(), set_up=False)
     b.run(set_up, opened=False)
     assert read(b, "FS_GCS_ENABLE", "FS_ACTION", "FS_GCS_TIMEOUT", "FS_TIMEOUT") == [1, 2, 2, 1]
 
 
-def test_the_speed_limit_is_the_autopilots_too(bench):
+def test_setup_writes_the_speed_limit_to_the_autopilot(bench):
     b = bench(limits={"speed": 3.0}, set_up=False)
     b.autopilot.parameters.update({"WPNAV_SPEED": 1000, "RTL_SPEED": 400})
     b.run(set_up, opened=False)
-    # A return is as fast as all else.
+    # RTL_SPEED 0: a return uses WPNAV_SPEED.
     assert read(b, "WPNAV_SPEED", "RTL_SPEED") == [300, 0]
     faster = bench(limits={"speed": 12.0}, set_up=False)
     faster.autopilot.parameters.update({"WPNAV_SPEED": 1000, "RTL_SPEED": 400})
@@ -197,7 +199,7 @@ def test_the_speed_limit_is_the_autopilots_too(bench):
     assert read(faster, "WPNAV_SPEED", "RTL_SPEED") == [1000, 400]
 
 
-def test_a_parameter_that_cannot_be_written_is_told(bench):
+def test_setup_reports_a_parameter_that_cannot_be_written(bench):
     b = bench(set_up=False)
 
     class Fixed(dict):
@@ -215,14 +217,14 @@ def test_a_parameter_that_cannot_be_written_is_told(bench):
 
 
 @on_bench("bench")
-async def test_nothing_is_written_while_it_is_armed(b, fc, /):
+async def test_settings_are_not_written_while_armed(b, fc, /):
     await fc.execute("arm", [])
     with pytest.raises(DeviceError, match="nothing was written: its motors are on"):
         await fc.write_setting("FS_GCS_TIMEOUT", 5.0)
     assert written(b) == []
 
 
-def test_a_failsafe_that_is_not_told_is_an_error_at_opening(bench):
+def test_open_fails_without_a_reported_failsafe_parameter(bench):
     b = bench()
     without(b, b"FS_GCS_ENABLE")
 
@@ -234,7 +236,7 @@ def test_a_failsafe_that_is_not_told_is_an_error_at_opening(bench):
     b.run(mission, opened=False)
 
 
-def test_an_older_name_of_a_parameter_is_found(bench):
+def test_older_parameter_name_is_found(bench):
     b = bench(set_up=False)
     without(b, b"MAV_GCS_SYSID")
     older = dialect.MAVLink_param_value_message(b"SYSID_MYGCS", 1.0, dialect.MAV_PARAM_TYPE_INT16, 1, 0)
@@ -249,13 +251,13 @@ def test_an_older_name_of_a_parameter_is_found(bench):
 
 
 @on_bench("bench", ttl=1.0, waivers=())
-async def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(b, fc, /):
+async def test_changed_failsafe_parameter_blocks_arming(b, fc, /):
     b.autopilot.parameters["FS_GCS_ENABLE"] = 0
     b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
     with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, and 1 more"):
         await fc.execute("arm", [])
-    told = [note for note in b.notes if note.code == "setting-mismatch"]
-    assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in told)
+    mismatches = [note for note in b.notes if note.code == "setting-mismatch"]
+    assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in mismatches)
     assert not b.autopilot.armed
     assert b.values["gcsFailsafe"] is False
     assert written(b) == []
@@ -263,7 +265,7 @@ async def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming
 
 @pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.0), ("px4", 0.5, 2.0)])
 @on_bench("bench", waivers=(), given="flavour ttl")
-async def test_when_we_are_quiet_the_autopilot_acts_by_itself(b, fc, /, flavour, ttl, within):
+async def test_autopilot_failsafe_acts_when_the_driver_is_silent(b, fc, /, flavour, ttl, within):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     b.driver.quiet()
@@ -271,7 +273,7 @@ async def test_when_we_are_quiet_the_autopilot_acts_by_itself(b, fc, /, flavour,
     await asyncio.sleep(within)
     assert b.autopilot.mode in ("LAND", "AUTO.LAND")
     assert len(b.sent) == sent
-    # The safe state is still sent, and heartbeats come again when the owner does.
+    # The safe state is still sent, and heartbeats resume with the owner.
     await fc.make_safe()
     b.driver.resume()
     await asyncio.sleep(1.0)
@@ -279,13 +281,13 @@ async def test_when_we_are_quiet_the_autopilot_acts_by_itself(b, fc, /, flavour,
 
 
 @on_bench("bench", ttl=1.0, waivers=(), faults=("loss=0.2",))
-async def test_our_heartbeats_keep_it_flying(b, fc, /):
+async def test_driver_heartbeats_prevent_the_failsafe_with_losses(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [5.0])
     await asyncio.sleep(60.0)
     assert b.autopilot.mode == "GUIDED"
 
 
-def test_every_kind_has_a_time_that_counts():
+def test_every_vehicle_kind_has_a_link_timeout():
     for kind, needs in NEEDS.items():
         assert "link" in {need.clock for need in needs}, kind

@@ -1,4 +1,4 @@
-"""Files by MAVLink FTP against a scripted server: bursts with gaps, refusals in words, sessions ended."""
+"""MAVLink FTP against a scripted server: bursts with gaps, refusals, session ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TO_US = (255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
 
 
 class Server:
-    """One session, as PX4 has it. `unknown` opcodes are refused as such; `burst` packets make a burst."""
+    """One session, like PX4. `unknown` opcodes are refused; `burst` packets make a burst."""
 
     def __init__(self, files=None, *, unknown=(Opcode.LIST_WITH_TIME,), burst=5) -> None:
         self.files: dict[str, bytes] = dict(files or {})
@@ -141,7 +141,7 @@ BIG = bytes(range(256)) * 40
 
 @pytest.mark.parametrize("unknown", [(), (Opcode.BURST_READ,), (Opcode.CRC32, Opcode.LIST_WITH_TIME)])
 @pytest.mark.parametrize("data", [b"", b"x", b"y" * DATA, BIG], ids=["empty", "one", "packet", "big"])
-def test_a_file_is_written_and_read(unknown, data):
+def test_file_is_written_and_read(unknown, data):
     server = Server(unknown=unknown)
     _, files = joined(server)
 
@@ -155,13 +155,13 @@ def test_a_file_is_written_and_read(unknown, data):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_gaps_of_a_burst_are_filled(seed):
+def test_gaps_of_a_burst_are_filled_by_single_reads(seed):
     server = Server({"/a": BIG}, burst=1000)
     _, files = joined(server, seed=seed, loss=0.2, repeat=0.2, overtake=0.2)
     assert run(files.read("/a"), 200.0) == BIG
 
 
-def test_a_burst_alone_reads_most():
+def test_complete_burst_needs_no_single_reads():
     server = Server({"/a": BIG}, burst=1000)
     _, files = joined(server)
     run(files.read("/a"), 5.0)
@@ -170,7 +170,7 @@ def test_a_burst_alone_reads_most():
 
 
 @pytest.mark.parametrize("unknown", [(), (Opcode.LIST_WITH_TIME,)])
-def test_a_folder_is_listed_by_the_request_that_is_known(unknown):
+def test_folder_is_listed_by_a_supported_request(unknown):
     server = Server({f"/file{number:02}.txt": b"12345" for number in range(30)}, unknown=unknown)
     _, files = joined(server)
     found = run(files.list_folder("/"), 60.0)
@@ -191,7 +191,7 @@ def test_a_folder_is_listed_by_the_request_that_is_known(unknown):
         (lambda files: files.write("/a", bytes(MAX_FILE + 1)), "exceed the limit"),
     ],
 )
-def test_refusals_in_words(ask, words):
+def test_refusal_names_path_and_reason_and_ends_the_session(ask, words):
     server = Server({"/a": b"1", "/big": BIG})
     _, files = joined(server)
 
@@ -199,13 +199,13 @@ def test_refusals_in_words(ask, words):
         with pytest.raises(DeviceError, match=words):
             await ask(files)
         await asyncio.sleep(1.0)
-        # The session was ended, so the next transfer gets it.
+        # The session has ended, so the next transfer can use it.
         return await files.read("/a")
 
     assert run(story(), 30.0) == b"1"
 
 
-def test_a_full_card_is_told_and_the_session_ended():
+def test_full_card_is_reported_and_ends_the_session():
     server = Server()
     server.breaks_writes = True
     _, files = joined(server)
@@ -219,7 +219,7 @@ def test_a_full_card_is_told_and_the_session_ended():
     assert server.session is None
 
 
-def test_a_damaged_file_is_an_error():
+def test_checksum_mismatch_is_an_error():
     server = Server({"/a": b"right"})
     server.on_crc32 = lambda request: [server.ack(request, (1).to_bytes(4, "little"))]
     _, files = joined(server)
@@ -227,14 +227,14 @@ def test_a_damaged_file_is_an_error():
         run(files.read("/a"), 5.0)
 
 
-@pytest.mark.parametrize("told", [100_000, 1 << 22])
+@pytest.mark.parametrize("announced", [100_000, 1 << 22])
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_made_while_it_is_read_ends_where_it_ends(told, seed):
-    """As measured on ArduPilot: @PARAM/param.pck told 15996 bytes and was 14701, its checksum another's."""
+def test_generated_file_is_read_to_its_real_end(announced, seed):
+    """As measured on ArduPilot: @PARAM/param.pck announced 15996 bytes and had 14701, wrong checksum."""
     server = Server({"@SYS/uarts.txt": BIG}, burst=1000)
     server.on_crc32 = lambda request: [server.ack(request, (1).to_bytes(4, "little"))]
     opened = server.opened
-    server.opened = lambda request, path, data: opened(request, path, told.to_bytes(4, "little"))
+    server.opened = lambda request, path, data: opened(request, path, announced.to_bytes(4, "little"))
     _, files = joined(server, seed=seed, loss=0.2 if seed else 0.0)
 
     async def story():
@@ -246,7 +246,7 @@ def test_what_is_made_while_it_is_read_ends_where_it_ends(told, seed):
 
 
 @pytest.mark.parametrize("refusal", [NakCode.FAIL, NakCode.NO_SESSIONS])
-def test_a_second_file_that_is_not_opened_says_why(refusal):
+def test_refused_open_explains_the_single_session(refusal):
     server = Server({"/a": b"1"})
     server.opened = lambda request, path, data: [server.nak(request, refusal)]
     _, files = joined(server)
@@ -254,7 +254,7 @@ def test_a_second_file_that_is_not_opened_says_why(refusal):
         run(files.read("/a"), 5.0)
 
 
-def test_a_session_that_could_not_be_ended_is_reset_by_the_next_transfer():
+def test_next_transfer_resets_a_session_that_could_not_end():
     server = Server({"/a": b"1", "/big": BIG})
     end, server.on_terminate = server.on_terminate, lambda request: []
     _, files = joined(server)
@@ -269,7 +269,7 @@ def test_a_session_that_could_not_be_ended_is_reset_by_the_next_transfer():
     assert server.resets == 2
 
 
-def test_a_cancelled_read_ends_its_session():
+def test_cancelled_read_ends_its_session():
     server = Server({"/a": BIG}, burst=1, unknown=())
     _, files = joined(server)
 
@@ -287,14 +287,14 @@ def test_a_cancelled_read_ends_its_session():
     assert run(story(), 10.0) == BIG
 
 
-def test_silence_is_an_error_within_5_seconds():
+def test_silent_server_is_an_error_within_5_seconds():
     files = FileTransfer(Channel(lambda message: []))
     with pytest.raises(DeviceError, match="did not answer") as raised:
         run(files.read("/a"), 5.01)
     assert raised.value.kind == "DeviceTimeoutException"
 
 
-def test_a_server_that_never_ends_a_list_is_left():
+def test_endless_folder_listing_is_an_error():
     def answer(message):
         request = decode(message.payload)
         data = b"Fx\t1\0" * 20 if request.opcode == Opcode.LIST_WITH_TIME else b""
@@ -307,7 +307,7 @@ def test_a_server_that_never_ends_a_list_is_left():
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.integers(0, 255), max_size=300))
-def test_any_payload_is_a_packet_or_none(payload):
+def test_any_payload_is_decoded_or_rejected(payload):
     packet = decode(payload)
     if packet is None:
         assert len(payload) != PACKET or payload[4] > DATA
@@ -318,15 +318,16 @@ def test_any_payload_is_a_packet_or_none(payload):
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=DATA))
-def test_any_listing_is_bounded(data):
+def test_any_listing_gives_a_bounded_number_of_entries(data):
     found, taken = entries(data)
     assert len(found) <= taken <= len(data)
     assert all(entry.size >= 0 for entry in found)
 
 
+@pytest.mark.few(0)
 @settings(max_examples=15, deadline=None)
 @given(st.binary(min_size=PACKET, max_size=PACKET), st.integers(0, 15), st.booleans())
-def test_a_server_that_talks_nonsense_is_survived(noise, opcode, right_number):
+def test_random_server_answers_end_in_bounded_time(noise, opcode, right_number):
     """Answers with a right number and wrong contents end in a result or a declared error, in bounded time."""
 
     def answer(message):
@@ -354,7 +355,7 @@ def test_a_server_that_talks_nonsense_is_survived(noise, opcode, right_number):
 
 
 @given(st.integers(0, 200), st.lists(st.tuples(st.integers(0, 300), st.binary(max_size=80)), max_size=20))
-def test_pieces_never_grow_and_know_their_gaps(size, pieces):
+def test_pieces_stay_within_the_size_and_find_the_first_gap(size, pieces):
     file, have = Pieces(size), set()
     for start, piece in pieces:
         file.put(start, piece)

@@ -1,4 +1,4 @@
-"""Which missions stay inside the limits, item by item: by the rules alone, without a vehicle."""
+"""Missions inside or beyond the limits, item by item: the rules alone, without a vehicle."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SEA, ABOVE_HOME, TERRAIN, MISSION, LOCAL = 0, 6, 11, 2, 1
 
 
 def item(name, north=0.0, east=0.0, height=10.0, frame=ABOVE_HOME, p=(0.0, 0.0, 0.0, 0.0)):
-    """The item MAV_CMD_`name` at metres of home, with the first parameters of `p`."""
+    """The item MAV_CMD_`name` at metres from home, with the first parameters of `p`."""
     there = HOME.shifted((north, east, 0.0))
     parameters = (*p, 0.0, 0.0, 0.0, 0.0)[:4]
     number = name if isinstance(name, int) else getattr(dialect, f"MAV_CMD_{name}")
@@ -34,7 +34,7 @@ def item(name, north=0.0, east=0.0, height=10.0, frame=ABOVE_HOME, p=(0.0, 0.0, 
 
 
 def refusal(*items, limits=ALL, **about):
-    """Why a mission is refused, '' when it is not."""
+    """The reason for refusing a mission, '' if it is accepted."""
     binding = bind(PLUGIN, limits=limits, options={"system": 1})
     situation = Situation(**{"kind": "copter", "px4": False, "home": HOME, "here": (0.0, 0.0, -5.0)} | about)
     try:
@@ -66,7 +66,7 @@ PLACED = [
 
 
 @pytest.mark.parametrize("name", PLACED)
-def test_what_has_a_place_is_held_to_all_limits(name):
+def test_item_with_a_position_is_checked_against_all_limits(name):
     assert refusal(item(name, 50.0)) == ""
     assert "beyond the limit of 100 m" in refusal(item(name, 1000.0))
     assert "beyond the limit of 100 m" in refusal(item(name, 80.0, 80.0))
@@ -85,11 +85,11 @@ def test_what_has_a_place_is_held_to_all_limits(name):
 
 
 @pytest.mark.parametrize("name", ["NAV_TAKEOFF", "NAV_LAND", "NAV_WAYPOINT"])
-def test_the_place_where_it_then_is(name):
+def test_item_without_coordinates_means_the_current_position(name):
     number = getattr(dialect, f"MAV_CMD_{name}")
     assert refusal(Item(number, ABOVE_HOME, HERE, HERE, 10.0)) == ""
     assert refusal(Item(number, ABOVE_HOME, 0, 0, 10.0)) == ""
-    # For PX4 latitude and longitude 0 are a place.
+    # For PX4 latitude and longitude 0 are a position.
     assert "beyond" in refusal(Item(number, ABOVE_HOME, 0, 0, 10.0), px4=True)
     assert "above" in refusal(Item(number, ABOVE_HOME, HERE, HERE, 31.0))
 
@@ -97,7 +97,7 @@ def test_the_place_where_it_then_is(name):
 @pytest.mark.parametrize(
     ("bad", "good"),
     [
-        # Circles are as far out as their radius.
+        # Circles: the radius counts.
         (item("NAV_LOITER_TURNS", 80.0, p=(1.0, 0.0, 30.0)), item("NAV_LOITER_TURNS", 80.0, p=(1, 0, 15.0))),
         (item("NAV_LOITER_TURNS", 80.0, p=(1.0, 0.0, -30.0)), item("NAV_LOITER_TURNS", 80.0, p=(1, 0, -9.0))),
         (item("DO_ORBIT", 80.0, p=(30.0, 2.0)), item("DO_ORBIT", 80.0, p=(15.0, 2.0))),
@@ -120,26 +120,26 @@ def test_the_place_where_it_then_is(name):
         (item("CONDITION_CHANGE_ALT", height=40.0), item("CONDITION_CHANGE_ALT", height=20.0)),
         (item("DO_GUIDED_LIMITS", p=(0, 0, 530.0)), item("DO_GUIDED_LIMITS", p=(0, 0, 510.0, 50.0))),
         (item("DO_GUIDED_LIMITS", p=(0, 0, 0, 101.0)), item("DO_GUIDED_LIMITS", p=(0, 0, 0, 100.0))),
-        # What takes protection away.
+        # Removal of a protection.
         (item("DO_FENCE_ENABLE", p=(0.0,)), item("DO_FENCE_ENABLE", p=(1.0,))),
         (item("NAV_CONTINUE_AND_CHANGE_ALT"), item("NAV_DELAY", p=(3.0,), frame=MISSION)),
         (item("DO_SET_HOME", 10.0), item("DO_SET_ROI", 5000.0)),
         (item("DO_SET_HOME", p=(1.0,)), item("DO_LAND_START", 5000.0)),
     ],
 )
-def test_numbers_beside_the_place(bad, good):
+def test_item_parameters_are_checked_against_the_limits(bad, good):
     assert refusal(bad) != ""
     assert refusal(good) == ""
     assert refusal(bad, limits={}) == ""
 
 
 def on_the_wire(value):
-    """As a float of 32 bits, which may be above the number."""
+    """The value as a 32-bit float, which may be larger."""
     return struct.unpack("f", struct.pack("f", value))[0]
 
 
 @pytest.mark.parametrize("limit", [2.7, 5.4, 0.1, 12.3, 25.6])
-def test_a_value_at_its_limit_is_inside_as_the_wire_rounds_it(limit):
+def test_value_at_its_limit_is_accepted_despite_float32_rounding(limit):
     speed = item("DO_CHANGE_SPEED", p=(1.0, on_the_wire(limit)))
     assert refusal(speed, limits={"speed": limit}) == ""
     assert "above the limit" in refusal(
@@ -155,49 +155,49 @@ def test_a_value_at_its_limit_is_inside_as_the_wire_rounds_it(limit):
 
 
 @pytest.mark.parametrize("kind", [0.0, 1.0, 2.0, 3.0])
-def test_a_rover_drives_at_every_kind_of_speed(kind):
+def test_every_speed_type_is_limited_for_a_rover(kind):
     assert "above the limit" in refusal(item("DO_CHANGE_SPEED", p=(kind, 6.0)), kind="rover")
     assert refusal(item("DO_CHANGE_SPEED", p=(kind, 5.0)), kind="rover") == ""
     assert (refusal(item("DO_CHANGE_SPEED", p=(kind, 6.0)), kind="plane") == "") is (kind > 1.0)
 
 
-def test_a_change_of_home_matters_only_where_places_are_limited():
+def test_change_of_home_is_refused_only_with_position_limits():
     assert "changes home" in refusal(item("DO_SET_HOME", 10.0), limits={"altitude": 30.0})
     assert refusal(item("DO_SET_HOME", 10.0), limits={"speed": 5.0}) == ""
 
 
-def test_a_climb_straight_ahead_where_only_the_height_is_limited():
+def test_continuing_climb_is_accepted_with_only_a_height_limit():
     only = {"altitude": 30.0}
     assert refusal(item("NAV_CONTINUE_AND_CHANGE_ALT", height=20.0), limits=only) == ""
     assert "above" in refusal(item("NAV_CONTINUE_AND_CHANGE_ALT", height=31.0), limits=only)
 
 
 @pytest.mark.parametrize("limits", [{"radius": 100.0}, {"altitude": 30.0}, {"speed": 5.0}])
-def test_every_command_without_a_rule_is_refused_wherever_there_is_a_limit(limits):
+def test_command_without_a_rule_is_refused_under_any_limit(limits):
     numbers = [*sorted(set(dialect.enums["MAV_CMD"]) - set(RULES)), 7, 29999, 65535]
     for number in numbers:
         assert "is not known to stay within the limits" in refusal(item(number), limits=limits)
         assert refusal(item(number), limits={}) == ""
 
 
-def test_what_hands_the_vehicle_to_others_has_no_rule():
+def test_commands_that_hand_over_control_have_no_rule():
     others = "NAV_GUIDED_ENABLE NAV_SCRIPT_TIME NAV_ATTITUDE_TIME NAV_SET_YAW_SPEED NAV_FOLLOW DO_SET_MODE"
     others += " DO_SET_PARAMETER DO_AUX_FUNCTION DO_SEND_SCRIPT_MESSAGE DO_VTOL_TRANSITION DO_GO_AROUND"
     others += " OVERRIDE_GOTO DO_FIGURE_EIGHT NAV_TAKEOFF_LOCAL NAV_LAND_LOCAL DO_PARACHUTE DO_MOTOR_TEST"
     assert not {getattr(dialect, f"MAV_CMD_{name}") for name in others.split()} & set(RULES)
 
 
-def test_a_radius_that_is_not_given_is_that_of_a_parameter():
+def test_missing_loiter_radius_is_taken_from_the_parameter():
     turns = item("NAV_LOITER_TURNS", 80.0, p=(1.0, 0.0, 0.0))
     assert refusal(turns, loiter=10.0) == ""
     assert "beyond" in refusal(turns, loiter=30.0)
     assert "beyond" in refusal(turns, loiter=None)
-    # What has wings circles at each loiter.
+    # A fixed wing circles at each loiter.
     assert "beyond" in refusal(item("NAV_LOITER_TIME", 80.0), kind="plane", loiter=60.0)
     assert "beyond" in refusal(item("NAV_LOITER_TO_ALT", 80.0, p=(0.0, 60.0)), kind="plane")
 
 
-def test_a_return_climbs_and_may_lead_to_a_rally_point():
+def test_return_climb_and_rally_points_are_checked():
     back = item("NAV_RETURN_TO_LAUNCH", frame=MISSION)
     assert refusal(back, climb=Climb(15.0, "RTL_ALT")) == ""
     assert "RTL_ALT" in refusal(back, climb=Climb(40.0, "RTL_ALT"))
@@ -213,20 +213,20 @@ def test_a_return_climbs_and_may_lead_to_a_rally_point():
     assert "rally point 0" in refusal(back, climb=Climb(25.0, "RTL_RETURN_ALT"), rally=near, px4=True)
 
 
-def test_a_return_that_climbs_on_is_held_to_the_limit_from_the_highest_place():
+def test_minimum_climb_of_a_return_counts_from_the_highest_item():
     back, climb = item("NAV_RETURN_TO_LAUNCH", frame=MISSION), Climb(15.0, "RTL_ALT", 10.0, "RTL_CLIMB_MIN")
     assert refusal(item("NAV_WAYPOINT", height=20.0), back, climb=climb) == ""
     assert "climb to 31 m (RTL_CLIMB_MIN)" in refusal(item("NAV_WAYPOINT", height=21.0), back, climb=climb)
 
 
-def test_a_rover_has_no_heights():
+def test_heights_are_ignored_for_a_rover():
     assert refusal(item("NAV_WAYPOINT", 50.0, height=200.0, frame=TERRAIN), kind="rover") == ""
     assert "beyond" in refusal(item("NAV_WAYPOINT", 500.0), kind="rover")
     assert refusal(item("DO_CHANGE_SPEED", p=(1.0, 2.0, 80.0)), kind="rover") != ""
 
 
-def test_a_spline_bulges_beyond_its_places():
-    # It turns round at 95 m: the curve is carried out of the circle by where it came from.
+def test_spline_curve_beyond_its_waypoints_is_checked():
+    # It turns back at 95 m: its incoming direction carries the curve out of the circle.
     bulge = [item("NAV_WAYPOINT", -60.0), item("NAV_WAYPOINT", 0.0), item("NAV_SPLINE_WAYPOINT", 95.0, 0.0)]
     assert refusal(*bulge) == ""
     assert "the curve of item 2" in refusal(*bulge, item("NAV_WAYPOINT", -60.0))
@@ -239,7 +239,7 @@ def test_a_spline_bulges_beyond_its_places():
     assert refusal(*inside, jump, limits={}) == ""
 
 
-def test_a_spline_is_inside_its_corners():
+def test_spline_lies_inside_its_corners():
     before, start, goal, after = (0.0, -20.0, 0.0), (0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (0.0, 10.0, 0.0)
     corners = list(spline_corners(before, start, goal, after))
     begin = tuple(b - a for a, b in zip(before, goal, strict=True))
@@ -262,7 +262,7 @@ def test_a_spline_is_inside_its_corners():
         (270.0, (0.0, 20.0), (-10.0, 10.0)),
     ],
 )
-def test_an_arc_is_inside_its_corners(degrees, north, east):
+def test_arc_lies_inside_its_corners(degrees, north, east):
     corners = arc_corners((0.0, 0.0, -5.0), (10.0, 10.0, -8.0), degrees)
     assert corners is not None
     for axis, span in ((0, north), (1, east)):
@@ -272,7 +272,7 @@ def test_an_arc_is_inside_its_corners(degrees, north, east):
         assert max(values) >= span[1] - 1e-9
 
 
-def test_an_arc_is_held_to_the_limits_as_a_whole():
+def test_complete_arc_is_checked_against_the_limits():
     start = item("NAV_WAYPOINT", 0.0, -80.0)
     assert refusal(start, item("NAV_ARC_WAYPOINT", 0.0, 80.0, p=(60.0,))) == ""
     assert "the arc of item 1" in refusal(start, item("NAV_ARC_WAYPOINT", 0.0, 80.0, p=(250.0,)))
@@ -295,11 +295,11 @@ def test_an_arc_is_held_to_the_limits_as_a_whole():
         (item("NAV_WAYPOINT", height=math.inf), False),
     ],
 )
-def test_what_is_structurally_wrong_is_refused_without_limits(wrong, px4):
+def test_malformed_item_is_refused_without_limits(wrong, px4):
     assert "item 1" in refusal(item("NAV_WAYPOINT"), wrong, limits={}, px4=px4)
 
 
-def test_jumps_that_lead_somewhere():
+def test_jump_with_a_valid_target_is_accepted():
     assert refusal(item("NAV_WAYPOINT"), item("DO_JUMP", p=(1.0, 2.0))) == ""
     assert refusal(item("NAV_WAYPOINT"), item("DO_JUMP", p=(0.0, 2.0)), px4=True) == ""
     assert refusal(item("JUMP_TAG", p=(3.0,)), item("DO_JUMP_TAG", p=(3.0, 1.0))) == ""
@@ -320,5 +320,5 @@ def test_jumps_that_lead_somewhere():
         ((), False),
     ],
 )
-def test_a_takeoff_need_not_be_the_first_item(numbers, begins):
+def test_takeoff_may_follow_items_without_motion(numbers, begins):
     assert starts_with_takeoff([Item(number, MISSION, 0, 0) for number in numbers]) is begins

@@ -1,4 +1,4 @@
-"""Parameters: both encodings exact, questions bounded, lists without gaps."""
+"""Parameters: both encodings exact, requests bounded, lists without gaps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RANGES = {
 
 
 class Autopilot:
-    """Parameters with their types, answered byte for byte; those in `refuses` stay as they are."""
+    """Parameters with their types, encoded byte for byte; those in `refuses` keep their values."""
 
     def __init__(self, encoding: Encoding, values: dict[str, tuple[float, int]]) -> None:
         self.encoding, self.values = encoding, values
@@ -58,7 +58,7 @@ class Autopilot:
         message = dialect.MAVLink_param_value_message(
             name.encode(), raw, kind, len(self.values), sorted(self.values).index(name)
         )
-        # So that the four bytes go out as they are.
+        # Sends the four bytes unchanged.
         message.unpacker = struct.Struct("<4sHH16sB")
         return message
 
@@ -73,7 +73,7 @@ def joined(autopilot, **faults):
 
 
 @pytest.mark.parametrize("encoding", list(Encoding))
-def test_read_and_write(encoding):
+def test_parameters_are_read_and_written_in_both_encodings(encoding):
     autopilot = Autopilot(encoding, {"SPEED": (2.5, REAL), "COUNT_OF_SIXTEEN": (-7, INT8)})
     _, parameters = joined(autopilot)
 
@@ -89,8 +89,8 @@ def test_read_and_write(encoding):
     assert (count, type(count)) == (12, int)
 
 
-def test_integers_are_exact_where_a_float_would_change_them():
-    # As the bytes of a float this is a signalling NaN, which a conversion turns into another.
+def test_integer_that_a_float_would_change_is_exact():
+    # As float bytes this is a signalling NaN, which a conversion changes.
     tricky = -8388607
     autopilot = Autopilot(Encoding.BYTEWISE, {"ID": (0, INT32)})
     _, parameters = joined(autopilot)
@@ -103,7 +103,7 @@ def test_integers_are_exact_where_a_float_would_change_them():
     assert autopilot.values["ID"] == (tricky, INT32)
 
 
-def test_an_unknown_name_is_none_within_its_bound():
+def test_unknown_parameter_gives_none_within_three_seconds():
     channel, parameters = joined(Autopilot(Encoding.CAST, {}))
     assert run(parameters.read("NOPE"), 3.01) is None
     assert len(channel.sent) == 15
@@ -112,14 +112,14 @@ def test_an_unknown_name_is_none_within_its_bound():
 
 
 @pytest.mark.parametrize("name", ["", "SEVENTEEN_LETTERS", "ÄTHER", "A\nB"])
-def test_what_cannot_be_a_name(name):
+def test_invalid_parameter_name_is_refused_before_sending(name):
     channel, parameters = joined(Autopilot(Encoding.CAST, {}))
     with pytest.raises(DeviceError, match="is not a parameter name"):
         run(parameters.read(name))
     assert channel.sent == []
 
 
-def test_a_value_that_the_autopilot_does_not_take():
+def test_value_refused_by_the_autopilot_is_an_error():
     autopilot = Autopilot(Encoding.CAST, {"MODE": (3, INT8)})
     autopilot.refuses = {"MODE"}
     _, parameters = joined(autopilot)
@@ -128,25 +128,25 @@ def test_a_value_that_the_autopilot_does_not_take():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_lost_answer_is_asked_for_again(seed):
+def test_lost_answer_is_requested_again(seed):
     autopilot = Autopilot(Encoding.CAST, {"MODE": (3, INT8)})
     _, parameters = joined(autopilot, seed=seed, loss=0.3, repeat=0.3, overtake=0.3)
     run(parameters.write("MODE", 5), 10.0)
     assert autopilot.values["MODE"] == (5, INT8)
 
 
-def test_a_list_has_no_gaps():
+def test_parameter_list_with_losses_is_complete():
     values = {f"P{number}": (number / 2, REAL) for number in range(300)}
     autopilot = Autopilot(Encoding.CAST, values)
     channel, parameters = joined(autopilot, seed=3, loss=0.3, repeat=0.1, overtake=0.1)
     found = run(parameters.read_all(), 60.0)
     assert found == {name: value for name, (value, _) in values.items()}
-    # The gaps were asked for one by one, not the list again.
+    # The gaps were requested one by one, not the list again.
     assert autopilot.listed <= 3
     assert channel.kinds().count("PARAM_REQUEST_READ") > 50
 
 
-def test_a_list_that_stays_incomplete_is_an_error():
+def test_incomplete_parameter_list_is_an_error():
     autopilot = Autopilot(Encoding.CAST, {"A": (1.0, REAL), "B": (2.0, REAL)})
 
     def half(message):
@@ -162,7 +162,7 @@ def test_a_list_that_stays_incomplete_is_an_error():
 
 
 @given(st.sampled_from(list(RANGES)), st.data(), st.sampled_from(list(Encoding)))
-def test_integers_are_themselves_again_or_refused(kind, data, encoding):
+def test_integer_encoding_is_exact_or_refused(kind, data, encoding):
     value = data.draw(st.integers(*RANGES[kind]))
     exact_in_float = struct.unpack("<f", struct.pack("<f", value))[0] == value
     if encoding is Encoding.CAST and not exact_in_float:
@@ -173,12 +173,12 @@ def test_integers_are_themselves_again_or_refused(kind, data, encoding):
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False), st.sampled_from(list(Encoding)))
-def test_real_numbers_are_themselves_again(value, encoding):
+def test_float_encoding_is_exact(value, encoding):
     assert decode(encode(value, REAL, encoding), REAL, encoding) == value
 
 
 @given(st.binary(min_size=4, max_size=4), st.integers(0, 255), st.sampled_from(list(Encoding)))
-def test_any_four_bytes_decode_to_a_number_or_none(raw, kind, encoding):
+def test_any_four_bytes_are_decoded_or_rejected(raw, kind, encoding):
     value = decode(raw, kind, encoding)
     assert value is None or isinstance(value, int | float)
 
@@ -195,7 +195,7 @@ def test_any_four_bytes_decode_to_a_number_or_none(raw, kind, encoding):
         (2**24 + 1, INT32, "cannot be sent exactly"),
     ],
 )
-def test_values_that_cannot_be_sent(value, kind, words):
+def test_value_outside_its_type_is_refused(value, kind, words):
     with pytest.raises(ValueError, match=words):
         encode(value, kind, Encoding.CAST)
 
@@ -210,13 +210,13 @@ def test_values_that_cannot_be_sent(value, kind, words):
         (12, 0x20000, Encoding.CAST),
     ],
 )
-def test_which_encoding(autopilot, capabilities, encoding):
+def test_encoding_by_autopilot_and_capabilities(autopilot, capabilities, encoding):
     assert encoding_of(autopilot, capabilities) is encoding
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=16), st.binary(min_size=4, max_size=4), st.integers(0, 255))
-def test_any_parameter_message_is_survived(name, raw, kind):
+def test_any_parameter_message_is_survived_by_a_read(name, raw, kind):
     message = dialect.MAVLink_param_value_message(name, raw, kind, 1, 0)
     message.unpacker = struct.Struct("<4sHH16sB")
     channel, parameters = joined(Autopilot(Encoding.CAST, {}))

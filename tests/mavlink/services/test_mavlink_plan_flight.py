@@ -1,4 +1,4 @@
-"""`flyPlan` against both fakes: uploaded, flown to its end, refused, cancelled."""
+"""`flyPlan` against both fakes: upload, flight to the end, refusal, cancellation."""
 
 from __future__ import annotations
 
@@ -51,9 +51,10 @@ async def stored(fc, kind):
     return [item.command for item in await fc.plans.download(kind)]
 
 
+@pytest.mark.few(1)
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_plan_is_flown_to_its_end_in_the_air(b, fc, /, flavour):
+async def test_plan_that_ends_in_the_air_is_flown_twice(b, fc, /, flavour):
     places = [(20.0, 0.0), (20.0, 20.0)]
     text = plan(
         b, flavour, item(b, TAKEOFF), *(item(b, WAYPOINT, *place) for place in places),
@@ -66,17 +67,18 @@ async def test_a_plan_is_flown_to_its_end_in_the_air(b, fc, /, flavour):
     assert await stored(fc, PlanKind.MISSION) == [TAKEOFF, WAYPOINT, WAYPOINT]
     assert await stored(fc, PlanKind.FENCE) == [5001] * 4
     assert await stored(fc, PlanKind.RALLY) == [5100]
-    # It is this program's: the next instruction works.
+    # The program is in control: the next instruction works.
     await fc.execute("hold", [])
     # Again, from its first item.
     await fc.execute("flyPlan", [text])
     assert b.values["missionReached"] == 2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("last", [LAND, RETURN])
 @on_bench("bench", given="flavour")
-async def test_a_plan_that_ends_on_the_ground(b, fc, /, flavour, last):
+async def test_plan_that_ends_on_the_ground_disarms(b, fc, /, flavour, last):
     end = item(b, LAND, 15.0, 0.0, 0.0) if last == LAND else item(b, RETURN, frame=2)
     await fc.execute("arm", [])
     await fc.execute("flyPlan", [plan(b, flavour, item(b, TAKEOFF), item(b, WAYPOINT, 15.0), end)])
@@ -88,7 +90,7 @@ async def test_a_plan_that_ends_on_the_ground(b, fc, /, flavour, last):
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", kind="rover", given="flavour")
-async def test_a_rover(b, fc, /, flavour):
+async def test_rover_drives_a_plan(b, fc, /, flavour):
     places = [(15.0, 0.0), (15.0, 15.0)]
     text = plan(b, flavour, *(item(b, WAYPOINT, *place, 0.0) for place in places), vehicle=10)
     await fc.execute("arm", [])
@@ -98,7 +100,7 @@ async def test_a_rover(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_cancelled_plan_holds(b, fc, /, flavour):
+async def test_cancelled_plan_holds(b, fc, /, flavour):
     text = plan(b, flavour, item(b, TAKEOFF), item(b, WAYPOINT, 400.0))
     await fc.execute("arm", [])
     flight = asyncio.ensure_future(fc.execute("flyPlan", [text]))
@@ -115,7 +117,7 @@ async def test_a_cancelled_plan_holds(b, fc, /, flavour):
 
 @BOTH
 @on_bench("bench", given="flavour")
-async def test_a_plan_under_foreign_control_ends_with_an_exception(b, fc, /, flavour):
+async def test_plan_ends_with_an_exception_under_foreign_control(b, fc, /, flavour):
     await fc.execute("arm", [])
     flight = asyncio.ensure_future(
         fc.execute("flyPlan", [plan(b, flavour, item(b, TAKEOFF), item(b, WAYPOINT, 400.0))])
@@ -128,7 +130,7 @@ async def test_a_plan_under_foreign_control_ends_with_an_exception(b, fc, /, fla
 
 @BOTH
 @on_bench("bench", limits={"radius": 100.0, "altitude": 30.0}, given="flavour")
-async def test_plans_that_are_refused(b, fc, /, flavour):
+async def test_invalid_plan_is_refused_before_upload(b, fc, /, flavour):
     up, other = item(b, TAKEOFF), {"ardupilot": "px4", "px4": "ardupilot"}[flavour]
     good = plan(b, flavour, up, item(b, WAYPOINT, 20.0))
     with pytest.raises(DeviceError, match="not armed"):

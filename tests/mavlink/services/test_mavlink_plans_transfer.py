@@ -1,4 +1,4 @@
-"""Plans to and from scripted vehicles of both kinds, over good channels and bad ones."""
+"""Plan transfer with scripted vehicles of both autopilots, over good and bad channels."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class Vehicle:
         if message.seq >= len(plan):
             return [self.ack(13, message.mission_type)]
         item = plan[message.seq]
-        # ArduPilot gives the frame of whole numbers back as the other.
+        # ArduPilot returns the integer frames as the other frames.
         frame = item.frame - 3 if item.frame in (5, 6) and self.ardupilot else item.frame
         return [
             dialect.MAVLink_mission_item_int_message(
@@ -138,7 +138,7 @@ def same(items, others):
 
 
 @pytest.mark.parametrize("ardupilot", [True, False])
-def test_a_mission_goes_up_and_comes_back(ardupilot):
+def test_mission_is_uploaded_and_downloaded(ardupilot):
     vehicle = Vehicle(ardupilot=ardupilot)
     channel, transfer = joined(vehicle)
 
@@ -156,7 +156,7 @@ def test_a_mission_goes_up_and_comes_back(ardupilot):
 
 
 @pytest.mark.parametrize("ardupilot", [True, False])
-def test_clear_leaves_nothing(ardupilot):
+def test_clear_removes_each_plan(ardupilot):
     vehicle = Vehicle(ardupilot=ardupilot)
     channel, transfer = joined(vehicle)
 
@@ -171,7 +171,7 @@ def test_clear_leaves_nothing(ardupilot):
     assert channel.kinds().count("MISSION_CLEAR_ALL") == (2 if ardupilot else 3)
 
 
-def test_the_three_plans_do_not_mix():
+def test_mission_fence_and_rally_points_are_separate():
     vehicle = Vehicle(ardupilot=False)
     _, transfer = joined(vehicle)
     fence = circle(*HERE, 50.0, inside=True)
@@ -188,7 +188,7 @@ def test_the_three_plans_do_not_mix():
     assert vehicle.plans[2] == []
 
 
-def test_a_plan_that_came_out_shorter_is_an_error():
+def test_upload_stored_incompletely_is_an_error():
     vehicle = Vehicle(ardupilot=True)
     vehicle.keeps = 3
     _, transfer = joined(vehicle)
@@ -199,7 +199,7 @@ def test_a_plan_that_came_out_shorter_is_an_error():
 @pytest.mark.parametrize(
     ("result", "words"), [(4, r"NO_SPACE \(4\)"), (14, r"DENIED \(14\)"), (77, "unknown result")]
 )
-def test_a_refusal_comes_in_words(result, words):
+def test_refused_upload_names_the_mission_result(result, words):
     vehicle = Vehicle(ardupilot=False)
     vehicle.result = result
     _, transfer = joined(vehicle)
@@ -207,7 +207,7 @@ def test_a_refusal_comes_in_words(result, words):
         run(transfer.upload(PlanKind.MISSION, route(2)), 5.0)
 
 
-def test_nothing_is_left_of_a_mission_that_ardupilot_refuses_on_its_way():
+def test_mission_refused_during_upload_is_removed_on_ardupilot():
     vehicle = Vehicle(ardupilot=True, in_place=True)
     _, transfer = joined(vehicle)
     run(transfer.upload(PlanKind.MISSION, route(2)), 20.0)
@@ -225,7 +225,7 @@ def test_nothing_is_left_of_a_mission_that_ardupilot_refuses_on_its_way():
     assert run(transfer.download(PlanKind.MISSION), 5.0) == []
 
 
-def test_silence_is_an_error_within_its_bound():
+def test_silent_vehicle_is_an_error_within_five_seconds():
     transfer = PlanTransfer(Channel(lambda message: []), lambda: True)
     for work in (
         lambda: transfer.upload(PlanKind.MISSION, route(2)),
@@ -237,7 +237,7 @@ def test_silence_is_an_error_within_its_bound():
         assert raised.value.kind == "DeviceTimeoutException"
 
 
-def test_a_lost_link_ends_a_transfer_at_once():
+def test_lost_link_ends_a_transfer_at_once():
     vehicle = Vehicle(ardupilot=True)
     channel, transfer = joined(vehicle)
     vehicle.on_mission_item_int = lambda message: []
@@ -251,24 +251,24 @@ def test_a_lost_link_ends_a_transfer_at_once():
         run(transfer.upload(PlanKind.MISSION, route(2)), 3.2)
 
 
-def test_a_vehicle_that_asks_for_ever_is_left():
-    def mad(message):
+def test_endless_item_requests_are_an_error():
+    def ask_again(message):
         if message.get_type() not in ("MISSION_COUNT", "MISSION_ITEM_INT"):
             return []
         return [dialect.MAVLink_mission_request_int_message(*TO_US, 0, 0)]
 
-    channel = Channel(mad)
+    channel = Channel(ask_again)
     with pytest.raises(DeviceError, match="requested 1 of 3 items only"):
         run(PlanTransfer(channel, lambda: False).upload(PlanKind.MISSION, route(3)), 60.0)
 
 
-def test_an_absurd_count_is_not_believed():
+def test_download_with_an_absurd_count_is_an_error():
     channel = Channel(lambda m: [dialect.MAVLink_mission_count_message(*TO_US, 65535, 0)])
     with pytest.raises(DeviceError, match="65535 items"):
         run(PlanTransfer(channel, lambda: False).download(PlanKind.MISSION), 5.0)
 
 
-def test_a_cancelled_upload_tells_the_vehicle_and_frees_the_next():
+def test_cancelled_upload_is_ended_and_the_next_works():
     vehicle = Vehicle(ardupilot=True)
     channel, transfer = joined(vehicle)
 
@@ -290,7 +290,7 @@ def test_a_cancelled_upload_tells_the_vehicle_and_frees_the_next():
     assert len(vehicle.plans[0]) == 4
 
 
-def test_a_repeated_packet_does_not_double_the_rest():
+def test_repeated_packets_do_not_multiply_the_upload():
     vehicle = Vehicle(ardupilot=False)
     channel, transfer = joined(vehicle, seed=1, repeat=0.3)
     run(transfer.upload(PlanKind.MISSION, route(40)), 300.0)
@@ -308,7 +308,7 @@ def test_a_repeated_packet_does_not_double_the_rest():
     overtake=st.floats(0.0, 0.5),
     count=st.integers(1, 12),
 )
-def test_over_any_channel_both_hold_the_same_plan_or_it_is_an_error(
+def test_upload_over_any_channel_is_identical_or_an_error(
     seed, ardupilot, in_place, loss, repeat, overtake, count
 ):
     vehicle = Vehicle(ardupilot=ardupilot, in_place=in_place)
@@ -332,7 +332,7 @@ def test_over_any_channel_both_hold_the_same_plan_or_it_is_an_error(
         st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-1e4, 1e4)), min_size=1, max_size=20
     )
 )
-def test_waypoints_are_themselves_again(places):
+def test_waypoints_are_converted_and_restored(places):
     values = [number for place in places for number in place]
     back = coordinates(waypoints(values, yaw=math.nan), dialect.MAV_CMD_NAV_WAYPOINT)
     assert back == pytest.approx(values, abs=1e-7)
@@ -354,6 +354,6 @@ def test_waypoints_are_themselves_again(places):
         (lambda: coordinates(circle(1.0, 1.0, 9.0, inside=True), 16), r"NAV_FENCE_CIRCLE_INCLUSION \(5003\)"),
     ],
 )
-def test_what_is_no_plan(make, words):
+def test_invalid_plan_values_are_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()

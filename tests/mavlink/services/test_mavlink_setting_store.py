@@ -21,7 +21,7 @@ async def compare(fc, text):
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", given="flavour")
-async def test_differences_in_the_order_of_the_file(b, fc, /, flavour):
+async def test_differences_are_reported_in_file_order(b, fc, /, flavour):
     free, present = FREE[flavour], b.autopilot.parameters[FREE[flavour]]
     system = {"ardupilot": "FS_GCS_ENABLE", "px4": "COM_RC_OVERRIDE"}[flavour]
     same = f"{system},{b.autopilot.parameters[system]:g}\n"
@@ -56,7 +56,7 @@ FORBIDDEN = [
 
 @pytest.mark.parametrize(("flavour", "line"), FORBIDDEN)
 @on_bench("bench", limits=LIMITS, ttl=1.0, given="flavour")
-async def test_values_that_the_binding_forbids(b, fc, /, flavour, line):
+async def test_value_forbidden_by_the_binding_is_refused(b, fc, /, flavour, line):
     name = line.partition(",")[0]
     found = await compare(fc, line)
     assert [reason for reason in found.refusals if reason.startswith(name)], found
@@ -64,7 +64,7 @@ async def test_values_that_the_binding_forbids(b, fc, /, flavour, line):
 
 @pytest.mark.parametrize(("flavour", "line"), [("ardupilot", "WPNAV_SPEED,300"), ("px4", "MPC_XY_CRUISE,3")])
 @on_bench("bench", limits=LIMITS, given="flavour")
-async def test_values_within_the_limits_are_permitted(b, fc, /, flavour, line):
+async def test_value_within_the_limits_is_permitted(b, fc, /, flavour, line):
     found = await compare(fc, line)
     assert found.refusals == ()
     assert len(found.changes) == 1
@@ -88,13 +88,13 @@ HEADER = "# Stack: {}\n# Vehicle: {}\n"
     ],
 )
 @on_bench("bench", given="flavour")
-async def test_files_of_other_firmwares_and_vehicles(b, fc, /, flavour, head, is_foreign):
+async def test_file_of_another_firmware_or_vehicle_is_refused(b, fc, /, flavour, head, is_foreign):
     found = await compare(fc, f"{head}{FREE[flavour]},7\n")
     assert bool(found.refusals) == is_foreign
 
 
 @on_bench("bench")
-async def test_values_of_the_autopilot_itself_are_kept(b, fc, /):
+async def test_autopilot_owned_and_read_only_values_are_kept(b, fc, /):
     found = await compare(fc, "STAT_BOOTCNT,77\nPILOT_TKOFF_ALT,99 @READONLY\nSERIAL1_PROTOCOL,10\n")
     assert set(found.kept) == {"STAT_BOOTCNT", "PILOT_TKOFF_ALT"}
     assert [change.name for change in found.changes] == ["SERIAL1_PROTOCOL"]
@@ -102,7 +102,7 @@ async def test_values_of_the_autopilot_itself_are_kept(b, fc, /):
 
 
 @on_bench("bench")
-async def test_a_file_that_is_not_readable(b, fc, /):
+async def test_malformed_file_is_refused(b, fc, /):
     await fc.find()
     with pytest.raises(MissionFileError):
         await fc.compare_settings("f.param", b"PILOT_TKOFF_ALT,high\n")

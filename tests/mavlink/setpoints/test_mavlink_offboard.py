@@ -1,4 +1,4 @@
-"""PX4 in OFFBOARD: who may end it, what ends with it, and what it is never used for."""
+"""PX4 in OFFBOARD: what ends it, what ends with it, and motions that need a waiver."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def targets(b, since):
 
 
 async def away(fc):
-    """On its way to a far goal."""
+    """Starts a motion to a far goal."""
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     flight = asyncio.create_task(fc.execute("goTo", [150.0, 0.0, -8.0]))
@@ -40,7 +40,7 @@ async def ended(flight):
 
 
 @on_bench("px4")
-async def test_sticks_take_over_and_the_setpoints_end(b, fc, /):
+async def test_stick_takeover_ends_the_setpoints(b, fc, /):
     flight = await away(fc)
     b.faults.apply(["sticks=true"])
     start = b.autopilot.now
@@ -61,7 +61,7 @@ async def test_sticks_take_over_and_the_setpoints_end(b, fc, /):
 
 
 @on_bench("px4")
-async def test_sticks_that_may_not_take_over_do_not(b, fc, /):
+async def test_disabled_stick_override_is_no_takeover(b, fc, /):
     flight = await away(fc)
     b.autopilot.parameters["COM_RC_OVERRIDE"] = 1
     b.faults.apply(["sticks=true"])
@@ -75,7 +75,7 @@ async def test_sticks_that_may_not_take_over_do_not(b, fc, /):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("mode", ["AUTO.LOITER", "AUTO.RTL", "AUTO.LAND", "POSCTL.ORBIT"])
 @on_bench("px4")
-async def test_a_mode_of_another_station_ends_the_motion_and_is_not_ours(b, fc, /, mode):
+async def test_mode_change_by_another_station_is_a_takeover(b, fc, /, mode):
     flight = await away(fc)
     b.autopilot.command_mode(mode)
     assert f"goTo ended early: the vehicle went to {mode}" in await ended(flight)
@@ -93,7 +93,7 @@ async def test_a_mode_of_another_station_ends_the_motion_and_is_not_ours(b, fc, 
 
 
 @on_bench("px4")
-async def test_gps_loss_ends_in_the_failsafe_and_nothing_is_sent_on(b, fc, /):
+async def test_gps_loss_ends_the_setpoints_and_lands(b, fc, /):
     flight = await away(fc)
     b.faults.apply(["gps_loss=true"])
     await ended(flight)
@@ -106,7 +106,7 @@ async def test_gps_loss_ends_in_the_failsafe_and_nothing_is_sent_on(b, fc, /):
 
 
 @on_bench("px4")
-async def test_a_fence_that_is_breached_has_it(b, fc, /):
+async def test_fence_breach_in_offboard_takes_control(b, fc, /):
     """As recorded (fact 41), but with no hold before the action: COM_FAIL_ACT_T is 0."""
     flight = await away(fc)
     b.autopilot.parameters.update(GF_MAX_HOR_DIST=15.0, GF_ACTION=3)
@@ -117,7 +117,7 @@ async def test_a_fence_that_is_breached_has_it(b, fc, /):
 
 
 @on_bench("px4", limits={"speed": 3.0})
-async def test_a_target_waits_for_what_is_held_up(b, fc, /):
+async def test_target_waits_for_an_obstructed_vehicle(b, fc, /):
     flight = await away(fc)
     limits, place = b.autopilot.vehicle.limits, b.autopilot.vehicle.place
     was, limits.top = limits.top, 0.001
@@ -134,7 +134,7 @@ async def test_a_target_waits_for_what_is_held_up(b, fc, /):
 
 
 @on_bench("px4")
-async def test_a_hover_between_motions_is_kept_up_by_setpoints_too(b, fc, /):
+async def test_hover_between_motions_uses_setpoints(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     await fc.execute("goTo", [5.0, 0.0, -8.0])
@@ -149,7 +149,7 @@ async def test_a_hover_between_motions_is_kept_up_by_setpoints_too(b, fc, /):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("loss", [0.2, 0.4])
 @on_bench("px4", faults=())
-async def test_setpoints_that_are_lost_by_the_way_do_not_end_it(b, fc, /, loss):
+async def test_lost_setpoints_do_not_end_offboard(b, fc, /, loss):
     flight = await away(fc)
     b.faults.apply([f"loss={loss}"])
     await asyncio.sleep(20.0)
@@ -171,7 +171,7 @@ async def test_setpoints_that_are_lost_by_the_way_do_not_end_it(b, fc, /, loss):
     ],
 )
 @on_bench("px4")
-async def test_what_px4_flies_by_itself_needs_a_waiver(b, fc, /, what, values):
+async def test_autonomous_px4_motion_needs_a_waiver(b, fc, /, what, values):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     before = len(b.sent)
@@ -186,7 +186,7 @@ async def test_what_px4_flies_by_itself_needs_a_waiver(b, fc, /, what, values):
 @pytest.mark.parametrize(
     "given", [{"waivers": ("device_watchdog", "autonomous_motion")}, {"safe_state": "return"}]
 )
-def test_a_return_is_flown_where_it_is_waived_or_the_safe_state(px4, given):
+def test_px4_return_is_flown_with_waiver_or_as_safe_state(px4, given):
     b = px4(**given)
 
     async def story(fc):
@@ -199,7 +199,7 @@ def test_a_return_is_flown_where_it_is_waived_or_the_safe_state(px4, given):
 
 
 @on_bench("bench", waivers=("device_watchdog",))
-async def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(b, fc, /):
+async def test_ardupilot_return_needs_no_waiver(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     await fc.execute("returnHome", [])
@@ -207,8 +207,8 @@ async def test_an_ardupilot_returns_and_flies_missions_without_a_waiver(b, fc, /
 
 @pytest.mark.parametrize("mode", ["LOITER", "ALT_HOLD", "BRAKE", "STABILIZE"])
 @on_bench("bench", waivers=("device_watchdog",))
-async def test_a_pilots_mode_in_the_air_needs_a_waiver_on_an_arducopter(b, fc, /, mode):
-    """With bit 4 of FS_OPTIONS its failsafe would not act in one when this computer is dead."""
+async def test_pilot_mode_of_a_flying_arducopter_needs_a_waiver(b, fc, /, mode):
+    """With bit 4 of FS_OPTIONS its failsafe would not act in a pilot mode when this computer fails."""
     await fc.execute("setMode", [mode])
     await fc.execute("setMode", ["GUIDED"])
     await fc.execute("arm", [])
@@ -220,7 +220,7 @@ async def test_a_pilots_mode_in_the_air_needs_a_waiver_on_an_arducopter(b, fc, /
 
 
 @on_bench("bench", waivers=("device_watchdog", "autonomous_motion"))
-async def test_a_pilots_mode_is_entered_where_that_is_waived(b, fc, /):
+async def test_pilot_mode_is_entered_with_a_waiver(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     await fc.execute("setMode", ["LOITER"])
@@ -229,7 +229,7 @@ async def test_a_pilots_mode_is_entered_where_that_is_waived(b, fc, /):
 
 @pytest.mark.parametrize(("state", "kind"), [("hold", "copter"), ("land", "rover")])
 @on_bench("px4", given="safe_state=state kind")
-async def test_the_mode_for_staying_is_entered_where_it_is_safe(b, fc, /, state, kind):
+async def test_loiter_is_entered_where_it_is_safe(b, fc, /, state, kind):
     await fc.execute("setMode", ["AUTO.LOITER"])
     await fc.execute("arm", [])
     if kind == "copter":

@@ -34,10 +34,10 @@ async def up(fc, height=5.0):
 
 
 @on_bench("px4")
-async def test_a_whole_flight(b, fc, /):
+async def test_complete_flight_with_px4(b, fc, /):
     await up(fc, 6.0)
     assert b.values["altitude"] == pytest.approx(6.0, abs=0.6)
-    assert b.autopilot.parameters["MIS_TAKEOFF_ALT"] == 2.5  # it is another's, and stays as it was
+    assert b.autopilot.parameters["MIS_TAKEOFF_ALT"] == 2.5  # set by another party, unchanged
     await fc.execute("goTo", [10.0, -4.0, -6.0])
     assert math.dist(b.values["position"], (10.0, -4.0, -6.0)) <= 0.5
     await fc.execute("yaw", [2.0])
@@ -49,7 +49,7 @@ async def test_a_whole_flight(b, fc, /):
 
 
 @on_bench("px4", kind="rover", limits={"speed": 2.0, "radius": 8.0})
-async def test_a_rover_drives_round_to_its_heading_and_holds(b, fc, /):
+async def test_px4_rover_drives_a_circle_to_its_heading(b, fc, /):
     await fc.execute("arm", [])
     for heading in (math.pi, -1.0, -1.02):
         before, modes = b.values["position"], len(sent(b, TARGET))
@@ -59,13 +59,13 @@ async def test_a_rover_drives_round_to_its_heading_and_holds(b, fc, /):
         await asyncio.sleep(2.0)
         assert math.remainder(b.values["heading"] - heading, math.tau) == pytest.approx(0.0, abs=0.08)
         assert math.dist(b.values["position"], before) < 4.0
-    assert len(sent(b, TARGET)) == modes, "it was there already"
+    assert len(sent(b, TARGET)) == modes, "it already had the heading"
     await fc.execute("goTo", [5.0, 0.0, 0.0])
     with pytest.raises(DeviceError, match=r"to drive round in, refused: .* beyond the limit of 8 m"):
         await fc.execute("yaw", [0.0])
 
 
-def test_a_rover_that_does_not_come_round_is_given_up(px4):
+def test_px4_rover_that_cannot_turn_is_given_up(px4):
     b = px4(kind="rover")
     b.autopilot.vehicle.wheels = Wheels(20.0)
 
@@ -84,7 +84,7 @@ def test_a_rover_that_does_not_come_round_is_given_up(px4):
 
 
 @on_bench("px4")
-async def test_a_velocity_is_streamed_until_its_time_is_over_and_no_longer(b, fc, /):
+async def test_velocity_is_streamed_only_until_its_ttl(b, fc, /):
     loop = asyncio.get_running_loop()
     await up(fc)
     before, start = len(b.sent), loop.time()
@@ -98,18 +98,18 @@ async def test_a_velocity_is_streamed_until_its_time_is_over_and_no_longer(b, fc
     before = len(b.sent)
     await asyncio.sleep(2.0)
     assert sent(b, TARGET, before) == []
-    # Nobody feeds it any more: PX4's own watchdog has taken it out of OFFBOARD.
+    # Without setpoints PX4's own watchdog leaves OFFBOARD.
     assert b.autopilot.mode == "AUTO.LAND"
 
 
 @on_bench("px4")
-async def test_velocities_that_are_renewed_fly_on(b, fc, /):
+async def test_renewed_velocities_continue_the_flight(b, fc, /):
     await up(fc)
     for _ in range(10):
         await fc.execute("setVelocity", [2.0, 0.0, 0.0])
         await asyncio.sleep(0.3)
     assert b.values["mode"] == "OFFBOARD"
-    # PX4 flies a little slower than it is told.
+    # PX4 flies slightly slower than commanded.
     assert 1.6 < b.values["velocity"][0] < 2.1
     # Another motion ends the stream at once.
     await fc.execute("hold", [])
@@ -122,29 +122,29 @@ async def test_velocities_that_are_renewed_fly_on(b, fc, /):
 
 
 @on_bench("px4", ttl=2.0)
-async def test_an_accepted_offboard_that_is_not_available_is_refused_at_once(b, fc, /):
+async def test_accepted_but_unavailable_offboard_is_refused_at_once(b, fc, /):
     await up(fc)
     await fc.execute("setMode", ["AUTO.LOITER"])
     await asyncio.sleep(2.0)
-    # As measured: PX4 accepts OFFBOARD without a stream, does not enter it, and says so.
+    # As measured: PX4 accepts OFFBOARD without a stream, does not enter it, and sends a text.
     fc.motion.stream.start = lambda message, until: None
     start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match=r"OFFBOARD was refused: .*to Offboard is currently not available"):
         await fc.execute("setVelocity", [1.0, 0.0, 0.0])
     assert asyncio.get_running_loop().time() - start < 0.6
-    # The words about OFFBOARD do not speak against another mode.
+    # The text about OFFBOARD does not refuse another mode.
     await fc.execute("setMode", ["AUTO.RTL"])
 
 
 @on_bench("px4")
-async def test_a_takeoff_while_disarmed_is_not_left_with_px4_for_later(b, fc, /):
+async def test_px4_takeoff_while_disarmed_is_refused_without_mode_change(b, fc, /):
     with pytest.raises(DeviceError, match="the motors are off"):
         await fc.execute("takeoff", [5.0])
     assert b.autopilot.mode == "AUTO.LOITER"
 
 
 @on_bench("px4", faults=("refuse_arming=Compass 0 missing",))
-async def test_a_refused_arming_has_the_reason(b, fc, /):
+async def test_refused_px4_arming_has_the_reason(b, fc, /):
     with pytest.raises(DeviceError) as error:
         await fc.execute("arm", [])
     reason = error.value.reason
@@ -157,7 +157,7 @@ async def test_a_refused_arming_has_the_reason(b, fc, /):
     ("state", "mode"), [("land", "AUTO.LAND"), ("hold", "AUTO.LOITER"), ("return", "AUTO.RTL")]
 )
 @on_bench("px4", given="safe_state=state")
-async def test_safe_states_in_the_air(b, fc, /, state, mode):
+async def test_each_px4_safe_state_in_the_air(b, fc, /, state, mode):
     await up(fc)
     await fc.execute("setVelocity", [3.0, 0.0, 0.0])
     await asyncio.sleep(0.3)
@@ -170,7 +170,7 @@ async def test_safe_states_in_the_air(b, fc, /, state, mode):
 
 
 @on_bench("px4")
-async def test_orbit_and_return(b, fc, /):
+async def test_px4_orbit_and_return(b, fc, /):
     await up(fc)
     await fc.execute("orbit", [0.0, 0.0, -5.0, 6.0, 3.0, 1.0])
     assert b.values["mode"] == "OFFBOARD"
@@ -179,7 +179,7 @@ async def test_orbit_and_return(b, fc, /):
 
 
 @on_bench("px4", limits={"speed": 2.0})
-async def test_the_speed_of_the_binding_is_kept(b, fc, /):
+async def test_px4_keeps_the_speed_limit(b, fc, /):
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
     fastest = 0.0
@@ -190,7 +190,7 @@ async def test_the_speed_of_the_binding_is_kept(b, fc, /):
 
 
 @on_bench("px4")
-async def test_global_goals(b, fc, /):
+async def test_px4_global_goal_is_reached(b, fc, /):
     await up(fc)
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("goToGlobal", [latitude + 1e-4, longitude, 7.0])
@@ -198,13 +198,13 @@ async def test_global_goals(b, fc, /):
 
 
 @on_bench("px4")
-async def test_parameters_of_whole_numbers_are_packed_by_bytes(b, fc, /):
+async def test_px4_integer_parameter_is_decoded_bytewise(b, fc, /):
     found = await fc.parameters.read("NAV_DLL_ACT")
     assert (found, type(found)) == (3, int)
 
 
 @on_bench("px4", ttl=1.0)
-async def test_offboard_is_asked_for_again_when_a_packet_was_lost(b, fc, /):
+async def test_lost_offboard_request_is_repeated(b, fc, /):
     await up(fc)
     await fc.execute("setMode", ["AUTO.LOITER"])
     send, lost = b.links[0].send, []
@@ -222,10 +222,10 @@ async def test_offboard_is_asked_for_again_when_a_packet_was_lost(b, fc, /):
 
 
 @on_bench("px4", ttl=0.5)
-async def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(b, fc, /):
+async def test_px4_failsafe_and_pilot_control_are_distinguished(b, fc, /):
     await up(fc)
     await fc.execute("setVelocity", [1.0, 0.0, 0.0])
-    # It is not renewed, and PX4's own failsafe for setpoints lands the vehicle.
+    # Without a renewal PX4's own setpoint failsafe lands the vehicle.
     await asyncio.sleep(3.0)
     assert b.values["failsafe"] is True
     with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, has it"):
@@ -237,7 +237,7 @@ async def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(b, fc, 
 
 
 @on_bench("px4")
-async def test_a_setpoint_that_is_called_off_is_not_streamed_on(b, fc, /):
+async def test_cancelled_setpoint_is_not_streamed(b, fc, /):
     await up(fc)
     await fc.execute("setMode", ["AUTO.LOITER"])
     call = asyncio.create_task(fc.execute("setVelocity", [1.0, 0.0, 0.0]))
@@ -250,11 +250,11 @@ async def test_a_setpoint_that_is_called_off_is_not_streamed_on(b, fc, /):
 
 
 @on_bench("px4")
-async def test_a_refusal_counts_only_for_the_mode_that_it_is_about(b, fc, /, monkeypatch):
+async def test_refusal_text_counts_only_for_its_mode(b, fc, /, monkeypatch):
     command_mode, waits = Autopilot.command_mode, []
 
     def late(autopilot, name):
-        """The first copy is lost; the words that come then are late ones about an earlier OFFBOARD."""
+        """The first copy is lost; the next text is a late one about an earlier OFFBOARD."""
         if name == "AUTO.LAND" and not waits:
             waits.append(name)
             autopilot.say("Switching to Offboard is currently not available\t")
@@ -273,9 +273,10 @@ async def test_a_refusal_counts_only_for_the_mode_that_it_is_about(b, fc, /, mon
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("delay", "stays_on", "said"), [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)]
+    ("delay", "stays_on", "note_count"),
+    [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)],
 )
-def test_a_landing_is_over_when_its_motors_are_off_or_are_to_stay_on(px4, delay, stays_on, said):
+def test_px4_landing_ends_when_motors_are_off_or_kept_on(px4, delay, stays_on, note_count):
     b = px4()
     b.autopilot.parameters["COM_DISARM_LAND"] = delay
 
@@ -284,7 +285,7 @@ def test_a_landing_is_over_when_its_motors_are_off_or_are_to_stay_on(px4, delay,
         await fc.execute("land", [])
         assert b.values["landed"]
         assert b.values["armed"] is stays_on
-        assert len([note for note in b.notes if "switching them off" in note]) == said
+        assert len([note for note in b.notes if "switching them off" in note]) == note_count
         await fc.execute("arm", [])
         await asyncio.sleep(1.5)
         assert b.values["armed"] is True
@@ -303,7 +304,7 @@ STOPS = {
 @pytest.mark.parametrize("after", [0.02, 0.2, 4.0])
 @pytest.mark.parametrize("stop", STOPS)
 @on_bench("px4", safe_state="hold", ttl=2.0)
-async def test_whatever_stops_it_stops_a_goal_too(b, fc, /, stop, after):
+async def test_every_stop_ends_a_motion_to_a_goal(b, fc, /, stop, after):
     await up(fc)
     await fc.execute("setVelocity", [2.0, 0.0, 0.0])
     assert b.values["mode"] == "OFFBOARD"
@@ -318,7 +319,7 @@ async def test_whatever_stops_it_stops_a_goal_too(b, fc, /, stop, after):
 
 
 @on_bench("px4")
-async def test_a_mission_that_is_paused_stops(b, fc, /):
+async def test_paused_px4_mission_stops(b, fc, /):
     await up(fc)
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("uploadMission", [[latitude + 1e-3, longitude, 5.0]])
@@ -332,8 +333,8 @@ async def test_a_mission_that_is_paused_stops(b, fc, /):
 
 @pytest.mark.parametrize("state", ["hold", "land"])
 @on_bench("px4", kind="rover", given="safe_state=state")
-async def test_a_rover_that_lands_stops_on_its_way(b, fc, /, state):
-    """A rover has no landing: it stays, in the very mode in which it drives to a goal."""
+async def test_px4_rover_stops_for_land_or_safe_state(b, fc, /, state):
+    """A rover has no landing: it stays in the same mode in which it drives to a goal."""
     await fc.execute("arm", [])
     drive = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, 0.0]))
     await asyncio.sleep(4.0)
@@ -344,7 +345,7 @@ async def test_a_rover_that_lands_stops_on_its_way(b, fc, /, state):
 
 
 @on_bench("px4")
-async def test_a_goal_that_was_given_up_is_not_followed_on(b, fc, /):
+async def test_goal_that_was_given_up_is_not_pursued(b, fc, /):
     await up(fc)
     limits = b.autopilot.vehicle.limits
     flight = asyncio.create_task(fc.execute("goTo", [80.0, 0.0, -5.0]))

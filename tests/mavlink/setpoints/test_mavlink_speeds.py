@@ -1,4 +1,4 @@
-"""The speed over ground in steady motion, on fakes that fly and drive as fast as the real ones did."""
+"""The speed over ground in steady motion, on fakes with the speeds of real vehicles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter"), 
 
 
 async def flown(b, fc, kind):
-    """Each speed over ground on the way to a goal, from 5 s on, while it is not near it."""
+    """The speeds over ground on the way to a goal, from 5 s on until near the goal."""
     down = -8.0 if kind == "copter" else 0.0
     await fc.execute("arm", [])
     if kind == "copter":
@@ -34,11 +34,11 @@ async def flown(b, fc, kind):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("limit", [1.0, 2.0, 3.0, 5.0])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
+def test_speed_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     b = bench(flavour=flavour, kind=kind, limits={"speed": limit})
     speeds = b.run(lambda fc: flown(b, fc, kind))
     assert max(speeds) <= limit * STILL_AIR
-    # PX4's copter comes up to it within 20 s; its rover has no more than 3 m/s.
+    # PX4's copter reaches it within 20 s; its rover has at most 3 m/s.
     assert max(speeds) >= 0.95 * min(limit, 3.0 if (flavour, kind) == ("px4", "rover") else limit)
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
@@ -46,21 +46,21 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
-def test_a_limit_is_kept_in_wind(bench, flavour, kind, source):
+def test_speed_limit_is_kept_in_wind(bench, flavour, kind, source):
     b = bench(flavour=flavour, kind=kind, limits={"speed": 3.0}, faults=("wind=9", f"wind_from={source}"))
     assert max(b.run(lambda fc: flown(b, fc, kind))) <= 3.0 * WINDY
 
 
-def test_what_flies_faster_than_commanded_is_corrected_within_seconds(bench):
-    """ArduCopter in 9 m/s of wind: 3.16 of 3 (facts-3, 13)."""
+def test_flight_faster_than_commanded_is_corrected(bench):
+    """ArduCopter in 9 m/s of wind: 3.16 m/s for a limit of 3 m/s."""
     b = bench(limits={"speed": 3.0})
     b.autopilot.vehicle.limits.goal_response = Response(1.055)
     assert max(b.run(lambda fc: flown(b, fc, "copter"))) <= 3.0 * 1.02
 
 
 @pytest.mark.parametrize("speed", [2.0, 3.0])
-def test_a_rover_that_would_shoot_over_its_speed_approaches_it_from_below(bench, speed):
-    """The real one drove 2.22 of 2 and 3.44 of 3."""
+def test_rover_approaches_its_speed_without_overshoot(bench, speed):
+    """A real rover drove 2.22 m/s for 2 m/s, and 3.44 m/s for 3 m/s."""
     b = bench(kind="rover", limits={"speed": speed})
 
     async def story(fc):
@@ -75,7 +75,7 @@ def test_a_rover_that_would_shoot_over_its_speed_approaches_it_from_below(bench,
 
 
 async def steady(b, task, seconds=8.0):
-    """The greatest mean speed of a second, from so many seconds on, until it is done."""
+    """The greatest one-second mean speed, from `seconds` on until the task ends."""
     start, speeds = b.autopilot.now, []
     while not task.done():
         await asyncio.sleep(0.1)
@@ -88,7 +88,7 @@ async def steady(b, task, seconds=8.0):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("limit", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_a_rover_drives_a_velocity_no_faster_than_it_is(bench, flavour, limit):
+def test_rover_drives_a_velocity_at_its_speed(bench, flavour, limit):
     b = bench(flavour=flavour, kind="rover", limits={"speed": limit})
 
     async def story(fc):
@@ -106,7 +106,7 @@ def test_a_rover_drives_a_velocity_no_faster_than_it_is(bench, flavour, limit):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("way", ["mission", "return", "goTo", "setSpeed"])
-def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
+def test_px4_rover_keeps_a_low_speed_in_every_motion(bench, way):
     b, limit = bench(flavour="px4", kind="rover", limits={"speed": 1.0 if way != "goTo" else 0.5}), 1.0
 
     async def story(fc):
@@ -130,8 +130,9 @@ def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
     assert b.run(story) <= STILL_AIR * limit
 
 
+@pytest.mark.few(0)
 @on_bench("bench", flavour="px4", limits={"speed": 0.5})
-async def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(b, fc, /):
+async def test_slow_orbit_reaches_its_circle(b, fc, /):
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
     await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
@@ -139,8 +140,8 @@ async def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(b, fc, /):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("asked", "own"), [(None, 2.0), (None, 3.0), (2.0, 3.0), (3.0, 1.0)])
-def test_a_rovers_mission_does_not_shoot_over_its_speed(bench, asked, own):
-    """By DO_CHANGE_SPEED the real one drove 2.22 of 2 and 3.44 of 3, by WP_SPEED 2.05 of 2."""
+def test_rover_mission_does_not_overshoot_its_speed(bench, asked, own):
+    """A real rover drove 2.22 m/s for 2 m/s by DO_CHANGE_SPEED, and 2.05 m/s by WP_SPEED."""
     b = bench(kind="rover", limits={"speed": 3.0 if asked else own})
     b.autopilot.parameters["WP_SPEED"] = own
 

@@ -1,4 +1,4 @@
-"""A station of its own for each vehicle, and what an autopilot does when this computer dies."""
+"""A separate station id for each vehicle, and the autopilot's failsafe when this computer fails."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lfield_sim.mavlink.link.codec import PacketWriter
 
 #: QGroundControl, by default.
 QGC = (255, 190)
-#: Seconds of the vehicle's own clock from the death of host and guard to the mode of the failsafe.
+#: Seconds of the vehicle's clock from the death of host and guard to the failsafe mode.
 BOUNDS = {("ardupilot", "copter"): 3.0, ("ardupilot", "rover"): 4.0, ("px4", "copter"): 2.0}
 BOUNDS |= {("px4", "rover"): 2.0}
 SAFE = {
@@ -28,7 +28,7 @@ SAFE = {
 
 
 async def beats(b, system, component, kind=None):
-    """Heartbeats of somebody else on another link of the vehicle, once a second."""
+    """Heartbeats of another station on another link of the vehicle, once per second."""
     packer = PacketWriter(system, component)
     kind = dialect.MAV_TYPE_GCS if kind is None else kind
     heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
@@ -39,7 +39,7 @@ async def beats(b, system, component, kind=None):
 
 
 async def go(b, fc, way, flies):
-    """Bring it under way, by an instruction that goes on."""
+    """Starts a motion; returns the task of its instruction."""
     down = -8.0 if flies else 0.0
     await fc.execute("arm", [])
     if flies:
@@ -79,7 +79,7 @@ async def go(b, fc, way, flies):
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
 @pytest.mark.parametrize("way", ["goTo", "velocity", "hover", "orbit"])
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
-def test_it_is_safe_in_time_when_host_and_guard_are_dead(bench, flavour, kind, way, state, station):
+def test_failsafe_acts_in_time_after_death_of_host_and_guard(bench, flavour, kind, way, state, station):
     if (flavour, kind) == ("px4", "rover") and way in ("orbit", "hover"):
         pytest.skip("it has no orbit, and stands in the mode for standing")
     b = bench(flavour=flavour, kind=kind, safe_state=state, waivers=("device_watchdog",))
@@ -105,7 +105,7 @@ def test_it_is_safe_in_time_when_host_and_guard_are_dead(bench, flavour, kind, w
 
 
 @on_bench("bench")
-async def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(b, fc, /):
+async def test_ardupilot_mission_ends_after_death_of_host_and_guard(b, fc, /):
     other = asyncio.create_task(beats(b, *QGC))
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
@@ -120,11 +120,12 @@ async def test_an_ardupilot_flies_no_mission_on_when_host_and_guard_are_dead(b, 
     other.cancel()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("way", ["hold", "pause"])
 @pytest.mark.parametrize("state", ["land", "return"])
 @on_bench("bench", given="safe_state=state")
-async def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(b, fc, /, way, state):
-    """In BRAKE its failsafe would not act: with FS_OPTIONS bit 4, the default, that is a mode of a pilot."""
+async def test_failsafe_acts_in_time_in_an_ardupilot_hold(b, fc, /, way, state):
+    """In BRAKE its failsafe would not act: with FS_OPTIONS bit 4, the default, BRAKE is a pilot mode."""
     await go(b, fc, way, flies=True)
     assert b.autopilot.mode == "GUIDED"
     assert b.autopilot.parameters["FS_OPTIONS"] == 24
@@ -138,20 +139,20 @@ async def test_an_ardupilot_that_was_told_to_hold_is_safe_in_time_too(b, fc, /, 
 
 
 @on_bench("bench")
-async def test_a_pilot_flies_on_when_the_station_is_gone(b, fc, /):
+async def test_pilot_mode_continues_without_the_station(b, fc, /):
     await go(b, fc, "hold", flies=True)
     b.autopilot.command("POSHOLD")
     await asyncio.sleep(2.0)
     b.cut = True
     await asyncio.sleep(6.0)
     assert b.autopilot.mode == "POSHOLD"
-    assert b.autopilot.critical, "it has noticed"
+    assert b.autopilot.critical, "it has detected the loss"
 
 
 @pytest.mark.parametrize(("flavour", "kind"), BOUNDS)
 @on_bench("bench", waivers=("device_watchdog",), given="flavour kind")
-async def test_a_guard_that_comes_back_does_not_hold_up_the_failsafe(b, fc, /, flavour, kind):
-    """It is heard as a station only once the vehicle is in its safe state: finding all out takes a while."""
+async def test_restarted_guard_does_not_delay_the_failsafe(b, fc, /, flavour, kind):
+    """It sends heartbeats only after the safe state: its own start takes some time."""
     bound, mode = BOUNDS[flavour, kind], SAFE[flavour, kind]["land"]
 
     other = asyncio.create_task(beats(b, *QGC))
@@ -172,7 +173,7 @@ async def test_a_guard_that_comes_back_does_not_hold_up_the_failsafe(b, fc, /, f
     other.cancel()
 
 
-def test_what_is_armed_when_it_is_found_hears_its_station_once_somebody_here_has_it(bench):
+def test_armed_vehicle_gets_heartbeats_only_after_the_safe_state(bench):
     b = bench(safe_state="hold")
     b.autopilot.armed = True
     b.autopilot.vehicle.place = (0.0, 0.0, -8.0)
@@ -199,8 +200,8 @@ def test_what_is_armed_when_it_is_found_hears_its_station_once_somebody_here_has
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @on_bench("bench", given="flavour")
-async def test_the_fakes_fly_on_beside_a_station_as_real_ones_did(b, fc, /, flavour):
-    """Facts 1 and 16: that is why a station of its own, and setpoints, are needed."""
+async def test_fakes_continue_a_mission_beside_another_station(b, fc, /, flavour):
+    """As measured: therefore a separate station id and setpoints are needed."""
     other = asyncio.create_task(beats(b, *QGC))
     await fc.execute("arm", [])
     await fc.execute("takeoff", [8.0])
@@ -223,7 +224,7 @@ def bound(system, station=0, agent=""):
     return bind(PLUGIN, agent=agent or f"a{system}", field="fc", endpoint="udp:127.0.0.1:1", options=options)
 
 
-def test_stations_differ_and_none_is_a_vehicle_or_a_ground_station_of_others():
+def test_default_station_ids_are_unique_and_unused_by_vehicles():
     stations = {system: station_of(bound(system)) for system in range(1, 255)}
     assert len(set(stations.values())) == 254
     assert all(station not in (system, 255, 0) for system, station in stations.items())
@@ -241,21 +242,21 @@ def test_stations_differ_and_none_is_a_vehicle_or_a_ground_station_of_others():
         ([bound(1), bound(2, 128)], "system id 128, as has that of a1.fc"),
     ],
 )
-def test_stations_that_could_be_taken_for_another_are_refused(bindings, words):
+def test_colliding_station_ids_are_refused(bindings, words):
     with pytest.raises(DeviceError, match=words) as refused:
         check_stations(bindings)
     assert "choose another by 'station: ID'" in refused.value.reason
     check_stations([bound(1), bound(2), bound(3, 77)])
 
 
-def test_stations_that_collide_are_refused_at_opening(bench):
+def test_open_refuses_colliding_station_ids(bench):
     b = bench(systems=(1, 128))
     with pytest.raises(DeviceError, match="its station has the system id 128"):
         b.run(lambda *devices: asyncio.sleep(0.1))
 
 
 @on_bench("bench", systems=(1, 2))
-async def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(b, one, two, /):
+async def test_each_vehicle_of_a_link_has_its_own_station(b, one, two, /):
     for fc in (one, two):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [5.0])
@@ -268,7 +269,7 @@ async def test_each_vehicle_of_a_bus_hears_its_own_station_and_answers_it(b, one
     ("component", "kind"), [(190, dialect.MAV_TYPE_GCS), (1, dialect.MAV_TYPE_QUADROTOR), (191, 6)]
 )
 @on_bench("bench")
-async def test_somebody_else_with_the_id_of_its_station_keeps_it_on_the_ground(b, fc, /, component, kind):
+async def test_foreign_sender_with_the_station_id_blocks_arming(b, fc, /, component, kind):
     packer = PacketWriter(128, component)
     heartbeat = dialect.MAVLink_heartbeat_message(kind, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     b.links[0].on_data(packer.pack(heartbeat))
@@ -279,7 +280,7 @@ async def test_somebody_else_with_the_id_of_its_station_keeps_it_on_the_ground(b
 
 
 @on_bench("bench")
-async def test_an_echo_of_its_own_station_and_other_stations_are_none(b, fc, /):
+async def test_echo_and_other_stations_do_not_block_arming(b, fc, /):
     for packer, heartbeat in (
         (PacketWriter(128, 191), station_heartbeat(1)),
         (PacketWriter(*QGC), dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_GCS, 8, 0, 0, 4, 3)),
@@ -289,20 +290,20 @@ async def test_an_echo_of_its_own_station_and_other_stations_are_none(b, fc, /):
 
 
 @on_bench("bench")
-async def test_it_is_not_armed_when_the_autopilots_station_is_another(b, fc, /):
+async def test_another_station_id_in_the_autopilot_blocks_arming(b, fc, /):
     b.autopilot.parameters.update(MAV_GCS_SYSID=255.0, MAV_GCS_SYSID_HI=255.0)
     with pytest.raises(DeviceError, match="MAV_GCS_SYSID is 255 and must be 128, and 1 more"):
         await fc.execute("arm", [])
 
 
-def test_a_range_of_stations_counts_on_a_fake_as_on_a_real_one(bench):
+def test_fake_accepts_a_range_of_station_ids(bench):
     b = bench()
     failsafes, parameters = b.autopilot.failsafes, b.autopilot.parameters
     for first, last, counting in ((128, 0, {128}), (200, 202, {200, 201, 202}), (200, 100, {200})):
         parameters.update(MAV_GCS_SYSID=first, MAV_GCS_SYSID_HI=last)
-        heard = set()
+        counted = set()
         for system in range(1, 256):
             failsafes.gcs_contact_at = None
             failsafes.heartbeat(system, station=True)
-            heard |= {system} if failsafes.gcs_contact_at is not None else set()
-        assert heard == counting
+            counted |= {system} if failsafes.gcs_contact_at is not None else set()
+        assert counted == counting

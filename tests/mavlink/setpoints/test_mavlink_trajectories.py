@@ -1,4 +1,4 @@
-"""Targets that move: how fast, how far ahead, and where they end; and what is commanded of a speed."""
+"""Moving targets: speed, lead and end; and the corrected speed command."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ speeds = st.floats(0.2, 15.0)
 
 
 def follow(trajectory, place, gain=0.95, seconds=600.0, until=None):
-    """The targets, and where a vehicle that follows them proportionally comes to."""
+    """The targets, and the end position of a vehicle that follows them proportionally."""
     now, targets = 0.0, []
     while now < seconds and not (until is not None and math.dist(place, until) < 0.3):
         target = trajectory.target(now, place, STILL)
@@ -43,7 +43,7 @@ def follow(trajectory, place, gain=0.95, seconds=600.0, until=None):
 
 @settings(max_examples=60, deadline=None)
 @given(places, places, speeds, st.sampled_from([0.0, 0.3, 0.7, 0.95]))
-def test_a_target_is_never_faster_than_it_may_be_nor_farther_ahead(place, goal, speed, gain):
+def test_target_keeps_its_speed_and_lead_limits(place, goal, speed, gain):
     targets, _end = follow(Leg(place, STILL, goal, speed), place, gain, 60.0)
     for one, two in itertools.pairwise(targets):
         assert math.dist(one[:2], two[:2]) <= speed * PERIOD * (1.0 + 1e-6)
@@ -55,7 +55,7 @@ def test_a_target_is_never_faster_than_it_may_be_nor_farther_ahead(place, goal, 
 
 @settings(max_examples=40, deadline=None)
 @given(places, places, speeds)
-def test_what_follows_it_arrives_on_the_straight_way(place, goal, speed):
+def test_follower_arrives_on_the_straight_line(place, goal, speed):
     targets, end = follow(Leg(place, STILL, goal, speed), place, until=goal, seconds=3000.0)
     assert math.dist(end, goal) < 0.3
     way = math.dist(place, goal)
@@ -64,13 +64,13 @@ def test_what_follows_it_arrives_on_the_straight_way(place, goal, speed):
 
 @settings(max_examples=40, deadline=None)
 @given(places, st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0)), places)
-def test_a_target_begins_where_the_vehicle_goes_on_and_not_beyond_the_goal(place, velocity, goal):
+def test_first_target_continues_the_motion_within_the_goal(place, velocity, goal):
     leg = Leg(place, (*velocity, 0.0), goal, 5.0)
     first = leg.target(0.0, place, (*velocity, 0.0)).place
     assert math.dist(place, first) <= min(math.hypot(*velocity) * 1.05, math.dist(place, goal)) + 1e-6
 
 
-def test_it_waits_while_nobody_knows_where_the_vehicle_is_and_after_a_pause_of_the_computer():
+def test_target_waits_without_position_and_after_a_pause():
     leg = Leg(STILL, STILL, (100.0, 0.0, 0.0), 5.0)
     for n in range(40):
         leg.target(n * PERIOD, (0.0, 0.0, 0.0), STILL)
@@ -79,7 +79,7 @@ def test_it_waits_while_nobody_knows_where_the_vehicle_is_and_after_a_pause_of_t
     assert leg.target(60.0, before, STILL).place[0] - before[0] <= 5.0 * 0.2 + 1e-6
 
 
-def test_a_new_speed_acts_on_the_way():
+def test_new_speed_takes_effect_during_a_leg():
     leg, place = Leg(STILL, STILL, (500.0, 0.0, 0.0), 5.0), STILL
     _, place = follow(leg, place, seconds=10.0)
     leg.speed = 1.0
@@ -87,7 +87,7 @@ def test_a_new_speed_acts_on_the_way():
     assert max(math.dist(a, b) for a, b in itertools.pairwise(targets)) <= PERIOD * 1.0001
 
 
-def test_turning_keeps_its_place_and_says_the_heading():
+def test_turn_target_keeps_the_position_and_sets_the_heading():
     target = Leg(STILL, STILL, STILL, 1.0, yaw=1.2).target(0.0, STILL, STILL)
     assert (target.mask, target.place, target.yaw) == (POSITION_AND_YAW, STILL, 1.2)
     assert Stay((1.0, 2.0, -3.0), 1.0).target(9.0, STILL, STILL).place == (1.0, 2.0, -3.0)
@@ -96,7 +96,7 @@ def test_turning_keeps_its_place_and_says_the_heading():
 
 @pytest.mark.parametrize("clockwise", [True, False])
 @pytest.mark.parametrize(("radius", "speed"), [(3.0, 1.0), (6.0, 3.0), (20.0, 5.0)])
-def test_a_ring_is_flown_with_its_radius_and_never_too_fast(radius, speed, clockwise):
+def test_ring_is_flown_with_its_radius_within_the_speed(radius, speed, clockwise):
     centre = (5.0, -4.0, -10.0)
     ring = Ring(STILL, STILL, centre, radius, speed, clockwise=clockwise)
     now, place, angles = 0.0, (0.0, 0.0, -10.0), []
@@ -112,7 +112,7 @@ def test_a_ring_is_flown_with_its_radius_and_never_too_fast(radius, speed, clock
     assert all((step > 0.0) is clockwise for step in steps)
 
 
-def test_a_rover_is_led_to_its_goal_slows_down_and_stands():
+def test_pursuit_slows_down_and_stops_at_the_goal():
     pursuit = Pursuit((10.0, 0.0, 0.0), 2.0, SpeedCorrection())
     far = pursuit.target(0.0, (0.0, 0.0, 0.0), STILL)
     assert (far.mask, far.velocity) == (ONLY_VELOCITY, (2.0, 0.0, 0.0))
@@ -121,29 +121,29 @@ def test_a_rover_is_led_to_its_goal_slows_down_and_stands():
     assert pursuit.target(3.0, None, STILL).velocity == STILL
 
 
-# -- what is commanded ----------------------------------------------------------------------------------
+# -- speed correction -----------------------------------------------------------------------------------
 
 
 def drive(correction, flown, speed=3.0, seconds=30.0):
-    """What is flown in the end, of a vehicle that makes `flown` of what it is commanded."""
-    now, told = 0.0, []
+    """The final speed of a vehicle that flies `flown(command)`, and the commands."""
+    now, commands = 0.0, []
     while now < seconds:
         correction.sample(flown(correction.commanded(speed)), speed, now)
-        told.append(correction.commanded(speed))
+        commands.append(correction.commanded(speed))
         now += 0.1
-    return flown(told[-1]), told
+    return flown(commands[-1]), commands
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(0.75, 1.18), st.floats(0.7, 1.0), st.floats(1.0, 10.0))
-def test_what_is_too_fast_is_corrected_and_nobody_is_commanded_more_than_the_speed(gain, share, speed):
-    flown, told = drive(SpeedCorrection(share), lambda commanded: gain * commanded, speed)
-    assert max(told) <= speed * (1.0 + 1e-9)
+def test_overspeed_is_corrected_and_no_command_exceeds_the_speed(gain, share, speed):
+    flown, commands = drive(SpeedCorrection(share), lambda commanded: gain * commanded, speed)
+    assert max(commands) <= speed * (1.0 + 1e-9)
     assert flown <= speed * 1.02
     assert flown >= 0.95 * min(gain, 1.0) * speed
 
 
-def test_another_speed_than_was_commanded_is_no_inaccuracy():
+def test_unrelated_speed_does_not_change_the_correction():
     correction = SpeedCorrection()
     drive(correction, lambda _: 7.0)
     assert correction.share == 1.0
@@ -155,7 +155,7 @@ def test_another_speed_than_was_commanded_is_no_inaccuracy():
     assert correction.share == 1.0
 
 
-def test_what_speeds_up_is_not_commanded_more():
+def test_correction_is_unchanged_during_acceleration():
     correction = SpeedCorrection(0.85)
     for n in range(40):
         correction.sample(0.1 * n, 3.0, 0.1 * n)
@@ -164,15 +164,15 @@ def test_what_speeds_up_is_not_commanded_more():
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 3.0])
-def test_a_known_excess_is_left_out_from_the_beginning_and_corrected_down_to_a_low_speed(speed):
+def test_known_excess_is_compensated_from_the_start(speed):
     correction = SpeedCorrection(excess=0.45)
-    flown, told = drive(correction, lambda commanded: commanded + 0.45, speed)
+    flown, commands = drive(correction, lambda commanded: commanded + 0.45, speed)
     assert flown == pytest.approx(speed, rel=0.02)
-    assert max(told) + 0.45 <= 1.15 * speed
-    # Commanded another speed it is right at once.
+    assert max(commands) + 0.45 <= 1.15 * speed
+    # For another speed the correction is immediate.
     assert correction.commanded(2.0) + 0.45 <= 2.0 * 1.05
 
 
-def test_what_drives_a_share_faster_and_no_sum_is_corrected_too():
-    flown, _told = drive(SpeedCorrection(excess=0.45), lambda commanded: 1.5 * commanded, 0.5)
+def test_proportional_excess_is_corrected():
+    flown, _commands = drive(SpeedCorrection(excess=0.45), lambda commanded: 1.5 * commanded, 0.5)
     assert flown == pytest.approx(0.5, rel=0.05)

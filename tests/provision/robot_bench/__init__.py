@@ -1,1 +1,1 @@
-"""Robots for trials of `lfield provision`: namespaces with a real sshd, real users and sudo."""
+"""Robots for tests of `lfield provision`: namespaces with a real sshd, real users and sudo."""

@@ -1,7 +1,7 @@
-"""The home of a desk for the trials: an inventory, an authority, and wheels that need no package index.
+"""The home folder of a desk for the tests: an inventory, an authority, and wheels that need no package index.
 
-The wheels are put together from the environment of the tests, and only for what `lfield doctor` imports, so
-that an installation takes seconds. Which wheels a lock file needs is tested without robots.
+The wheels are built from the environment of the tests, and only for the imports of `lfield doctor`, so
+that an installation takes seconds. The wheels of a lock file are tested without robots.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lfield.provision.own_wheel import deployment_file, describe_wheel, repack
 from lfield.provision.wheel_cache import LOCK, ZENOH, WheelCollection
 from lfield.provision.wheel_target import WheelTarget
 
-#: What lfield imports without drivers, and pip.
+#: The imports of lfield without drivers, and pip.
 NAMES = (
     *("cffi", "cryptography", "markdown-it-py", "mdurl", "msgspec", "pip", "platformdirs", "pycparser"),
     *("Pygments", "PyYAML", "rich"),
@@ -44,7 +44,7 @@ class Desk:
             "HOME": str(folder),
             "PIP_NO_INDEX": "1",
             "COLUMNS": "200",
-            # Missions of other tests on this computer are none of this desk.
+            # Hides missions of other tests on this computer.
             "LFIELD_RUNS": "here",
         }
 
@@ -59,7 +59,7 @@ class Desk:
         self.inventory.write_text(f"hosts:\n{hosts}")
 
     def collect_wheels(self, made: Path, arch: str = os.uname().machine, python: str = PYTHON) -> None:
-        """Fill the cache of a platform with the wheels in the folder `made`."""
+        """Fills the cache of a platform with the wheels in the folder `made`."""
         target = WheelTarget(arch, python)
         folder = self.cache / "wheels" / str(target)
         folder.mkdir(parents=True, exist_ok=True)
@@ -72,7 +72,7 @@ class Desk:
         index.write_bytes(msgspec.json.encode(collection))
 
     def collect_python(self, version: str) -> None:
-        """A standalone Python of that version: that of these tests without what lfield does not import."""
+        """A standalone Python of that version: the Python of these tests without unused modules."""
         archive = self.cache / "python" / f"{os.uname().machine}-{version}.tar.gz"
         archive.parent.mkdir(parents=True, exist_ok=True)
         pack_python(archive)
@@ -83,7 +83,7 @@ class Desk:
 
 
 def make_wheels(folder: Path, names: Iterable[str] = NAMES) -> None:
-    """Put wheels together from the environment of the tests."""
+    """Builds wheels from the environment of the tests."""
     for name in names:
         repack(distribution(name), folder)
 

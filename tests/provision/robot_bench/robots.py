@@ -1,8 +1,8 @@
 """A desk and robots as namespaces of this computer: private files, processes and networks, and a real sshd.
 
-The root of a robot is an overlay of this computer's root, in memory: what is installed there, disappears with
+The root of a robot is an overlay of this computer's root, in memory: installed files disappear with
 it. The desk and the robots are on one bridge without any route, so neither has internet access. There is no
-systemd: `systemctl` is a script that records its arguments, and restarts the service as the unit says.
+systemd: `systemctl` is a script that records its arguments, and restarts the service as the unit does.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ case "$1" in
   enable) touch /etc/bench-enabled ;;
   restart)
     service=$(cat /run/bench-service 2>/dev/null)
-    # A process that has ended has no program, also before its parent knows it.
+    # An ended process has no program, also before its parent has waited for it.
     [ ! -e "/proc/${service:-none}/exe" ] || kill "$service"
     while [ -e "/proc/${service:-none}/exe" ]; do sleep 0.05; done
     install -d -o lfield -g lfield -m 700 /var/lib/lfield /var/cache/lfield
@@ -109,7 +109,7 @@ exec cat
 
 
 def missing() -> str:
-    """Why there can be no bench here, empty if there can."""
+    """The reason why no bench is possible here, empty if it is possible."""
     if os.geteuid() != 0:
         return "lfield provision on robots with sshd; needs root"
     tools = [tool for tool in TOOLS if not shutil.which(tool)] + ([] if SSHD.exists() else ["sshd"])
@@ -122,9 +122,9 @@ def missing() -> str:
 
 @dataclass(frozen=True)
 class RobotKind:
-    """How a robot differs from one that can be provisioned."""
+    """The differences of a robot from one that can be provisioned."""
 
-    #: `none` or `password`, what sudo asks for.
+    #: The request of sudo: `none` or `password`.
     sudo: str = "none"
     #: The key that sshd accepts: that of the `desk`, or `other`.
     authorized: str = "desk"
@@ -151,7 +151,7 @@ class BenchRobot:
         return place.read_text(encoding="utf-8") if place.exists() else ""
 
     def run(self, script: str) -> str:
-        """The output of a script that root runs there."""
+        """The output of a script that root runs on the robot."""
         words = ["nsenter", "-t", str(self.pid), "-m", "-n", "-p", "-u", "-r", "-w", "sh", "-c", script]
         done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
         assert done.returncode == 0, done
@@ -197,7 +197,7 @@ class RobotBench:
                 text=True,
                 env=environment,
             )
-        # Its pipes are closed once it is killed.
+        # Its pipes are closed after it is killed.
         self._stack.enter_context(process)
         self._stack.callback(process.kill)
         assert process.stdout is not None
@@ -206,7 +206,7 @@ class RobotBench:
         return process
 
     def add(self, name: str, kind: RobotKind = RobotKind(), *, is_known: bool = True) -> BenchRobot:
-        """Start a robot; the desk knows its host key, if `is_known`."""
+        """Starts a robot; the desk knows its host key if `is_known`."""
         number = len(self.robots) + 11
         base = self.folder / f"robot-{number}"
         base.mkdir()
@@ -259,13 +259,13 @@ class RobotBench:
             subprocess.run(command, check=True)
 
     def learn_host_key(self, robot: BenchRobot) -> None:
-        """Add the host key of a robot to the known hosts of the desk."""
+        """Adds the host key of a robot to the known hosts of the desk."""
         key = " ".join((self.folder / "host_key.pub").read_text().split()[:2])
         with (self.folder / "known_hosts").open("a") as known:
             known.write(f"{robot.address} {key}\n")
 
     def wait_for(self, robot: BenchRobot) -> None:
-        """Wait until its sshd accepts connections."""
+        """Waits until its sshd accepts connections."""
         script = f"until exec 3<>/dev/tcp/{robot.address}/22; do sleep 0.05; done 2>/dev/null"
         self.run(["bash", "-c", script])
 
@@ -276,7 +276,7 @@ class RobotBench:
     def run(
         self, words: Iterable[object], environment: Mapping[str, str] | None = None
     ) -> subprocess.CompletedProcess[str]:
-        """Run a command on the desk, without a terminal."""
+        """Runs a command on the desk, without a terminal."""
         return subprocess.run(
             self.command(words),
             stdin=subprocess.DEVNULL,

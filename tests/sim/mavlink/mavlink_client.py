@@ -1,4 +1,4 @@
-"""A ground station made of packets, for a fake in given time."""
+"""A ground station that sends packets to a fake in virtual time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GUIDED, BRAKE = 4, 17
 
 
 class Client:
-    """A ground station made of packets."""
+    """A ground station that sends packets."""
 
     def __init__(
         self, kind="copter", *, flavour="ardupilot", system=1, faults=(), sender=255, beats=False, **autopilot
@@ -28,11 +28,11 @@ class Client:
         self.messages: list = []
 
     def send(self, message) -> list:
-        """Send one message; the answers to it."""
+        """Sends one message; returns the answers."""
         return self._parse(self.fake.receive("c", message.pack(self.out)))
 
     def wait(self, seconds: float) -> list:
-        """Let time pass; what was sent meanwhile. One that `beats` is heard once a second."""
+        """Advances time; returns the sent messages. With `beats`, sends a heartbeat each second."""
         packets = []
         for _ in range(round(seconds / 0.02)):
             if self.beats and self.autopilot.now - self._beaten >= 1.0:
@@ -61,7 +61,7 @@ class Client:
         return acks[0].result if acks else None
 
     def ask(self, kind):
-        """One message, now."""
+        """Requests one message at once."""
         assert self.command(ONCE, kind) == ACCEPTED
         return [m for m in self.messages if m.get_msgId() == kind][-1]
 

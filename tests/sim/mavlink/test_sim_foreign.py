@@ -1,8 +1,8 @@
-"""The fake used by others' software in given time: pymavlink's mavutil, mavwp and mavftp, and dronekit.
+"""The fake used by third-party software in virtual time: pymavlink's mavutil, mavwp and mavftp, and dronekit.
 
-dronekit itself runs on no Python that lfield knows; what it does on the wire is written here, by its words:
-it takes home from item 0 of a mission, flies to a `MISSION_ITEM` with current = 2, and arms through mavutil.
-MAVSDK has tests of its own (`tests/mavlink/client`).
+dronekit itself does not run on Python 3.11; its messages on the wire are reproduced here:
+it reads home from item 0 of a mission, flies to a `MISSION_ITEM` with current = 2, and arms through mavutil.
+MAVSDK has its own tests (`tests/mavlink/client`).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
 
 class Connection(mavutil.mavfile):
-    """mavutil's connection to a fake; time goes on while something is waited for.
+    """mavutil's connection to a fake; time advances during a wait.
 
-    It gives as many bytes as are asked for, so that no time passes while there are messages to read: a client
-    that reads one message each step falls behind PX4's stream, and answers what was asked seconds ago.
+    It returns the requested number of bytes, so that no time passes while messages are unread: a client
+    that reads one message per step falls behind PX4's stream and receives answers seconds late.
     """
 
     def __init__(self, flavour="ardupilot"):
@@ -34,7 +34,7 @@ class Connection(mavutil.mavfile):
         self._waiting = bytearray()
         self._reader = dialect.MAVLink(None)
         self._reader.robust_parsing = True
-        self.said = []
+        self.read_texts = []
         super().__init__(None, "fake", source_system=255, source_component=190)
         self.heartbeat()
         self.wait_heartbeat(timeout=5)
@@ -48,7 +48,7 @@ class Connection(mavutil.mavfile):
 
     def post_message(self, msg):
         if msg.get_type() == "STATUSTEXT":
-            self.said.append(msg.text)
+            self.read_texts.append(msg.text)
         super().post_message(msg)
 
     def write(self, buf):
@@ -69,11 +69,11 @@ class Connection(mavutil.mavfile):
                 self._waiting += packet
 
     def texts(self, seconds):
-        """What it says in some seconds, and what it has said and nobody read."""
+        """The status texts of the next seconds and all earlier ones."""
         self.pass_time(seconds)
         packets, self._waiting = bytes(self._waiting), bytearray()
         messages = self._reader.parse_buffer(packets) or []
-        return [*self.said, *(m.text for m in messages if m.get_type() == "STATUSTEXT")]
+        return [*self.read_texts, *(m.text for m in messages if m.get_type() == "STATUSTEXT")]
 
     def ack(self, command):
         """The final result of a command, as its name."""
@@ -146,7 +146,7 @@ def test_dronekit_flies_to_a_guided_item():
 
 
 @BOTH
-def test_a_mission_goes_there_and_back_by_mavwp(flavour):
+def test_mavwp_uploads_and_downloads_a_mission(flavour):
     c = Connection(flavour)
     loader = mavwp.MAVWPLoader()
     places = [(HOME[0] + n * 1e-4, HOME[1], 8.0 + n) for n in range(4)]
@@ -157,7 +157,7 @@ def test_a_mission_goes_there_and_back_by_mavwp(flavour):
     assert [round(read.wp(n).z) for n in range(1, 4)] == [9, 10, 11]
 
 
-def test_px4_disarmed_in_the_mode_takeoff_does_not_take_off_at_the_next_arming():
+def test_px4_disarmed_in_takeoff_mode_does_not_take_off_later():
     c = Connection("px4")
     c.pass_time(1.0)
     for number, values in [(400, (1,)), (176, (1, 4, 2)), (400, (0,)), (400, (1,))]:
@@ -203,12 +203,12 @@ def test_mavutil_reads_and_sets_parameters(flavour):
         ("px4", (0, 1), "ACCEPTED", "[cal] Rotate vehicle"),
     ],
 )
-def test_calibrations_are_answered(flavour, values, result, text):
+def test_calibration_is_answered_as_recorded(flavour, values, result, text):
     c = Connection(flavour)
     c.mav.command_long_send(1, 1, 241, 0, *values, *[0] * (7 - len(values)))
     assert c.ack(241) == result
-    said = c.texts(4.0)
-    assert not text or text in said
+    texts = c.texts(4.0)
+    assert not text or text in texts
 
 
 @pytest.mark.parametrize(
@@ -223,13 +223,13 @@ def test_calibrations_are_answered(flavour, values, result, text):
     ],
 )
 @BOTH
-def test_older_commands_are_answered(flavour, command, values, ardupilot, px4):
+def test_older_command_is_answered_as_recorded(flavour, command, values, ardupilot, px4):
     c = Connection(flavour)
     c.mav.command_long_send(1, 1, command, 0, *values, *[0] * (7 - len(values)))
     assert c.ack(command) == (ardupilot if flavour == "ardupilot" else px4)
 
 
-def test_a_motor_test_while_armed_leaves_it_deaf_to_arming():
+def test_motor_test_while_armed_blocks_arming_until_a_reboot():
     c = Connection()
     c.set_mode_apm("GUIDED")
     c.arducopter_arm()
@@ -248,7 +248,7 @@ def test_a_motor_test_while_armed_leaves_it_deaf_to_arming():
 
 
 @BOTH
-def test_the_list_of_logs(flavour):
+def test_log_list_has_an_entry(flavour):
     c = Connection(flavour)
     c.mav.log_request_list_send(1, 1, 0, 0xFFFF)
     entry = c.recv_match(type="LOG_ENTRY", blocking=True, timeout=5)
@@ -256,7 +256,7 @@ def test_the_list_of_logs(flavour):
     assert entry.size > 0
 
 
-def test_px4_that_is_switched_off_says_nothing_more():
+def test_px4_sends_nothing_after_shutdown():
     c = Connection("px4")
     c.mav.command_long_send(1, 1, 246, 0, 2, 0, 0, 0, 0, 0, 0)
     c._waiting.clear()
@@ -273,7 +273,7 @@ def test_mavftp_lists_a_folder(flavour):
     assert "APM" in [e.name for e in ftp.list_result] or "etc" in [e.name for e in ftp.list_result]
 
 
-def test_px4_follows_setpoints_of_acceleration_alone():
+def test_px4_follows_acceleration_setpoints():
     c = Connection("px4")
     c.pass_time(1.0)
     c.arducopter_arm()

@@ -1,4 +1,4 @@
-"""The MAVLink fake by raw packets and given time: no sockets, no sleeping, no driver."""
+"""The MAVLink fake by raw packets in virtual time: no sockets, no driver."""
 
 from __future__ import annotations
 
@@ -34,29 +34,29 @@ def kinds(messages) -> set[str]:
     return {m.get_type() for m in messages}
 
 
-def test_nothing_but_heartbeats_until_asked():
+def test_ardupilot_sends_only_heartbeats_without_a_request():
     c = Client()
-    heard = c.wait(5.0)
+    received = c.wait(5.0)
     # One TIMESYNC in 10 s.
-    assert kinds(heard) == {"HEARTBEAT", "TIMESYNC"}
-    assert len(heard) == 6
-    beat = heard[0]
+    assert kinds(received) == {"HEARTBEAT", "TIMESYNC"}
+    assert len(received) == 6
+    beat = received[0]
     assert (beat.type, beat.autopilot, beat.get_srcComponent()) == (2, 3, 1)
     assert beat.base_mode & 1
     assert beat.get_msgbuf()[0] == 0xFD, "MAVLink 2"
 
 
-def test_streams_at_the_rate_asked_for_and_stopped():
+def test_stream_has_the_requested_rate_and_stops():
     c = Client()
     assert c.command(STREAM, 32, 100_000) == ACCEPTED
-    heard = [m for m in c.wait(2.0) if m.get_type() == "LOCAL_POSITION_NED"]
-    assert 19 <= len(heard) <= 21
+    received = [m for m in c.wait(2.0) if m.get_type() == "LOCAL_POSITION_NED"]
+    assert 19 <= len(received) <= 21
     assert c.command(STREAM, 32, -1) == ACCEPTED
     assert kinds(c.wait(2.0)) == {"HEARTBEAT"}
     assert c.command(STREAM, 9999, 100_000) == DENIED
 
 
-def test_the_old_way_to_ask_for_streams():
+def test_request_data_stream_starts_and_stops_streams():
     c = Client()
     c.send(dialect.MAVLink_request_data_stream_message(1, 1, 0, 4, 1))
     assert {"GLOBAL_POSITION_INT", "ATTITUDE", "SYS_STATUS", "VFR_HUD", "GPS_RAW_INT"} <= kinds(c.wait(1.0))
@@ -65,7 +65,7 @@ def test_the_old_way_to_ask_for_streams():
 
 
 @pytest.mark.parametrize("kind", sorted(MESSAGES.keys() - {436}))
-def test_every_message_can_be_asked_for_once(kind):
+def test_every_message_can_be_requested_once(kind):
     flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
     c = Client(flavour=flavour)
     c.autopilot.parameters |= {"FENCE_ENABLE": 1, "EKF2_DRAG_CTRL": 1}
@@ -74,7 +74,7 @@ def test_every_message_can_be_asked_for_once(kind):
         dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
     )
     if kind in targets:
-        # They are sent only while the vehicle goes to a place.
+        # They are sent only while the vehicle flies to a goal.
         c.up()
         goal = (5.0, 0.0, -5.0, *[0.0] * 8)
         c.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *goal))
@@ -104,7 +104,7 @@ def test_every_message_can_be_asked_for_once(kind):
         ("", ONCE, (9999,), FAILED, ""),
     ],
 )
-def test_refusals(prepare, number, values, result, text):
+def test_command_result_by_state(prepare, number, values, result, text):
     c = Client()
     if prepare == "arm":
         c.command(ARM, 1)
@@ -118,13 +118,13 @@ def test_refusals(prepare, number, values, result, text):
     assert not text or text in c.texts()
 
 
-def test_other_systems_are_left_alone_and_other_components_served():
+def test_other_system_is_ignored_and_other_component_served():
     c = Client()
     assert c.command(MODE, 1, GUIDED, target=2) is None
     assert c.command(MODE, 1, GUIDED, component=42) == ACCEPTED
 
 
-def test_a_long_text_comes_in_chunks():
+def test_long_status_text_is_sent_in_chunks():
     reason = "the compass and the accelerometers disagree about where is down, says the pilot"
     c = Client(refuse_arming=reason)
     assert c.command(ARM, 1) == FAILED
@@ -135,7 +135,7 @@ def test_a_long_text_comes_in_chunks():
     assert "".join(m.text for m in chunks) == f"Arm: {reason}"
 
 
-def test_a_flight_by_packets():
+def test_flight_by_packets():
     c = Client()
     c.up(5.0)
     assert c.place[2] == pytest.approx(-5.0, abs=0.1)
@@ -148,10 +148,10 @@ def test_a_flight_by_packets():
     assert c.command(LAND) == ACCEPTED
     c.wait(16.0)
     assert c.place[2] == 0.0
-    assert not c.autopilot.armed, "it disarms itself after landing"
+    assert not c.autopilot.armed, "it disarms after landing"
 
 
-def test_speeds_are_limited():
+def test_copter_flies_its_default_and_set_speed():
     c = Client()
     c.up(5.0)
     c.target(0x0DF8, place=(60, 0, -5))
@@ -163,12 +163,12 @@ def test_speeds_are_limited():
     assert c.autopilot.vehicle.velocity[0] == pytest.approx(2.04, abs=0.01)
 
 
-def test_a_velocity_setpoint_ends_by_itself():
+def test_velocity_setpoint_times_out():
     c = Client()
     c.up()
     c.target(0x0DC7, velocity=(2, 0, 0))
     c.wait(2.5)
-    assert c.autopilot.vehicle.velocity[0] == pytest.approx(1.9, abs=0.1), "it comes to it gently"
+    assert c.autopilot.vehicle.velocity[0] == pytest.approx(1.9, abs=0.1), "it accelerates gradually"
     c.wait(4.0)
     assert c.autopilot.vehicle.velocity[0] == pytest.approx(0.0, abs=0.01)
     assert c.autopilot.mode == "GUIDED"
@@ -189,14 +189,14 @@ def test_setpoints_on_the_ground_and_outside_guided_are_ignored():
     assert abs(c.place[0]) < 0.1
 
 
-def test_armed_and_forgotten_it_disarms():
+def test_armed_copter_on_the_ground_disarms_after_a_timeout():
     c = Client()
     c.command(ARM, 1)
     c.wait(11.0)
     assert not c.autopilot.armed
 
 
-def test_the_gcs_failsafe():
+def test_gcs_failsafe_returns_and_clears_after_heartbeats():
     c = Client()
     c.send(dialect.MAVLink_param_set_message(1, 1, b"FS_GCS_TIMEOUT", 3, 9))
     c.up()
@@ -217,7 +217,7 @@ def test_the_gcs_failsafe():
     assert c.autopilot.mode == "RTL"
 
 
-def test_heartbeats_of_another_station_do_not_count():
+def test_heartbeats_of_another_station_are_ignored_in_flight():
     c = Client(sender=254)
     c.autopilot.parameters["FS_GCS_ENABLE"] = 1
     c.heartbeat()
@@ -226,7 +226,7 @@ def test_heartbeats_of_another_station_do_not_count():
     assert "GCS Failsafe" not in c.texts()
 
 
-def test_without_the_parameter_there_is_no_failsafe():
+def test_disabled_gcs_failsafe_does_not_act():
     c = Client()
     c.heartbeat()
     c.up()
@@ -234,7 +234,7 @@ def test_without_the_parameter_there_is_no_failsafe():
     assert c.autopilot.mode == "GUIDED"
 
 
-def test_return_to_launch_climbs_comes_home_and_lands():
+def test_return_to_launch_climbs_returns_and_lands():
     c = Client()
     c.up()
     c.target(0x0DF8, place=(20, 0, -5))
@@ -247,28 +247,7 @@ def test_return_to_launch_climbs_comes_home_and_lands():
     assert not c.autopilot.armed
 
 
-def parameter(c, message):
-    """What is told for a message about a parameter, at once or a moment later; None for nothing."""
-    told = [m for m in [*c.send(message), *c.wait(0.3)] if m.get_type() == "PARAM_VALUE"]
-    return told[0] if told else None
-
-
-def test_parameters():
-    c = Client()
-    answer = parameter(c, dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1))
-    assert (answer.param_id, answer.param_value) == ("FS_GCS_ENABLE", 0.0)
-    assert parameter(c, dialect.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1)) is None
-    assert parameter(c, dialect.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1, 9)) is None
-    answer = parameter(c, dialect.MAVLink_param_set_message(1, 1, b"WPNAV_SPEED", 300, 9))
-    assert answer.param_value == 300.0
-    assert c.autopilot.own_speed() == 3.0
-    c.send(dialect.MAVLink_param_request_list_message(1, 1))
-    everything = [m for m in c.wait(3.0) if m.get_type() == "PARAM_VALUE"]
-    assert {m.param_index for m in everything} == set(range(everything[0].param_count))
-    assert parameter(c, dialect.MAVLink_param_request_read_message(1, 1, b"", 3)).param_index == 3
-
-
-def test_the_battery_drains_faster_in_the_air_and_says_when_it_is_low():
+def test_battery_drains_faster_in_flight_and_reports_low_charge():
     c = Client(battery=Battery(0.21))
     c.wait(60.0)
     on_ground = 0.21 - c.autopilot.battery.charge
@@ -279,14 +258,14 @@ def test_the_battery_drains_faster_in_the_air_and_says_when_it_is_low():
     assert any(text.startswith("Battery 1 is low") for text in c.texts())
 
 
-def test_an_empty_battery_lands():
+def test_empty_battery_leads_to_a_landing():
     c = Client(battery=Battery(0.02))
     c.up(10.0)
     c.wait(60.0)
     assert c.place[2] == 0.0
 
 
-def test_a_rover():
+def test_rover_refuses_takeoff_and_drives_to_a_goal():
     c = Client("rover")
     assert c.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 5) == UNSUPPORTED
     assert c.command(MODE, 1, 15) == ACCEPTED
@@ -297,7 +276,7 @@ def test_a_rover():
     assert c.wait(1.0)[0].type == 10
 
 
-def test_positions_agree():
+def test_global_and_local_positions_agree():
     c = Client()
     c.up()
     c.target(0x0DF8, place=(30, 40, -5))
@@ -310,10 +289,10 @@ def test_positions_agree():
     assert globe.relative_alt == pytest.approx(5000, abs=100)
 
 
-def test_faults():
+def test_loss_and_silence_faults():
     c = Client(faults=["loss=0.5"])
     got = sum(1 for _ in range(200) if c.command(MODE, 1, GUIDED) is not None)
-    assert 20 < got < 80, "a quarter of the questions are answered"
+    assert 20 < got < 80, "a quarter of the requests is answered"
     c = Client()
     assert len([m for m in c.wait(2.9) if m.get_type() == "HEARTBEAT"]) == 3
     c.fault("silence=true")

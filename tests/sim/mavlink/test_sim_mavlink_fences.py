@@ -1,4 +1,4 @@
-"""What the fakes do about their fences: the traces f-fence-landing and f-fence-breach."""
+"""Fence behaviour of the fakes, as in the traces f-fence-landing and f-fence-breach."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def reposition(c, north):
 
 
 def drive(c, speed, seconds):
-    """A velocity north, each second."""
+    """Sends a northward velocity each second."""
     for _ in range(seconds):
         c.target(VELOCITY, velocity=(speed, 0, 0))
         c.wait(1.0)
 
 
-def test_an_arducopter_does_not_set_out_for_a_goal_beyond():
+def test_arducopter_ignores_a_goal_beyond_its_fence():
     c = copter()
     c.target(PLACE, (60, 0, -10))
     c.wait(3.0)
@@ -48,11 +48,11 @@ def test_an_arducopter_does_not_set_out_for_a_goal_beyond():
     assert reposition(c, 60.0) == FAILED
     c.wait(1.0)
     assert c.place[0] == pytest.approx(0.0, abs=0.1)
-    assert c.texts() == ["Arming motors"], "not a word"
+    assert c.texts() == ["Arming motors"], "no message about the fence"
 
 
 @pytest.mark.parametrize("make", [copter, rover])
-def test_an_ardupilot_velocity_stops_inside(make):
+def test_ardupilot_velocity_stops_before_the_fence(make):
     c = make()
     drive(c, 4, 20)
     assert 26.0 < c.place[0] < 29.0, "FENCE_MARGIN before the edge"
@@ -60,7 +60,7 @@ def test_an_ardupilot_velocity_stops_inside(make):
     assert c.autopilot.mode == "GUIDED"
 
 
-def test_a_rover_drives_to_the_edge_for_a_goal_beyond():
+def test_rover_drives_up_to_the_fence_for_a_goal_beyond():
     c = rover()
     assert reposition(c, 60.0) == ACCEPTED
     c.wait(30.0)
@@ -76,7 +76,7 @@ def test_a_rover_drives_to_the_edge_for_a_goal_beyond():
         (rover, 2, "HOLD", {"Manual recovery started"}),
     ],
 )
-def test_without_avoiding_it_breaches_and_acts(make, action, mode, texts):
+def test_breach_without_avoidance_triggers_the_fence_action(make, action, mode, texts):
     c = make(AVOID_ENABLE=0, FENCE_ACTION=action)
     c.wait(0.1)
     c.messages.clear()
@@ -87,7 +87,7 @@ def test_without_avoiding_it_breaches_and_acts(make, action, mode, texts):
     assert set(c.texts()) == texts
     status = c.ask(162)
     assert (status.breach_status, status.breach_type, status.breach_count) == (1, 3, 1)
-    assert not c.autopilot.critical, "its heartbeats do not say so"
+    assert not c.autopilot.critical, "its heartbeats do not show it"
     c.messages.clear()
     guided = GUIDED if make is copter else 15
     assert c.command(MODE, 1, guided) == ACCEPTED, "also outside"
@@ -108,7 +108,7 @@ def px4():
     return c
 
 
-def test_px4_accepts_a_goal_beyond_and_refuses_it_in_words():
+def test_px4_accepts_a_goal_beyond_its_fence_and_refuses_by_text():
     c = px4()
     lat, lon = c.fake.place.at(60.0, 0.0)
     assert c.command_int(192, -1, 1, 0, NAN, x=lat, y=lon, z=c.fake.place.altitude + 10) == ACCEPTED
@@ -117,7 +117,7 @@ def test_px4_accepts_a_goal_beyond_and_refuses_it_in_words():
     assert "Reposition is outside geofence\t" in c.texts()
 
 
-def test_px4_flies_through_its_fence_holds_and_then_acts():
+def test_px4_crosses_its_fence_holds_and_then_acts():
     c = px4()
     for number in range(130):
         c.target(VELOCITY, velocity=(4, 0, 0))
@@ -135,19 +135,19 @@ def test_px4_flies_through_its_fence_holds_and_then_acts():
 
 
 def states(c, seconds):
-    """The landed states that were told, each once, in their order."""
+    """The reported landed states, without repetitions, in order."""
     c.command(511, 245, 100_000)
-    told = [m.landed_state for m in c.wait(seconds) if m.get_type() == "EXTENDED_SYS_STATE"]
-    return [state for state, before in zip(told, [None, *told], strict=False) if state != before]
+    reported = [m.landed_state for m in c.wait(seconds) if m.get_type() == "EXTENDED_SYS_STATE"]
+    return [state for state, before in zip(reported, [None, *reported], strict=False) if state != before]
 
 
-def test_the_landed_states_of_a_flight():
+def test_landed_states_of_a_flight():
     c = Client()
     c.command(MODE, 1, GUIDED)
     c.command(ARM, 1)
     c.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 10)
     c.wait(2.9)
-    assert c.ask(245).landed_state == dialect.MAV_LANDED_STATE_ON_GROUND, "the motors come up first"
+    assert c.ask(245).landed_state == dialect.MAV_LANDED_STATE_ON_GROUND, "the motors spin up first"
     assert states(c, 12.0) == [1, 3, 2]
     c.command(21)
     assert states(c, 25.0) == [4, 1]
@@ -163,7 +163,7 @@ def test_the_landed_states_of_a_flight():
     assert c.autopilot.mode == "AUTO.LOITER"
 
 
-def test_without_a_transmitter_loiter_sinks_to_the_ground():
+def test_loiter_without_a_transmitter_sinks_to_the_ground():
     c = Client()
     c.up(10.0)
     assert c.command(MODE, 1, 5) == ACCEPTED

@@ -1,4 +1,4 @@
-"""The fake against peers that send nonsense: it never raises; its output and its memory are bounded."""
+"""The fake with random messages: it does not raise; its output and memory are bounded."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ COMMANDS = (
     *(16, 20, 21, 22, 34, 115, 176, 177, 178, 179, 181, 183, 185, 187, 192, 203, 205, 211, 224, 246),
     *(300, 400, 510, 511, 512, 1000, 2000, 31337, 42600),
 )
-#: Packets that one message may bring about at most, and one second of streams (100 Hz each at most).
+#: Maximum packets in answer to one message, and in one second of streams (100 Hz each at most).
 ANSWERS, A_SECOND = 20, 4000
 WIDTHS = {"uint8_t": 8, "int8_t": 8, "char": 8, "uint16_t": 16, "int16_t": 16, "uint32_t": 32, "int32_t": 32}
 
 
-def tell_everything(c: Client) -> None:
-    """Every message can be built, whatever state the fake is in."""
+def build_every_message(c: Client) -> None:
+    """Builds every message in the current state of the fake."""
     for kind in MESSAGES:
         c.fake._pack(c.fake.sender.build(kind))
 
@@ -40,7 +40,7 @@ def fly(c: Client) -> None:
 
 
 def value(field: str, length: int) -> st.SearchStrategy:
-    """Any value of a field of a message."""
+    """Any value of a message field."""
     if field == "char":
         return st.binary(max_size=length)
     if field in ("float", "double"):
@@ -56,7 +56,7 @@ def value(field: str, length: int) -> st.SearchStrategy:
 
 @st.composite
 def messages(draw: st.DrawFn):
-    """A message of a kind that something in the fake handles, for it or for anybody, with any values."""
+    """A message of a type that the fake handles, to it or to all, with any values."""
     c = Client()
     handled = {*HANDLERS, *(kind for service in c.fake.services for kind in service.handles)}
     made = dialect.mavlink_map[draw(st.sampled_from(sorted(handled)))]
@@ -75,7 +75,7 @@ def messages(draw: st.DrawFn):
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=5), flavours)
-def test_malformed_bytes(pieces, flavour):
+def test_malformed_bytes_do_not_break_the_fake(pieces, flavour):
     c = Client(flavour=flavour)
     for piece in pieces:
         assert len(c.fake.receive("c", piece)) <= ANSWERS
@@ -84,7 +84,7 @@ def test_malformed_bytes(pieces, flavour):
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(messages(), min_size=1, max_size=8), flavours, kinds, st.booleans())
-def test_valid_messages_with_any_values(several, flavour, kind, flying):
+def test_valid_messages_with_any_values_do_not_break_the_fake(several, flavour, kind, flying):
     c = Client(kind, flavour=flavour)
     if flying:
         fly(c)
@@ -92,12 +92,12 @@ def test_valid_messages_with_any_values(several, flavour, kind, flying):
         packet = message.pack(c.out)
         assert len(c.fake.receive("c", packet)) <= ANSWERS
         assert sum(len(c.fake.advance(0.1)) for _ in range(5)) <= A_SECOND
-    tell_everything(c)
+    build_every_message(c)
 
 
 @settings(max_examples=35, deadline=None)
 @given(messages(), st.integers(0, 300), st.integers(0, 255))
-def test_mutated_packets(message, spot, byte):
+def test_mutated_packets_do_not_raise(message, spot, byte):
     c = Client()
     packet = bytearray(message.pack(c.out))
     packet[spot % len(packet)] = byte
@@ -116,19 +116,21 @@ def test_mutated_packets(message, spot, byte):
     flavours,
     st.booleans(),
 )
-def test_hostile_commands(number, values, coordinates, z, frame, flavour, flying):
+def test_commands_with_any_values_do_not_break_the_fake(
+    number, values, coordinates, z, frame, flavour, flying
+):
     c = Client(flavour=flavour)
     if flying:
         fly(c)
     c.command(number, *values, *map(float, coordinates), z)
     c.command_int(number, *values, x=coordinates[0], y=coordinates[1], z=z, frame=frame)
     c.wait(2.0)
-    tell_everything(c)
+    build_every_message(c)
 
 
 @settings(max_examples=35, deadline=None)
 @given(st.lists(numbers, min_size=6, max_size=6), st.integers(0, 0xFFFF), st.integers(0, 12), flavours)
-def test_hostile_setpoints(values, mask, frame, flavour):
+def test_setpoints_with_any_values_do_not_break_the_fake(values, mask, frame, flavour):
     c = Client(flavour=flavour)
     fly(c)
     c.target(mask, values[:3], values[3:], frame)
@@ -136,12 +138,12 @@ def test_hostile_setpoints(values, mask, frame, flavour):
         c.command(MODE, 1, 6)
     c.target(mask, values[:3], values[3:], frame)
     c.wait(2.0)
-    tell_everything(c)
+    build_every_message(c)
 
 
 @settings(max_examples=35, deadline=None)
 @given(st.data(), numbers, st.binary(max_size=16), flavours, kinds)
-def test_hostile_parameters(data, number, other, flavour, kind):
+def test_parameters_with_any_values_do_not_break_the_fake(data, number, other, flavour, kind):
     c = Client(kind, flavour=flavour)
     name = data.draw(st.sampled_from(sorted(c.autopilot.kind.parameters)))
     c.autopilot.parameters[name] = number
@@ -151,10 +153,10 @@ def test_hostile_parameters(data, number, other, flavour, kind):
     fly(c)
     c.command(20)
     c.wait(2.0)
-    tell_everything(c)
+    build_every_message(c)
 
 
-def test_an_impact_can_be_told():
+def test_messages_can_be_built_during_an_impact():
     c = Client()
     c.up(5.0)
     c.autopilot.vehicle.place = (0.0, 0.0, -150.0)
@@ -162,19 +164,19 @@ def test_an_impact_can_be_told():
     hardest = 0.0
     while c.autopilot.vehicle.airborne:
         c.fake.advance(0.02)
-        tell_everything(c)
+        build_every_message(c)
         hardest = max(hardest, *map(abs, c.autopilot.vehicle.acceleration))
     assert hardest > 1000.0
 
 
-def test_many_peers_do_not_cost_memory():
+def test_many_peers_use_bounded_memory():
     c = Client()
     for number in range(1000):
         c.fake.receive(number, b"\xfd\x09")
     assert len(c.fake._readers) == 16
 
 
-def test_a_stream_that_never_ends_on_a_packet_does_not_grow():
+def test_stream_of_incomplete_packets_uses_bounded_memory():
     c = Client()
     packet = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(c.out)
     c.fake.receive("c", packet[:5])
@@ -183,7 +185,7 @@ def test_a_stream_that_never_ends_on_a_packet_does_not_grow():
     assert len(c.fake._readers._readers["c"]._parser.buf) < 10_000
 
 
-def test_what_nobody_takes_is_bounded():
+def test_undelivered_packets_and_texts_are_bounded():
     c = Client(faults=["delay=60"])
     for _ in range(300):
         c.command(MODE, 1, 99)
@@ -194,4 +196,4 @@ def test_what_nobody_takes_is_bounded():
     for _ in range(1000):
         c.autopilot.say("again")
     assert len(c.autopilot.pop_texts()) <= 101
-    assert c.command(ONCE, 0) is None, "it is under way"
+    assert c.command(ONCE, 0) is None, "it is delayed"

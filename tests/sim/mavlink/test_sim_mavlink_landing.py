@@ -1,4 +1,4 @@
-"""How the fake copters come down: as ArduCopter 4.7 and PX4 1.17 were seen to, and no sooner at rest."""
+"""Landings of the fake copters, timed as observed on ArduCopter 4.7 and PX4 1.17."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RTL = {"ardupilot": (6.0,), "px4": (4.0, 5.0)}
 
 
 def flying(flavour, height=10.0, **parameters):
-    """A client whose copter hovers."""
+    """A client with a hovering copter."""
     c = Client(flavour=flavour, beats=True)
     c.autopilot.parameters.update(parameters)
     if flavour == "px4":
@@ -27,7 +27,7 @@ def flying(flavour, height=10.0, **parameters):
 
 
 def until(c, happened, bound=120.0):
-    """Seconds until it has."""
+    """Waits for the event; returns the seconds."""
     start = c.autopilot.now
     while not happened():
         c.wait(0.02)
@@ -44,7 +44,7 @@ def landed_state(c):
     # ArduCopter: 0.50 m/s, 1.6 s, 0.5 s. PX4: 0.5 to 0.7 m/s, 2.5 to 3 s, COM_DISARM_LAND.
     [("ardupilot", 0.5, 1.6, 0.5), ("px4", 0.61, 2.5, 2.0)],
 )
-def test_a_landing_takes_its_time(flavour, sinking, landed, disarmed):
+def test_landing_speed_and_disarm_delay_as_observed(flavour, sinking, landed, disarmed):
     c = flying(flavour)
     assert c.command(MODE, 1, *LANDING[flavour]) == ACCEPTED
     c.wait(3.0)
@@ -53,7 +53,7 @@ def test_a_landing_takes_its_time(flavour, sinking, landed, disarmed):
     until(c, lambda: not c.autopilot.vehicle.airborne)
     assert landed_state(c) != dialect.MAV_LANDED_STATE_ON_GROUND
     refused = {"ardupilot": FAILED, "px4": REJECTED}[flavour]
-    assert c.command(ARM, 0) == refused, "it does not know yet that it stands"
+    assert c.command(ARM, 0) == refused, "it has not detected the landing yet"
     assert until(c, lambda: c.autopilot.landed) == pytest.approx(landed, abs=0.1)
     assert landed_state(c) == dialect.MAV_LANDED_STATE_ON_GROUND
     assert c.autopilot.armed
@@ -62,16 +62,18 @@ def test_a_landing_takes_its_time(flavour, sinking, landed, disarmed):
     assert {"ardupilot": "Disarming motors", "px4": "Disarmed by landing\t"}[flavour] in c.texts()
 
 
-def test_a_landing_from_ten_metres_takes_as_long_as_it_did():
+def test_landing_from_ten_metres_takes_the_observed_time():
     c = flying("ardupilot")
     assert c.command(LAND) == ACCEPTED
     assert until(c, lambda: not c.autopilot.armed) == pytest.approx(23.0, abs=1.0)
     c = flying("px4")
     assert c.command(LAND) == ACCEPTED
-    assert until(c, lambda: not c.autopilot.armed) == pytest.approx(21.0, abs=1.0), "19.0 to 24.0 were seen"
+    assert until(c, lambda: not c.autopilot.armed) == pytest.approx(21.0, abs=1.0), (
+        "19.0 to 24.0 s were observed"
+    )
 
 
-def test_a_return_hovers_over_home_and_says_that_it_lands():
+def test_return_hovers_over_home_before_it_reports_landing():
     c = flying("ardupilot", 5.0, RTL_ALT=500)
     assert c.command(MODE, 1, *RTL["ardupilot"]) == ACCEPTED
     c.wait(4.5)

@@ -1,4 +1,4 @@
-"""What the fakes do without a ground station while they stand: the traces b-gcs-arming of the three."""
+"""Standing fakes without a ground station, as in the b-gcs-arming traces of three autopilots."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from mavlink_client import ACCEPTED, ARM, FAILED, GUIDED, MODE, REJECTED, Client
 
 
 def without_station(kind="copter", flavour="ardupilot", **parameters):
-    """A client that stands in GUIDED and has been unreachable for eight seconds."""
+    """A client whose vehicle stands in GUIDED without heartbeats for 12 seconds."""
     c = Client(kind, flavour=flavour)
     c.autopilot.parameters.update(parameters)
     c.heartbeat()
@@ -17,11 +17,11 @@ def without_station(kind="copter", flavour="ardupilot", **parameters):
     return c
 
 
-def test_a_disarmed_copter_misses_its_station_and_is_not_armed_until_a_moment_after_it_is_back():
+def test_disarmed_copter_refuses_arming_until_the_station_returns():
     c = without_station(FS_GCS_ENABLE=5, FS_GCS_TIMEOUT=2)
     assert "GCS Failsafe" in c.texts()
     assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 5
-    assert c.autopilot.mode == "GUIDED", "the mode stays"
+    assert c.autopilot.mode == "GUIDED", "the mode is unchanged"
     assert c.command(ARM, 1) == FAILED
     c.wait(0.1)
     assert "Arm: GCS failsafe on" in c.texts()
@@ -37,7 +37,7 @@ def test_a_disarmed_copter_misses_its_station_and_is_not_armed_until_a_moment_af
     assert c.command(ARM, 1) == ACCEPTED
 
 
-def test_heartbeats_of_another_station_clear_nothing():
+def test_heartbeat_of_another_station_does_not_clear_the_failsafe():
     c = without_station(FS_GCS_ENABLE=5, FS_GCS_TIMEOUT=2)
     c.out.srcSystem = 254
     c.heartbeat()
@@ -45,7 +45,7 @@ def test_heartbeats_of_another_station_clear_nothing():
     assert c.autopilot.arm() == FAILED
 
 
-def test_a_disarmed_rover_holds_and_is_armed_all_the_same():
+def test_disarmed_rover_holds_and_can_be_armed():
     c = without_station("rover", FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=2)
     assert "Radio Failsafe" in c.texts()
     assert c.autopilot.mode == "HOLD"
@@ -53,11 +53,11 @@ def test_a_disarmed_rover_holds_and_is_armed_all_the_same():
 
 
 @pytest.mark.parametrize(("action", "result"), [(3, REJECTED), (0, ACCEPTED)])
-def test_px4_loses_its_pre_arm_bit_without_a_word(action, result):
+def test_px4_clears_its_pre_arm_bit_without_a_text(action, result):
     c = without_station(flavour="px4", NAV_DLL_ACT=action, COM_DL_LOSS_T=5)
     assert bool(c.ask(1).onboard_control_sensors_health & 0x10000000) == (result == ACCEPTED)
     assert c.command(ARM, 1) == result
     c.wait(0.5)
     assert c.texts() == []
     c.heartbeat()
-    assert c.command(ARM, 1) == ACCEPTED, "and has it back at once"
+    assert c.command(ARM, 1) == ACCEPTED, "the bit is restored at once"

@@ -1,4 +1,4 @@
-"""The fake as a process: its one line, its doors, and its end."""
+"""The fake as a process: its ready line, its endpoints and control socket, and its end."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ready(process: subprocess.Popen[str]) -> tuple[str, int, str]:
 
 
 @pytest.mark.parametrize("transport", ["udp", "tcp"])
-def test_it_says_one_line_answers_and_ends_with_its_stdin(transport):
+def test_process_prints_ready_answers_and_ends_with_its_stdin(transport):
     process = start(
         "--listen", f"{transport}:127.0.0.1:0", "--kind", "rover", "--system", "7", "--until-stdin-closes"
     )
@@ -57,7 +57,7 @@ def test_it_says_one_line_answers_and_ends_with_its_stdin(transport):
     assert (out, err, process.returncode) == ("", "", 0)
 
 
-def test_several_vehicles_on_one_link_and_faults_by_name_while_it_runs(monkeypatch, tmp_path):
+def test_vehicles_of_one_link_and_faults_by_name_at_run_time(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     process = start(
         "--listen", "udp:127.0.0.1:0", "--vehicle", "3:rover", "--vehicle", "9:copter:px4:beta.fc",
@@ -65,10 +65,10 @@ def test_several_vehicles_on_one_link_and_faults_by_name_while_it_runs(monkeypat
     )  # fmt: skip
     _, port, words = ready(process)
     assert words == "rover system 3, copter system 9 px4"
-    with socket.socket(socket.AF_UNIX) as door:
-        door.connect(str(tmp_path / "lfield" / "sims" / f"mavlink-{process.pid}.sock"))
-        door.sendall(b'{"set": ["silence@beta.fc=true"]}\n')
-        answer = json.loads(door.makefile().readline())
+    with socket.socket(socket.AF_UNIX) as control:
+        control.connect(str(tmp_path / "lfield" / "sims" / f"mavlink-{process.pid}.sock"))
+        control.sendall(b'{"set": ["silence@beta.fc=true"]}\n')
+        answer = json.loads(control.makefile().readline())
     assert answer["devices"] == {"3": "", "9": "beta.fc"}
     assert "@9=true" in answer["faults"]["silence"]
     assert "@3=0.01" in answer["faults"]["loss"]
@@ -78,12 +78,12 @@ def test_several_vehicles_on_one_link_and_faults_by_name_while_it_runs(monkeypat
         sock.connect(("127.0.0.1", port))
         for system in (9, 3):
             sock.send(dialect.MAVLink_command_long_message(system, 1, 512, 0, 1, *[0] * 6).pack(client))
-        (heard, *_) = dialect.MAVLink(None).parse_buffer(sock.recv(2048))
-    assert heard.get_srcSystem() == 3
+        (received, *_) = dialect.MAVLink(None).parse_buffer(sock.recv(2048))
+    assert received.get_srcSystem() == 3
     assert process.communicate(timeout=60) == ("", "")
 
 
-def test_a_pty_is_a_serial_port():
+def test_pty_endpoint_works_as_a_serial_port():
     process = start("--listen", "pty", "--flavour", "px4", "--until-stdin-closes")
     endpoint, _, _ = ready(process)
     kind, path, baud = endpoint.split(":")
@@ -96,12 +96,13 @@ def test_a_pty_is_a_serial_port():
         while not any(m.get_type() == "AUTOPILOT_VERSION" for m in got):
             got += reader.parse_buffer(port.read(64)) or []
     with serial.Serial(path, int(baud), timeout=60) as again:
-        assert again.read(8), "it goes on for the next one"
+        assert again.read(8), "the port works for the next client"
     assert process.communicate(timeout=60) == ("", "")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it(number):
+def test_signal_ends_the_process_with_status_0(number):
     process = start("--listen", "udp:127.0.0.1:0")
     ready(process)
     process.send_signal(number)
@@ -109,7 +110,7 @@ def test_signals_end_it(number):
     process.communicate()
 
 
-def test_a_port_in_use_is_a_sentence():
+def test_port_in_use_is_reported_without_a_traceback():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -133,7 +134,7 @@ def test_a_port_in_use_is_a_sentence():
         (["--param", "RTL_ALT=high"], 64, "--param RTL_ALT=high: write NAME=NUMBER"),
     ],
 )
-def test_options_that_make_no_sense(capsys, options, status, words):
+def test_invalid_option_is_refused_with_status_and_message(capsys, options, status, words):
     assert run_sim(["lfield_sim.mavlink:SIM", *options]) == status
     assert words in capsys.readouterr().err
 
@@ -141,20 +142,20 @@ def test_options_that_make_no_sense(capsys, options, status, words):
 @pytest.mark.parametrize(
     "options", [["--battery", "2"], ["--vehicle", "1:boat"], ["--system", "0"], ["--cruise", "nan"]]
 )
-def test_numbers_out_of_range(capsys, options):
+def test_number_out_of_range_is_a_usage_error(capsys, options):
     with pytest.raises(SystemExit) as end:
         run_sim(["lfield_sim.mavlink:SIM", *options])
     assert end.value.code == 2
     assert "error: argument" in capsys.readouterr().err
 
 
-def test_a_fake_nobody_knows(capsys):
+def test_unknown_fake_is_refused(capsys):
     assert run_sim([]) == 64
     assert run_sim(["nowhere:SIM"]) == 69
     assert "the simulated device 'nowhere:SIM' cannot be imported" in capsys.readouterr().err
 
 
-def test_listen_texts():
+def test_listen_option_is_parsed_or_refused():
     assert parse_listen("tcp:127.0.0.1:5760") == ("tcp", "127.0.0.1", 5760)
     for text in ("udp:127.0.0.1:70000", "serial:/dev/x:1", "udp:", ""):
         with pytest.raises(UsageError):
@@ -168,7 +169,7 @@ def bound(field: str, **options) -> DeviceBinding:
     )  # fmt: skip
 
 
-def test_the_bindings_of_a_bus_make_one_fake():
+def test_bindings_of_a_bus_make_one_fake_with_setup_parameters():
     devices = [
         bound("fc", kind="rover", system=9),
         bound("up", kind="copter", system=2, autopilot="px4"),
@@ -177,5 +178,5 @@ def test_the_bindings_of_a_bus_make_one_fake():
     words = SIM.arguments(devices)
     assert words[:2] == ["--listen", "udp:127.0.0.1:0"]
     assert words[2:6] == ["--vehicle", "9:rover:ardupilot:a.fc", "--vehicle", "2:copter:px4:a.up"]
-    # It comes set up for them.
+    # Its parameters are set up for the bindings.
     assert {"--param=FS_ACTION@9=2", "--param=NAV_DLL_ACT@2=3"} <= set(words[6:])

@@ -1,8 +1,7 @@
 """`python tests/sim/replay/replay.py [--write] [TRACE ...]`: differences of recordings, with their reasons.
 
-TRACE is a name or the beginning of one (`ap-copter.c`); without any all are played. `--write` brings the
-table up to date: what is gone goes, what is new comes with the reason "to be mended", figures are measured
-anew.
+TRACE is a name or the start of one (`ap-copter.c`); without one, all are played. `--write` updates the table:
+it removes entries that no longer occur, adds new ones with the reason "to be mended", and writes new figures.
 """
 
 from __future__ import annotations
@@ -26,25 +25,25 @@ HEAD = """\
 
 
 def load() -> Table:
-    """The table of differences that stay."""
+    """The table of known differences."""
     return yaml.safe_load(TABLE.read_text(encoding="utf-8")) or {} if TABLE.exists() else {}
 
 
 def save(table: Table) -> None:
-    """Write the table, by the names of the recordings."""
+    """Writes the table, sorted by recording."""
     table = {name: table[name] for name in sorted(table)}
     text = yaml.safe_dump(table, sort_keys=False, width=200, allow_unicode=True)
     TABLE.write_text(HEAD + text, encoding="utf-8")
 
 
 def verdict(name: str, table: Table) -> Verdict:
-    """One recording played to the fake and held against the table."""
+    """Plays one recording to the fake and compares the differences with the table."""
     trace = read(name)
     return judge(name, differences(trace, play(trace)), table)
 
 
 def show(name: str, found: Verdict, table: Table) -> None:
-    """The differences of one recording, for people."""
+    """Prints the differences of one recording."""
     for each in found.found:
         print(f"  {each.entry}  {each.detail}  [{reason(name, each, table) or 'NOT LISTED'}]")
     for text in found.stale:

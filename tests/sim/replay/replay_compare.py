@@ -1,8 +1,8 @@
-"""What the real one and the fake did, side by side: the differences that matter.
+"""The recording and the fake side by side: the relevant differences.
 
-Each has a key, which stays the same as long as it is the same difference (it names the time of the input,
-never what is measured on the fake), and a detail for people. How far two may be apart is said at each
-constant; it is what the recordings themselves differ by where one thing was recorded several times.
+Each has a key, which identifies the difference (it contains the time of the input, never a value measured on
+the fake), and a readable detail. The tolerances are in the constants; they are the spread of the recordings
+themselves where one event was recorded several times.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from replay_trace import PRE_ARM, Line, Trace
 from lfield_sim.autopilot.autopilot import FLAVOURS
 from lfield_sim.autopilot.flavours import MavResult
 
-#: Seconds: heartbeats come once a second, so two recordings of one thing tell it up to 1.0 apart (0.0 to 1.0
-#: on ArduPilot, 0.5 to 1.0 on PX4), and the failsafes' own times spread by 0.3 (1.3 to 1.6, 6.6 to 7.1).
+#: Seconds: heartbeats are sent at 1 Hz, so two recordings of one event differ by up to 1.0 (0.0 to 1.0
+#: on ArduPilot, 0.5 to 1.0 on PX4), and the failsafe delays vary by 0.3 (1.3 to 1.6, 6.6 to 7.1).
 STATE_TIME, STATE_SHARE = 1.4, 0.1
-#: Texts come with a state or an input; some wait for the next second.
+#: Texts are sent with a state or an input; some wait for the next second.
 TEXT_TIME = 2.0
-#: Waiting for the fake is done for a second without a word.
+#: A wait for the fake of up to a second is no difference.
 HOLD_TIME = 1.0
 #: Acknowledgements: 0.001 to 0.03 of one loop, 0.1 for what waits for the next 10 Hz, 0.3 when the computer
 #: was busy.
 ACK_TIME = 0.35
-#: Top speeds of one leg flown again differ by 0.1 of 3 m/s (ArduCopter) and 0.2 of 4.3 (PX4); ways alike.
+#: Top speeds of a repeated leg differ by 0.1 of 3 m/s (ArduCopter) and 0.2 of 4.3 (PX4); distances likewise.
 SPEED, SPEED_SHARE, DISTANCE, DISTANCE_SHARE = 0.3, 0.12, 1.0, 0.12
 #: Heights hover within 0.3 (ArduCopter); PX4's home moves under them by 1 m.
 HEIGHT, HEADING = 0.8, 15.0
@@ -46,7 +46,7 @@ FIRST_TIME, FIRST_SHARE = 1.7, 0.02
 
 
 def differences(real: Trace, played: Played) -> list[Difference]:
-    """All of one recording, each key once, in the order of time."""
+    """All differences of one recording, each key once, in the order of time."""
     comparisons: list[Callable[[Trace, Played], Iterator[Difference]]] = [
         _holds, _acknowledgements, _texts, _states, _motions, _firsts, _rates, _came, _heights,
     ]  # fmt: skip
@@ -70,17 +70,17 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
         same = (c.t for c in commands[number + 1 :] if c.fields["command"] == line.fields["command"])
         end = min(next(same, math.inf), line.t + 8.0)
         ours, theirs = _acks(real, line, end), _acks(played.trace, line, end)
-        said, told = _describe(ours), _describe(theirs)
+        real_results, fake_results = _describe(ours), _describe(theirs)
         what = f"{line.t:.1f} {_call(line)}"
-        if said != told:
-            yield Difference(f"{what}: {said} / {told}")
+        if real_results != fake_results:
+            yield Difference(f"{what}: {real_results} / {fake_results}")
         elif ours and abs(ours[0].t - theirs[0].t) > ACK_TIME:
             times = Figures(ours[0].t - line.t, theirs[0].t - line.t, ACK_TIME)
             yield Difference(f"{what}: time of the acknowledgement", figures=times)
 
 
 def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
-    # The fake's clock moves in steps of 0.02 s: what it says to an input may be a step older than that.
+    # The fake's clock moves in steps of 0.02 s: its answer to an input may be a step older than the input.
     for since in (line.t, line.t - 0.021):
         acks = trace.between(since, end, "COMMAND_ACK")
         if found := [ack for ack in acks if ack.fields["command"] == line.fields["command"]]:
@@ -94,7 +94,7 @@ def _describe(acks: list[Line]) -> str:
 
 
 def _call(line: Line) -> str:
-    """A command with the parameters that tell it from others."""
+    """A command with its identifying parameters."""
     values = (
         [line.get(f"param{n}") for n in range(1, 6)] if line.type == "COMMAND_LONG" else [line.get("param1")]
     )
@@ -108,7 +108,7 @@ def _call(line: Line) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """What was said, numbers as #, long texts whole; when, and how severe it is called."""
+    """A status text: time, text with numbers as # and chunks joined, severity."""
 
     t: float
     text: str
@@ -116,7 +116,7 @@ class Text:
 
 
 def texts(trace: Trace) -> list[Text]:
-    """What it said."""
+    """All status texts of a recording."""
     found: list[Text] = []
     last = 0
     for line in trace.out("STATUSTEXT"):
@@ -142,20 +142,21 @@ def _texts(real: Trace, played: Played) -> Iterator[Difference]:
         theirs.remove(same)
         if same.severity != each.severity:
             yield Difference(f"text's severity: {each.text}: {each.severity} / {same.severity}")
-    said = Counter(each.text for each in own)
+    text_counts = Counter(each.text for each in own)
     for text, count in missing.items():
         yield Difference(
-            f"text missing: {text}", figures=Figures(said[text], said[text] - count, 0.0, "times")
+            f"text missing: {text}",
+            figures=Figures(text_counts[text], text_counts[text] - count, 0.0, "times"),
         )
     for text, count in Counter(each.text for each in theirs).items():
-        same_text = said[text] - missing[text]
+        same_text = text_counts[text] - missing[text]
         yield Difference(
             f"text too many: {text}", figures=Figures(same_text, same_text + count, 0.0, "times")
         )
 
 
 def _input_before(trace: Trace, t: float) -> float:
-    """When the last input that may have led to something came."""
+    """The time of the last input that may have had an effect."""
     times = [line.t for line in trace.inputs if line.t <= t and line.fields.get("command") not in (511, 512)]
     return max(times, default=0.0)
 
@@ -195,7 +196,7 @@ def _changes(trace: Trace, kind: str, value: Callable[[Line], object]) -> list[t
 def _apart(
     real: Trace, field: str, ours: list[tuple[float, object]], theirs: list[tuple[float, object]]
 ) -> Iterator[Difference]:
-    """Where two histories of one thing differ for longer than they may."""
+    """The times in which two histories of one field differ for longer than the tolerance."""
     if not ours or not theirs:
         return
     since = max(ours[0][0], theirs[0][0])
@@ -230,7 +231,7 @@ def _mode_name(trace: Trace) -> Callable[[object], str]:
 
 
 def _motions(real: Trace, played: Played) -> Iterator[Difference]:
-    """Top speed, way, height and heading between two inputs that move it."""
+    """Top speed, distance, height and heading between two motion inputs."""
     moves = [line.t for line in real.inputs if is_motion(line)]
     for start, end in itertools.pairwise([*moves, real.end]):
         if end - start < 1.5:
@@ -263,7 +264,7 @@ def _climb(lines: list[Line]) -> float:
 
 
 def _turn(real: Trace, fake: Trace, start: float, end: float) -> Iterator[Difference]:
-    """How far it turned; only where ATTITUDE was asked for."""
+    """The turned angle, where ATTITUDE was requested."""
     turns = []
     for trace in (real, fake):
         lines = trace.between(start, end, "ATTITUDE")
@@ -277,11 +278,11 @@ def _turn(real: Trace, fake: Trace, start: float, end: float) -> Iterator[Differ
         yield Difference(f"{start:.1f} turn", figures=Figures(ours, ours + apart, HEADING, "degrees"))
 
 
-# -- what is only in some recordings ---------------------------------------------------------------------
+# -- data that only some recordings have------------------------------------------------------------------
 
 
 def _firsts(real: Trace, played: Played) -> Iterator[Difference]:
-    """Cold starts: when what is told is there."""
+    """Cold starts: the first time of each report."""
     if not real.scenario.startswith("a-"):
         return
     for what, kind, is_so in (
@@ -302,32 +303,32 @@ def _firsts(real: Trace, played: Played) -> Iterator[Difference]:
 
 
 def _rates(real: Trace, played: Played) -> Iterator[Difference]:
-    """Messages a second of each type, in the windows that the recorder counted."""
+    """Messages per second of each type, in the recorder's windows."""
     for note in real.notes:
         head, found = note.text, re.search(r"(\{'.*\})$", note.text)
         if not head.startswith("FACT") or not real.scenario.startswith("k-") or not found:
             continue
-        told: dict[str, float] = ast.literal_eval(found.group(1).rpartition(", then ")[2] or found.group(1))
+        noted: dict[str, float] = ast.literal_eval(found.group(1).rpartition(", then ")[2] or found.group(1))
         seconds = _window(head)
-        for kind in sorted({*told, *(played.counts if len(told) > 5 or "nothing sent" in head else ())}):
+        for kind in sorted({*noted, *(played.counts if len(noted) > 5 or "nothing sent" in head else ())}):
             if kind in ("PARAM_VALUE", "STATUSTEXT", "COMMAND_ACK"):
                 continue
             counted = sum(note.t - seconds <= t < note.t for t in played.counts.get(kind, ())) / seconds
-            rate = told.get(kind, 0.0)
+            rate = noted.get(kind, 0.0)
             if abs(rate - counted) > RATE + RATE_SHARE * rate:
                 rates = Figures(rate, counted, RATE, "a second")
                 yield Difference(f"{note.t:.0f} rate of {kind}", figures=rates)
 
 
 def _window(text: str) -> float:
-    """How long the recorder counted (`k-streams` in its scripts)."""
+    """The length of the recorder's window (`k-streams` in its scripts)."""
     if "10 s" in text:
         return 10.0
     return 6.0 if "interval -1" in text or "heartbeats off" in text else 8.0
 
 
 def _came(real: Trace, played: Played) -> Iterator[Difference]:
-    """Whether what REQUEST_MESSAGE asked for came."""
+    """Whether the message requested by REQUEST_MESSAGE was sent."""
     for note in real.notes:
         found = re.match(
             r"FACT REQUEST_MESSAGE (\d+) (\S+).*: \w[\w ]* after ([\d.]+) s, (\d+) came", note.text
@@ -342,7 +343,7 @@ def _came(real: Trace, played: Played) -> Iterator[Difference]:
 
 
 def _heights(real: Trace, played: Played) -> Iterator[Difference]:
-    """Home and heights: how much they move in a minute, and where home is in the local frame."""
+    """Home and heights: their drift in a minute, and the position of home in the local frame."""
     if not real.scenario.startswith("i-"):
         return
     for note in real.notes:

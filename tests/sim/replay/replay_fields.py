@@ -1,8 +1,8 @@
-"""Fields that clients act on: which values the fake tells that the real one never does.
+"""Fields that clients act on: values of the fake that the recording never has.
 
-A field is compared as the set of its values in a recording, in each mode by itself where it depends on that:
-the moments of its changes are those of the mode or the state, which are compared by time. Messages that one
-tells and the other does not are told here, too.
+A field is compared as the set of its values in a recording, for each mode where it depends on the mode: the
+times of its changes are those of the mode or the state, which are compared by time. Message types that only
+one of the two sends are reported here, too.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | 0x20 | 0x100000
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a message: its name for people, and what of it is compared."""
+    """A field of a message: its readable name, and its compared value."""
 
     message: str
     name: str
     value: Callable[[Line], object] | None = None
 
     def of(self, line: Line) -> object:
-        """What a message says of it."""
+        """The compared value in a message."""
         return self.value(line) if self.value else line.fields.get(self.name)
 
 
@@ -63,17 +63,17 @@ FIELDS = (
     Field("SYS_STATUS", "sensors enabled", _sensors("onboard_control_sensors_enabled")),
     Field("SYS_STATUS", "sensors healthy", _sensors("onboard_control_sensors_health")),
 )
-#: Those of the modes, with the field that tells the mode.
+#: Fields that depend on the mode, with the field of the mode.
 OF_MODES = (
     (Field("HEARTBEAT", "base_mode", lambda line: int(line.get("base_mode")) & ~ARMED), "custom_mode"),
     (Field("CURRENT_MODE", "standard_mode"), "custom_mode"),
 )
-#: Messages whose coming is compared elsewhere, or that only answer what was sent.
+#: Messages that are compared elsewhere, or that only answer an input.
 ELSEWHERE = frozenset({"COMMAND_ACK", "STATUSTEXT", "FILE_TRANSFER_PROTOCOL", "LOG_ENTRY", "AVAILABLE_MODES"})
 
 
 def fields(real: Trace, fake: Trace, mode_name: Callable[[object], str]) -> Iterator[Difference]:
-    """All of one recording, in no order."""
+    """All differences of one recording, in no order."""
     for each in FIELDS:
         yield from _compare(
             f"{each.message}.{each.name}", real.out(each.message), fake.out(each.message), each
@@ -96,13 +96,13 @@ def _list(values: set[object]) -> str:
 
 
 def messages(real: Trace, counts: dict[str, list[float]]) -> Iterator[Difference]:
-    """Which messages come at all; the recorder wrote down how many it saw of each."""
+    """The message types that are sent at all; the recorder counted each type."""
     if "seen" not in real.header:
         return
     seen = {kind for kind, count in real.header["seen"].items() if count}
-    told = {kind for kind, times in counts.items() if times}
+    sent = {kind for kind, times in counts.items() if times}
     known = set(IDS.values())
-    for kind in sorted((seen & known) - told - ELSEWHERE):
+    for kind in sorted((seen & known) - sent - ELSEWHERE):
         yield Difference(f"message missing: {kind}")
-    for kind in sorted(told - seen - ELSEWHERE):
+    for kind in sorted(sent - seen - ELSEWHERE):
         yield Difference(f"message too many: {kind}")

@@ -1,8 +1,8 @@
-"""What was sent to an autopilot, as it was: what the recorder left out is filled in again.
+"""The inputs of an autopilot; inputs that the recorder omitted are reconstructed.
 
-Left out were heartbeats (it notes when they go on and off), of streamed setpoints all but each 20th, and of
-what it sent with `record=False` everything. When such a stream began and ended is in the recorder's notes;
-the times here are taken from them, those of ends by its own rule (`2.5 s after the mode was seen`).
+The recorder omitted heartbeats (it notes when they are switched on and off), all but each 20th streamed
+setpoint, and everything sent with `record=False`. The times of streams are taken from the recorder's notes,
+their ends from its own rule (`2.5 s after the mode was seen`).
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 from replay_trace import Line, Trace
 
 LOCAL, ATTITUDE = "SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"
-#: Seconds between two heartbeats, and how often the recorder looks whether one is due.
+#: Seconds between two heartbeats.
 BEAT = 1.0
-#: Seconds for which a heartbeat that is due waits for the next note: the recorder notes what it has switched.
+#: Seconds for which a due heartbeat waits for the next note, since the recorder notes a switch afterwards.
 SWITCH = 0.015
 
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """Setpoints from a time to another, so many a second, all alike."""
+    """Equal setpoints in a time span, at a fixed rate."""
 
     start: float
     end: float
@@ -83,7 +83,7 @@ STREAMS: dict[str, list[Stream]] = {
 
 
 def inputs(trace: Trace) -> list[Line]:
-    """Everything that the autopilot got, in the order of its times; its notes of the link among it."""
+    """All inputs of the autopilot in the order of time, with the notes about the link."""
     extra = [line for stream in STREAMS.get(trace.name, []) for line in stream.lines()]
     return list(
         heapq.merge(
@@ -101,7 +101,7 @@ def inputs(trace: Trace) -> list[Line]:
 
 
 def _whole(trace: Trace, line: Line) -> Line:
-    """The one item in floats was recorded with six digits of its degrees; it was home."""
+    """Restores the coordinates of the one float item, which was home and was recorded with six digits."""
     if line.type != "MISSION_ITEM":
         return line
     home = trace.last("HOME_POSITION", line.t)
@@ -111,7 +111,7 @@ def _whole(trace: Trace, line: Line) -> Line:
 
 
 def _is_filled_in(trace: Trace, line: Line) -> bool:
-    """Whether a recorded setpoint is one of those of a stream."""
+    """Whether a recorded setpoint belongs to a stream."""
     return line.type == LOCAL and any(
         stream.start - 0.1 <= line.t <= stream.end + 0.1 and line.get("type_mask") == stream.type_mask
         for stream in STREAMS.get(trace.name, [])
@@ -119,7 +119,7 @@ def _is_filled_in(trace: Trace, line: Line) -> bool:
 
 
 def _heartbeats(trace: Trace) -> Iterator[Line]:
-    """One as soon as they are on, if the last is a second old, then each second."""
+    """One when they are switched on, if the last is a second old, then one each second."""
     switched = [line for line in trace.notes if line.heartbeat is not None]
     due = 0.0
     for line, after in zip(switched, [*switched[1:], None], strict=True):
@@ -134,7 +134,7 @@ def _heartbeats(trace: Trace) -> Iterator[Line]:
 
 
 def _unrecorded(trace: Trace) -> Iterator[Line]:
-    """What the recorder sent without a line: the setpoints between commands of e, the attitudes of h."""
+    """Inputs without a line: the setpoints between commands of scenario e, the attitudes of h."""
     for line in trace.inputs:
         if trace.name.startswith("ap-") and trace.scenario == "e-gcs-loss" and _is_filler(line):
             yield next(Stream(line.t - 0.01, line.t - 0.01, 1.0, vx=0.5).lines())

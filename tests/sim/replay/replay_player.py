@@ -1,9 +1,9 @@
-"""Plays a recording's inputs to the fake, in virtual time, and records it as the real one was recorded.
+"""Plays the inputs of a recording to the fake, in virtual time, and records the fake in the same form.
 
-The recorder waited for what the real one did: until it was ready, stood, was up or down, had reached an item.
-Its inputs come here at their recorded times; where the fake is not yet where the real one was, the recording
-stands still (at most `PATIENCE` seconds, once until they agree again) and all later times move with it. How
-long it stood still is told as a difference. Times in what comes back are those of the recording.
+The recorder waited for events: ready, standing, up or down, item reached. The inputs are sent at their
+recorded times; where the fake has not yet reached the same event, the recording pauses (at most `PATIENCE`
+seconds, once until they agree again) and all later times are shifted. The pause is reported as a difference.
+Times in the result are those of the recording.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from lfield_sim.mavlink.geo import GeoOrigin
 from lfield_sim.mavlink.link.radio_link import make_faults
 from lfield_sim.mavlink.mavlink_fake import MavlinkFake
 
-#: Seconds that time goes on by, that the recording waits for the fake, and of a recovery of patience.
+#: Seconds: a time step, and the maximum wait of the recording for the fake.
 TICK, PATIENCE = 0.02, 10.0
-#: Seconds for which the real one must have stood to be one that stands.
+#: Seconds for which the real vehicle must have stood still.
 STOOD = 1.5
-#: Telemetry is not looked at more often than this, in seconds.
+#: Minimum seconds between two compared messages of a type.
 THIN = dict.fromkeys(
     (
         "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE", "SYS_STATUS", "GPS_RAW_INT", "VFR_HUD",
@@ -42,11 +42,11 @@ FTP_OPS = {
     "list_time": 16,
 }  # fmt: skip
 NAK = 129
-#: Seconds of a start, of ArduPilot and of PX4, where the recording ends before it is over.
+#: Seconds of a start of ArduPilot and of PX4, for a recording that ends before.
 WARM_UP = (42.6, 6.0)
-#: The same of an ArduPilot whose bit does not say when it is over.
+#: The same for an ArduPilot whose pre-arm bit does not show the end of the start.
 EARLY = 41.9
-#: Commands after which a vehicle moves, stops or may.
+#: Commands after which a vehicle moves, stops or is permitted to move.
 MOTIONS = {20, 21, 22, 34, 115, 176, 178, 185, 192, 193, 209, 213, 300, 310, 400}
 TYPES = {cls.msgname: (number, cls) for number, cls in dialect.mavlink_map.items()}
 IDS = {number: cls.msgname for number, cls in dialect.mavlink_map.items()}
@@ -54,7 +54,7 @@ IDS = {number: cls.msgname for number, cls in dialect.mavlink_map.items()}
 
 @dataclass
 class Played:
-    """What the fake said, how often each type, and how long it was waited for (when, seconds, what)."""
+    """The messages of the fake, their times by type, and the waits for it (time, seconds, event)."""
 
     trace: Trace
     counts: dict[str, list[float]]
@@ -62,16 +62,16 @@ class Played:
 
 
 def play(trace: Trace) -> Played:
-    """The whole recording."""
+    """Plays the whole recording."""
     player = _Player(trace)
     for line in inputs(trace):
         player.feed(line)
     player.run_until(trace.end)
-    return Played(Trace(trace.name, trace.header, player.said), player.counts, player.holds)
+    return Played(Trace(trace.name, trace.header, player.sent_lines), player.counts, player.holds)
 
 
 def make_fake(trace: Trace) -> MavlinkFake:
-    """The fake of this vehicle, standing where it stood, with its warm-up."""
+    """The fake of this vehicle, at its recorded position, with its warm-up."""
     kinds = FLAVOURS["px4" if trace.px4 else "ardupilot"]
     name = str(trace.header["vehicle"])
     name = "rover_skid" if "skid" in trace.name else name
@@ -84,7 +84,7 @@ def make_fake(trace: Trace) -> MavlinkFake:
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    # In a mode that needs no position an ArduCopter may be armed long before its start is over.
+    # In a mode that needs no position an ArduCopter can be armed long before the end of its start.
     early = not trace.px4 and (ready is None or ready < 0.9 * WARM_UP[0])
     warm_up = EARLY if early else WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
     faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
@@ -95,7 +95,7 @@ def make_fake(trace: Trace) -> MavlinkFake:
 @dataclass
 class _Player:
     trace: Trace
-    said: list[Line] = field(default_factory=list)
+    sent_lines: list[Line] = field(default_factory=list)
     counts: dict[str, list[float]] = field(default_factory=dict)
     holds: list[tuple[float, float, str]] = field(default_factory=list)
     now: float = 0.0
@@ -116,7 +116,7 @@ class _Player:
         self.reached: set[float] = set()
 
     def feed(self, line: Line) -> None:
-        """One input at its time, or when the fake is where the real one was."""
+        """Sends one input at its time, or when the fake has reached the same event."""
         self.run_until(line.t)
         if line.heartbeat is False:
             self.station = None
@@ -135,7 +135,7 @@ class _Player:
         self._on_packet(self.fake.receive("recorder", self._pack(line)))
 
     def run_until(self, t: float) -> None:
-        """Let the recording's time go on."""
+        """Advances the time of the recording."""
         while self.now < t - 1e-9:
             step = min(TICK, t - self.now)
             self.now += step
@@ -154,7 +154,7 @@ class _Player:
             self.held += TICK
             self._on_packet(self.fake.advance(TICK))
             waited += TICK
-            # The recorder's heartbeats would have gone on while it waited.
+            # The recorder's heartbeats would have continued during the wait.
             if self.station is not None and waited % BEAT < TICK:
                 self._on_packet(self.fake.receive("recorder", self._pack(self.station)))
             missing = self._missing(line)
@@ -164,7 +164,7 @@ class _Player:
             self.holds.append((line.t, waited, wanted))
 
     def _missing(self, line: Line) -> str:
-        """What the real one had done by now and the fake has not, "" when nothing."""
+        """The event that the real vehicle had reached by now and the fake has not, "" if none."""
         if line.fields.get("command") in (511, 512):
             return ""
         for name, is_missing in (
@@ -188,7 +188,7 @@ class _Player:
     def _is_to_be_ready(self, t: float) -> bool:
         beat = self.trace.last("HEARTBEAT", t)
         if beat is not None and _armed(beat):
-            # Whoever flies is not waited for: its bit comes and goes.
+            # No wait for a flying vehicle: its bit changes often.
             return False
         real, own = self.trace.last("SYS_STATUS", t), self.newest.get("SYS_STATUS")
         return real is not None and own is not None and _fit(real) and not _fit(own)
@@ -199,7 +199,7 @@ class _Player:
         real, own = self.trace.last("LOCAL_POSITION_NED", t), self.newest.get("LOCAL_POSITION_NED")
         if real is None or own is None:
             return False
-        # Whoever turns back stands for a moment, too: that was not waited for.
+        # A vehicle that turns back also stands for a moment: no wait for that.
         stood = all(map(_stands, self.trace.between(t - STOOD, t, "LOCAL_POSITION_NED")))
         return _stands(real) and stood and (_speed(own) > 0.5 or abs(own.get("vz")) > 0.4)
 
@@ -232,7 +232,7 @@ class _Player:
             self.recorded_at[name] = self.now + self.held
             message = self.decoder.decode(bytearray(packet))
             line = Line(self.now, "out", name, _fields(message))
-            self.said.append(line)
+            self.sent_lines.append(line)
             self.newest[name] = line
             if name == "MISSION_ITEM_REACHED":
                 self.reached.add(line.get("seq"))

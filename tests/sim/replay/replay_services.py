@@ -1,4 +1,4 @@
-"""Exchanges of parameters, missions, files and logs, side by side: keys and details of differences."""
+"""Differences in the exchange of parameters, missions, files and logs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from replay_table import Difference, Figures
 from replay_trace import Line, Trace
 
-#: Seconds: a parameter is told 0.001 to 0.03 after it was asked for, or 0.1 late (0.09 to 0.13).
+#: Seconds: a parameter is sent 0.001 to 0.03 after its request, or 0.1 late (0.09 to 0.13).
 PARAMETER_TIME = 0.07
-#: Seconds: requests of an upload come again each 0.25 to 0.27, or 1.00 to 1.01; items reached within 10 %.
+#: Seconds: upload requests are repeated each 0.25 to 0.27, or 1.00 to 1.01; items are reached within 10 %.
 PLAN_TIME, REACH_TIME, REACH_SHARE = 0.2, 2.0, 0.1
-#: How long what answers an input is waited for, in seconds.
+#: Seconds to wait for the answer to an input.
 PARAMETER_WINDOW, PLAN_WINDOW = 1.5, 10.0
 PLANS = (
     "MISSION_COUNT",
@@ -28,7 +28,7 @@ ASKING = (*PLANS, "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL", "MISSION_SET_CURR
 
 
 def services(real: Trace, fake: Trace) -> Iterator[Difference]:
-    """All of one recording, in no order."""
+    """All differences of one recording, in no order."""
     yield from _parameters(real, fake)
     yield from _plans(real, fake)
     yield from _reached(real, fake)
@@ -50,7 +50,7 @@ def _parameters(real: Trace, fake: Trace) -> Iterator[Difference]:
         ours, theirs = (_told(trace, line, end) for trace in (real, fake))
         theirs = [value for value in theirs if value is not late]
         if ours and not theirs:
-            # The real answer came just before the next question, so that the fake's may be just after it.
+            # The real answer was just before the next request, so the fake's may be just after it.
             theirs = _told(fake, line, end + PARAMETER_TIME)[:1]
             late = theirs[0] if theirs else None
         what = f"{line.t:.1f} {_question(line)}"
@@ -120,7 +120,7 @@ def _brief(line: Line) -> str:
     if line.type == "MISSION_COUNT":
         text = f"COUNT {fields['count']}"
     elif line.type.startswith("MISSION_ITEM"):
-        # Item 0 is home, whose height is the place's.
+        # Item 0 is home, whose height depends on the place.
         height = "" if fields["frame"] == 0 else f" z {line.get('z'):.0f}"
         text = f"{line.type[8:]} {fields['seq']} frame {fields['frame']} command {fields['command']}{height}"
         text += f" current {fields['current']}" if fields["current"] else ""
@@ -143,8 +143,8 @@ def _reached(real: Trace, fake: Trace) -> Iterator[Difference]:
         if abs(a[0] - b[0]) > REACH_TIME + REACH_SHARE * (a[0] - since):
             yield Difference(f"item {seq} reached: time", figures=Figures(a[0], b[0], REACH_TIME))
         if (len(a) > 1) != (len(b) > 1):
-            told = "once" if len(a) > 1 else "again and again"
-            yield Difference(f"item {seq} reached: told {told}", f"{len(a)} / {len(b)}")
+            repetition = "once" if len(a) > 1 else "again and again"
+            yield Difference(f"item {seq} reached: told {repetition}", f"{len(a)} / {len(b)}")
 
 
 def _logs(real: Trace, fake: Trace) -> Iterator[Difference]:
@@ -164,7 +164,7 @@ ERRORS = (
 
 
 def _files(real: Trace, fake: Trace) -> Iterator[Difference]:
-    """The recorder left the replies out; what it concluded is held against what the fake replied."""
+    """Compares the recorder's conclusions with the fake's replies, as the recorder omitted the replies."""
     block: list[Line] = []
     for line in real.lines:
         if line.type == "FTP":
@@ -178,16 +178,16 @@ def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Difference]:
     wanted = _results(text, asked)
     for line, result in zip(asked, wanted, strict=True):
         reply = _reply(fake, line)
-        told = "no answer" if reply is None else _word(reply)
-        if result and result != told:
+        answer = "no answer" if reply is None else _word(reply)
+        if result and result != answer:
             name = str(line.fields["data"]).replace("\0", " ") if line.fields["op"] != "write" else ""
-            yield Difference(f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}")
+            yield Difference(f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {answer}")
         elif reply is not None and not reply.fields["nak"]:
             yield from _contents(text, line, reply, alone=len(asked) == 1)
 
 
 def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Difference]:
-    """The size that was told, the checksum, or the bytes of the only reply: what the recorder wrote down."""
+    """Compares the recorded size, checksum, or bytes of the only reply."""
     pattern = {"open_ro": r"size told (\d+)", "crc": r"CRC (?:of it: )?(0x[0-9a-f]+)"}.get(line.fields["op"])
     noted = re.search(pattern, text) if pattern else None
     data = re.search(r"ACK session \d+ size \d+ offset \d+ data (b'.*'|b\".*\")$", text) if alone else None
@@ -200,15 +200,15 @@ def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Di
 
 
 def _results(text: str, asked: list[Line]) -> list[str]:
-    """What each request was answered by, "" where that is not told."""
-    told = [f"NAK {name}" if name else "ACK" for name in re.findall(r"(?:NAK (\w+)|\bACK\b)", text)]
+    """The recorded answer to each request, "" where it is unknown."""
+    answers = [f"NAK {name}" if name else "ACK" for name in re.findall(r"(?:NAK (\w+)|\bACK\b)", text)]
     if "size told" in text:
         return [
             {"open_ro": "ACK", "terminate": "ACK", "crc": "ACK"}.get(line.fields["op"], "") for line in asked
         ]
-    if len(told) == len(asked):
-        return told
-    if len(asked) == 1 and not told:
+    if len(answers) == len(asked):
+        return answers
+    if len(asked) == 1 and not answers:
         return ["ACK"]
     return [""] * len(asked)
 

@@ -1,8 +1,8 @@
-"""Differences with what was measured, and the table of those that stay: pure, without a flight.
+"""Differences with their figures, and the table of known differences: pure, without a flight.
 
-An entry of the table is the key of a difference, with figures where there are some, real one first:
-`51.6 top speed (8.1 / 6.9 m/s)`. The figures are its bound: between the two the fake may move, beyond them
-by no more than the slack of its kind. An entry with `*` means several differences and bounds none.
+An entry of the table is the key of a difference, with figures if there are any, the recording first:
+`51.6 top speed (8.1 / 6.9 m/s)`. The figures are its bound: the fake may be between the two, or beyond them
+by at most the slack of its kind. An entry with `*` matches several differences and has no bound.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from dataclasses import dataclass, replace
 #: Trace or pattern -> reason -> entries.
 Table = dict[str, dict[str, list[str]]]
 
-#: The reason of what nobody has mended yet.
+#: The reason of a difference that is not yet fixed or explained.
 TO_BE_MENDED = "to be mended"
 FIGURES = re.compile(r"^(.*) \((?:-?[\d.]+ / )?(-?[\d.]+)(?: [^\d()]+)?\)$", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """What was measured of the real one and of the fake, in a unit.
+    """The values of the recording and of the fake, in a unit.
 
-    real    None where it is nothing by its kind: of how long two states differ
-    slack   how much further from the real one than listed the fake may be, or on the other side of it
+    real    None for the duration of a difference between two states
+    slack   how much further from the recording than listed the fake may be, or on its other side
     """
 
     real: float | None
@@ -38,14 +38,14 @@ class Figures:
         return fake if self.real is None else f"{_round(self.real):g} / {fake}"
 
     def is_beyond(self, listed: float) -> bool:
-        """Whether the fake is further from the real one than where it was listed, or opposite."""
+        """Whether the fake is further from the recording than listed, or on its other side."""
         low, high = sorted((self.real or 0.0, listed))
         return not low - self.slack <= _round(self.fake) <= high + self.slack
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One thing that the fake did otherwise, with a detail for people."""
+    """One difference between the fake and the recording, with a readable detail."""
 
     key: str
     detail: str = ""
@@ -53,14 +53,14 @@ class Difference:
 
     @property
     def entry(self) -> str:
-        """How it is written into the table."""
+        """Its entry in the table."""
         key = self.key.replace("*", "?")
         return f"{key} ({self.figures})" if self.figures else key
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Of one recording: what is different, what of it is not listed or worse than listed, what is gone."""
+    """Differences of one recording: all, not listed, worse than listed, and listed without occurring."""
 
     found: list[Difference]
     unlisted: list[Difference]
@@ -69,7 +69,7 @@ class Verdict:
 
 
 def once(found: Iterable[Difference]) -> list[Difference]:
-    """Each key once; how long it was so is added up."""
+    """Each key once; durations are added up."""
     kept: dict[str, Difference] = {}
     for each in found:
         before = kept.get(each.key)
@@ -85,7 +85,7 @@ def _sum(one: Difference, other: Difference) -> Difference:
 
 
 def judge(name: str, found: list[Difference], table: Table) -> Verdict:
-    """The differences of one recording held against the table."""
+    """Compares the differences of one recording with the table."""
     own = [entry for listed in (table.get(name) or {}).values() for entry in listed]
     common = [entry for listed in _common(name, table) for entry in listed]
     unlisted = [each for each in found if not any(matches(each, entry) for entry in [*own, *common])]
@@ -97,14 +97,14 @@ def judge(name: str, found: list[Difference], table: Table) -> Verdict:
 
 
 def matches(difference: Difference, entry: str) -> bool:
-    """Whether an entry is about this difference, whatever its figures are."""
+    """Whether an entry matches this difference, with any figures."""
     pattern = _parse(entry)[0] if difference.figures else entry
-    # `[` is no pattern.
+    # `[` is no pattern character.
     return fnmatch.fnmatchcase(difference.key, pattern.replace("[", "[[]"))
 
 
 def reason(name: str, difference: Difference, table: Table) -> str:
-    """Why a difference stays, "" when it is not listed."""
+    """The reason of a known difference, "" if it is not listed."""
     for trace, reasons in table.items():
         if trace == name or _is_pattern_of(trace, name):
             for why, listed in reasons.items():
@@ -114,7 +114,7 @@ def reason(name: str, difference: Difference, table: Table) -> str:
 
 
 def renew(table: Table, name: str, verdict: Verdict) -> None:
-    """Put what is new into the table, take out what is gone, and write what is measured now."""
+    """Adds new differences, removes those that no longer occur, and writes the current figures."""
     kept = {
         why: [_renewed(entry, verdict.found) for entry in listed if entry not in verdict.stale]
         for why, listed in (table.get(name) or {}).items()
@@ -127,7 +127,7 @@ def renew(table: Table, name: str, verdict: Verdict) -> None:
 
 
 def unbounded(table: Table) -> list[str]:
-    """Entries for several differences that are about more than texts: nothing would bound them."""
+    """Entries for several differences other than texts and messages: they would have no bound."""
     return [
         entry
         for trace, reasons in table.items()
@@ -148,7 +148,7 @@ def _is_pattern_of(trace: str, name: str) -> bool:
 
 
 def _worse(difference: Difference, entry: str) -> str:
-    """What to say when a difference is beyond its entry, "" when it is not."""
+    """The report of a difference beyond its entry, "" if it is within."""
     figures, listed = difference.figures, _parse(entry)[1]
     if figures is None or "*" in entry:
         return ""
@@ -163,7 +163,7 @@ def _renewed(entry: str, found: Iterable[Difference]) -> str:
 
 
 def _parse(entry: str) -> tuple[str, float | None]:
-    """The pattern and where the fake was."""
+    """The pattern and the listed value of the fake."""
     found = FIGURES.match(entry)
     return (found[1], float(found[2])) if found else (entry, None)
 

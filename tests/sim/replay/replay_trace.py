@@ -1,4 +1,4 @@
-"""A recording of an autopilot: lines with their times, and what was known at a moment."""
+"""A recording of an autopilot: lines with their times, and queries by time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).parent / "traces"
-#: What tells apart two lines that were written with one time, in seconds.
-HAIR = 1e-7
+#: Seconds between two lines that were recorded with the same time.
+TIME_STEP = 1e-7
 #: Of SYS_STATUS: the autopilot may be armed.
 PRE_ARM = 0x10000000
 
@@ -32,7 +32,7 @@ class Line:
     heartbeat: bool | None = None
 
     def get(self, name: str) -> float:
-        """A number of the message; what is no number reads as NaN."""
+        """A number of the message; NaN if it is none."""
         value = self.fields.get(name)
         return math.nan if value is None else float(value)
 
@@ -47,7 +47,7 @@ class Trace:
 
     @property
     def scenario(self) -> str:
-        """The letter and word of what was done: `c-speed`."""
+        """The letter and name of the scenario: `c-speed`."""
         return self.name.partition(".")[2]
 
     @property
@@ -64,7 +64,7 @@ class Trace:
 
     @cached_property
     def by_type(self) -> dict[str, list[Line]]:
-        """What the autopilot said, by the type of message."""
+        """The messages of the autopilot, by type."""
         found: dict[str, list[Line]] = {}
         for line in self.lines:
             if line.dir == "out":
@@ -72,13 +72,13 @@ class Trace:
         return found
 
     def out(self, *types: str) -> list[Line]:
-        """All that was said of some types."""
+        """All messages of some types."""
         if len(types) == 1:
             return self.by_type.get(types[0], [])
         return sorted((line for t in types for line in self.by_type.get(t, [])), key=lambda line: line.t)
 
     def between(self, start: float, end: float, *types: str) -> list[Line]:
-        """What was said from a time on and before another."""
+        """The messages of some types from a time on and before another."""
         lines = self.out(*types)
         low = bisect.bisect_left(lines, start, key=lambda line: line.t)
         high = bisect.bisect_left(lines, end, key=lambda line: line.t)
@@ -91,7 +91,7 @@ class Trace:
         return lines[index - 1] if index else None
 
     def first(self, kind: str, is_so: Callable[[Line], bool] = lambda _: True) -> float | None:
-        """When a message of a type first was so."""
+        """The time of the first message of a type that fulfils a condition."""
         return next((line.t for line in self.out(kind) if is_so(line)), None)
 
     @property
@@ -112,11 +112,11 @@ def read(name: str) -> Trace:
 
 
 def _lines(file: Any) -> Iterator[Line]:
-    """Times grow from line to line, by a hair where they are alike: an answer is after its question."""
+    """Makes times increase from line to line, so that an answer is after its request."""
     t = 0.0
     for text in file:
         raw = json.loads(text)
-        t = max(raw["t"], t + HAIR)
+        t = max(raw["t"], t + TIME_STEP)
         yield Line(
             t, raw["dir"], raw.get("type", ""), raw.get("fields", {}),
             raw.get("text", ""), raw.get("sys", 255), raw.get("heartbeat"),

@@ -1,7 +1,7 @@
-"""The fake does what real autopilots did with the same inputs, but for what the table beside this says.
+"""The fake acts like the recorded autopilots with the same inputs, except for the listed differences.
 
 `python tests/sim/replay/replay.py ap-copter.c` prints the differences of a recording. See README.md.
-`make test-more` plays all recordings, and so does that program without a name: do it when a fake has changed.
+`make test-more` plays all recordings, and so does that program without a name: run it after changing a fake.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ def verdict(name: str) -> Verdict:
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("name", names())
-def test_the_fake_does_what_the_real_one_did(name):
+def test_fake_acts_like_the_recorded_autopilot(name):
     found = verdict(name)
     assert [f"{each.entry} {each.detail}" for each in found.unlisted] == []
-    assert found.worse == [], "mend it, or look at it and write it down with `replay.py --write`"
-    assert found.stale == [], "listed, but it does not occur any more: take it out of differences.yaml"
+    assert found.worse == [], "fix the fake, or record the difference with `replay.py --write`"
+    assert found.stale == [], "listed but not found: remove it from differences.yaml"
 
 
 @pytest.mark.few(0)
-def test_what_is_listed_for_several_recordings_occurs_in_one_of_them():
+def test_entry_for_several_recordings_occurs_in_one_of_them():
     gone = [
         (trace, pattern)
         for trace, reasons in load().items()
@@ -42,7 +42,7 @@ def test_what_is_listed_for_several_recordings_occurs_in_one_of_them():
     assert gone == []
 
 
-def test_what_is_listed_for_several_is_texts_only_since_nothing_bounds_it():
+def test_entry_without_bounds_is_about_texts_only():
     assert unbounded(load()) == []
 
 
@@ -50,14 +50,14 @@ def _meant(trace: str) -> list[str]:
     return [name for name in names() if fnmatch.fnmatchcase(name, trace)]
 
 
-def test_nothing_waits_to_be_mended():
+def test_no_listed_difference_is_unexplained():
     assert [trace for trace, reasons in load().items() if TO_BE_MENDED in reasons] == []
 
 
-def test_each_difference_has_a_reason_in_words():
+def test_each_difference_has_a_reason_of_four_words():
     reasons = {why for of_trace in load().values() for why in of_trace if why != TO_BE_MENDED}
     assert [why for why in reasons if len(why.split()) < 4] == []
 
 
-def test_there_are_recordings():
+def test_all_recordings_are_present():
     assert len(names()) == 50

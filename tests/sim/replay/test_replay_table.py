@@ -1,4 +1,4 @@
-"""The table notices a listed difference that grows, on made-up differences: nothing is flown here."""
+"""The table detects a listed difference that grows, on invented differences without a flight."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ def verdict(difference: Difference, entry: str):
 
 
 @pytest.mark.parametrize("fake", [6.9, 6.65, 7.5, 8.3], ids=["as listed", "slack", "nearer", "agrees"])
-def test_a_fake_between_the_real_one_and_what_is_listed_passes(fake):
+def test_fake_between_recording_and_listed_value_passes(fake):
     found = verdict(speed(fake), "51.6 top speed (8.1 / 6.9 m/s)")
     assert (found.unlisted, found.worse, found.stale) == ([], [], [])
 
 
 @pytest.mark.parametrize("fake", [6.5, -6.9, 8.5], ids=["further", "far", "other side"])
-def test_a_fake_that_moves_away_from_the_real_one_is_noticed(fake):
+def test_fake_further_from_the_recording_is_worse(fake):
     found = verdict(speed(fake), "51.6 top speed (8.1 / 6.9 m/s)")
     assert found.worse == [f"51.6 top speed (8.1 / {fake:g} m/s), listed as 51.6 top speed (8.1 / 6.9 m/s)"]
 
 
-def test_a_text_that_is_missing_once_more_is_noticed():
+def test_text_missing_more_often_is_worse():
     twice = Difference("text missing: Disarming motors", figures=Figures(3, 1, 0.0, "times"))
     assert verdict(twice, "text missing: Disarming motors (3 / 2 times)").worse
     assert not verdict(twice, "text missing: Disarming motors (3 / 1 times)").worse
 
 
-def test_a_state_that_differs_for_longer_is_noticed():
+def test_state_that_differs_for_longer_is_worse():
     state = "58.9 armed: True / False"
     parts = [Difference(state, "", Figures(None, seconds, 1.4)) for seconds in (3.0, 2.0)]
     (longer,) = once(parts)
@@ -44,29 +44,29 @@ def test_a_state_that_differs_for_longer_is_noticed():
     assert not verdict(parts[0], f"{state} (4.8 s)").worse
 
 
-def test_a_measured_difference_without_figures_is_not_accepted():
+def test_measured_difference_without_figures_is_refused():
     assert verdict(speed(6.9), "51.6 top speed").worse
 
 
-def test_what_is_not_listed_and_what_is_gone_are_told():
+def test_unlisted_and_stale_differences_are_reported():
     found = verdict(speed(6.9), "58.0 climb (1 / 3 m)")
     assert found.unlisted == [speed(6.9)]
     assert found.stale == ["58.0 climb (1 / 3 m)"]
 
 
-def test_an_answer_in_words_that_ends_like_figures_is_not_taken_for_them():
+def test_key_that_ends_like_figures_is_not_parsed_as_figures():
     words = Difference("8.0 command 246(3): DENIED / ACCEPTED (3 s)")
     assert verdict(words, words.key).unlisted == []
 
 
-def test_several_are_bounded_by_nothing_so_only_texts_may_be():
+def test_unbounded_pattern_may_be_about_texts_only():
     found = judge("ap-copter.c", [speed(6.9)], {"ap-*": {WHY: ["51.6 top speed"]}})
     assert found.unlisted == []
     assert unbounded({"ap-*": {WHY: ["51.6 top speed", "text missing: *"]}}) == ["51.6 top speed"]
     assert unbounded({"a.c": {WHY: ["* top speed"]}}) == ["* top speed"]
 
 
-def test_writing_measures_anew_takes_out_what_is_gone_and_keeps_the_reason(tmp_path, monkeypatch):
+def test_renew_writes_figures_removes_stale_and_keeps_reasons(tmp_path, monkeypatch):
     monkeypatch.setattr(replay, "TABLE", tmp_path / "differences.yaml")
     table = {"a.c": {WHY: ["51.6 top speed", "58.0 climb (1 / 3 m)"]}}
     new = Difference("60.0 way", figures=Figures(1.0, 9.0, 1.0, "m"))

@@ -1,4 +1,4 @@
-"""The shapes of a fence: inside and outside, by hand and by property."""
+"""The shapes of a fence: inside and outside, by examples and by property."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from lfield_sim.mavlink.services.fence_shapes import (
 from lfield_sim.mavlink.services.plan_items import PlanItem
 
 SQUARE = ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0))
-#: An L: its notch is the quarter north-east of the middle.
+#: An L: its notch is the north-east quarter.
 ELL = ((-10.0, -10.0), (-10.0, 10.0), (0.0, 10.0), (0.0, 0.0), (10.0, 0.0), (10.0, -10.0))
 
 
-def test_without_shapes_everywhere_is_inside():
+def test_fence_without_shapes_has_no_breach():
     assert UploadedFence().breached((1e6, -1e6, -500.0)) == NO_BREACH
 
 
@@ -32,7 +32,7 @@ def test_without_shapes_everywhere_is_inside():
     ("point", "inside"),
     [((0, 0), True), ((9.9, -9.9), True), ((10.1, 0), False), ((0, -10.1), False), ((-20, 10), False)],
 )
-def test_a_square(point, inside):
+def test_square_inclusion_and_exclusion(point, inside):
     assert FencePolygon(SQUARE, True).holds(point) is inside
     assert UploadedFence([FencePolygon(SQUARE, True)]).breached((*point, -5.0)) == (
         NO_BREACH if inside else BOUNDARY
@@ -42,14 +42,14 @@ def test_a_square(point, inside):
     )
 
 
-def test_a_notch_is_outside():
+def test_notch_of_a_polygon_is_outside():
     ell = FencePolygon(ELL, True)
     assert ell.holds((5.0, -5.0))
     assert ell.holds((-5.0, 5.0))
     assert not ell.holds((5.0, 5.0))
 
 
-def test_one_inclusion_is_enough_and_one_exclusion_too():
+def test_one_inclusion_suffices_and_one_exclusion_breaches():
     fence = UploadedFence(
         [
             FenceCircle((0.0, 0.0), 5.0, True),
@@ -67,7 +67,7 @@ angles = st.floats(0.0, math.tau)
 
 
 @given(st.integers(3, 12), st.floats(5.0, 100.0), angles, st.floats(0.0, 200.0), angles)
-def test_a_regular_polygon_is_between_its_two_circles(sides, radius, turn, far, course):
+def test_regular_polygon_lies_between_its_two_circles(sides, radius, turn, far, course):
     corners = [turn + math.tau * n / sides for n in range(sides)]
     polygon = FencePolygon(tuple((radius * math.cos(a), radius * math.sin(a)) for a in corners), True)
     point = (far * math.cos(course), far * math.sin(course))
@@ -77,7 +77,7 @@ def test_a_regular_polygon_is_between_its_two_circles(sides, radius, turn, far, 
         assert not polygon.holds(point)
 
 
-def test_items_become_shapes():
+def test_fence_items_are_converted_to_shapes():
     place = GeoOrigin()
     items = [PlanItem(5001, 0, (4.0, 0, 0, 0), *place.at(*point)) for point in SQUARE]
     items.append(PlanItem(5000, 0, (0.0, 0, 0, 0), *place.at(0.0, 0.0)))

@@ -1,4 +1,4 @@
-"""The fake's file server by payloads: every operation, its refusals, bursts, lost replies, nonsense."""
+"""The fake's file server by payloads: operations, refusals, bursts, lost replies, random requests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOG = bytes(range(256)) * 100
 
 
 class Client:
-    """One who asks for files."""
+    """A client of the file server."""
 
     def __init__(self, server=None, peer=PEER):
         self.server = server or FtpServer(FileTree({"/a/log.bin": LOG, "/a/one.txt": b"1", "/b.txt": b""}))
@@ -72,7 +72,7 @@ class Client:
             entries += reply.data.rstrip(b"\0").decode().split("\0")
 
 
-def test_folders_are_listed_in_pieces():
+def test_large_folder_is_listed_in_pieces():
     names = [f"/many/file{n:04}.bin" for n in range(100)]
     c = Client(FtpServer(FileTree(dict.fromkeys(names, b"12345"), {})))
     assert c.listing("/many") == [f"Ffile{n:04}.bin\t5" for n in range(100)]
@@ -81,7 +81,7 @@ def test_folders_are_listed_in_pieces():
     assert c.refused(FtpOpcode.LIST, "/nowhere") is FtpError.NOT_FOUND
 
 
-def test_a_folder_lists_itself_and_the_one_around_it():
+def test_folder_listing_has_the_dot_entries_of_each_autopilot():
     ardupilot = Client(
         FtpServer(FileTree({"/f": b"1"}, shown={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
     )
@@ -93,7 +93,7 @@ def test_a_folder_lists_itself_and_the_one_around_it():
     px4.ok(FtpOpcode.REMOVE_FOLDER, "/new")
 
 
-def test_a_file_is_read_in_pieces_until_its_end():
+def test_file_is_read_in_pieces_until_its_end():
     c = Client()
     opened = c.ok(FtpOpcode.OPEN_READ, "/a/log.bin", session=3)
     assert struct.unpack("<I", opened.data) == (len(LOG),)
@@ -111,7 +111,7 @@ def test_a_file_is_read_in_pieces_until_its_end():
     assert c.refused(FtpOpcode.READ, session=opened.session, size=DATA) is FtpError.INVALID_SESSION
 
 
-def test_a_burst_comes_in_steps_says_when_it_pauses_and_ends():
+def test_burst_is_sent_in_steps_with_pauses_and_an_end():
     c = Client()
     session = c.ok(FtpOpcode.OPEN_READ, "/a/log.bin").session
     content, pauses, over = b"", [], False
@@ -128,7 +128,7 @@ def test_a_burst_comes_in_steps_says_when_it_pauses_and_ends():
     assert pauses == [200 * 80]
 
 
-def test_the_last_packet_of_a_burst_tells_the_end():
+def test_last_packet_of_a_burst_reports_end_of_file():
     c = Client()
     session = c.ok(FtpOpcode.OPEN_READ, "/a/one.txt").session
     c.ask(FtpOpcode.BURST_READ, session=session, size=DATA)
@@ -140,7 +140,7 @@ def test_the_last_packet_of_a_burst_tells_the_end():
     assert c.refused(FtpOpcode.BURST_READ, session=session, offset=1, size=DATA) is FtpError.EOF
 
 
-def test_files_are_made_written_checked_and_removed():
+def test_file_is_created_written_checked_and_removed():
     c = Client()
     session = c.ok(FtpOpcode.CREATE, "/a/new.txt", session=1).session
     data = b"hello " * 100
@@ -159,8 +159,8 @@ def test_files_are_made_written_checked_and_removed():
     assert c.refused(FtpOpcode.CRC32, "/a/new.txt") is FtpError.NOT_FOUND
 
 
-def test_the_checksum_is_not_everybodys():
-    # The CRC-32 register of zlib without its inversions: start 0, end as it is.
+def test_checksum_is_crc32_without_inversions():
+    # The CRC-32 of zlib without its inversions: initial value 0, no final XOR.
     register = 0
     for byte in b"123456789":
         register ^= byte
@@ -169,7 +169,7 @@ def test_the_checksum_is_not_everybodys():
     assert ftp_crc32(b"123456789") == register != zlib.crc32(b"123456789")
 
 
-def test_folders_are_made_and_removed():
+def test_folder_is_created_and_removed():
     c = Client()
     c.ok(FtpOpcode.MAKE_FOLDER, "/a/deep")
     c.ok(FtpOpcode.MAKE_FOLDER, "/a/deep/er")
@@ -185,22 +185,22 @@ def test_folders_are_made_and_removed():
 
 
 @pytest.mark.parametrize("path", ["/a/../b.txt", "/" + "x" * 230, "/a/b\tc"])
-def test_paths_that_lead_nowhere(path):
+def test_invalid_path_is_not_found(path):
     assert Client().refused(FtpOpcode.CREATE, path) is FtpError.NOT_FOUND
 
 
-def test_the_autopilots_differ():
-    said = []
-    ardupilot = Client(FtpServer(FileTree({"/f": b"1"}), ARDUPILOT, said.append))
-    px4 = Client(FtpServer(FileTree({"/f": b"1"}), PX4, said.append))
+def test_ardupilot_and_px4_file_servers_differ_as_recorded():
+    texts = []
+    ardupilot = Client(FtpServer(FileTree({"/f": b"1"}), ARDUPILOT, texts.append))
+    px4 = Client(FtpServer(FileTree({"/f": b"1"}), PX4, texts.append))
     assert ardupilot.refused(16, "/") is FtpError.FAIL
     assert px4.refused(16, "/") is FtpError.UNKNOWN_COMMAND
-    assert said == ["Unsupported FTP: 16"]
+    assert texts == ["Unsupported FTP: 16"]
     assert ardupilot.refused(FtpOpcode.LIST, "") is FtpError.INVALID_DATA_SIZE
     assert px4.listing("") == px4.listing("/") == ["Ff\t1"]
     assert ardupilot.ok(FtpOpcode.OPEN_READ, "/f", session=77).session == 77
     assert px4.ok(FtpOpcode.OPEN_READ, "/f", session=77).session == 0
-    assert ardupilot.refused(FtpOpcode.OPEN_READ, "/f", session=78) is FtpError.FAIL, "one at a time"
+    assert ardupilot.refused(FtpOpcode.OPEN_READ, "/f", session=78) is FtpError.FAIL, "one file at a time"
     assert px4.refused(FtpOpcode.OPEN_READ, "/f") is FtpError.NO_SESSIONS
     assert ardupilot.refused(FtpOpcode.READ, session=5, size=1) is FtpError.NOT_FOUND
     assert px4.refused(FtpOpcode.READ, session=5, size=1) is FtpError.INVALID_SESSION
@@ -218,7 +218,7 @@ def test_the_autopilots_differ():
     assert px4.server.tree.read("/f") == b""
 
 
-def test_a_file_is_given_another_name():
+def test_file_is_renamed():
     c = Client()
     c.ok(FtpOpcode.RENAME, b"/b.txt\0/a/c.txt")
     assert c.listing("/a") == ["Fc.txt\t0", "Flog.bin\t25600", "Fone.txt\t1"]
@@ -227,7 +227,7 @@ def test_a_file_is_given_another_name():
     assert c.refused(FtpOpcode.RENAME, b"/a/c.txt") is FtpError.FAIL_ERRNO
 
 
-def test_a_file_made_when_it_is_read_tells_another_size_and_checksum():
+def test_generated_file_reports_another_size_and_checksum():
     made = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
     c = Client(FtpServer(FileTree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
     assert c.listing("@PARAM/") == ["Fx\t999"]
@@ -237,7 +237,7 @@ def test_a_file_made_when_it_is_read_tells_another_size_and_checksum():
     assert struct.unpack("<I", c.ok(FtpOpcode.CRC32, "@PARAM/x").data) != (ftp_crc32(b"12345"),)
 
 
-def test_sessions_are_few_and_reset_gives_ones_own_back():
+def test_reset_frees_only_the_client_s_own_session():
     c = Client()
     c.ok(FtpOpcode.OPEN_READ, "/b.txt")
     other = Client(c.server, (1, 191))
@@ -246,18 +246,20 @@ def test_sessions_are_few_and_reset_gives_ones_own_back():
     assert other.refused(FtpOpcode.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
     c.ok(FtpOpcode.RESET)
     other.ok(FtpOpcode.OPEN_READ, "/b.txt")
-    assert c.refused(FtpOpcode.READ, size=1) is FtpError.INVALID_SESSION, "not that of another"
+    assert c.refused(FtpOpcode.READ, size=1) is FtpError.INVALID_SESSION, (
+        "another client's session is refused"
+    )
 
 
-def test_a_request_that_comes_twice_is_carried_out_once():
+def test_repeated_request_is_carried_out_once():
     c = Client()
     request = FtpPacket(8, 0, FtpOpcode.REMOVE, 6, data=b"/b.txt")
     assert c.send(request).opcode == ACK
-    assert c.send(request).opcode == ACK, "its first reply may be lost"
+    assert c.send(request).opcode == ACK, "the first reply may be lost"
     assert c.refused(FtpOpcode.REMOVE, "/b.txt") is FtpError.NOT_FOUND
 
 
-def test_the_tree_is_bounded():
+def test_file_tree_is_bounded():
     tree = FileTree({})
     c = Client(FtpServer(tree))
     for number in range(MAX_ENTRIES - 1):
@@ -269,13 +271,13 @@ def test_the_tree_is_bounded():
     assert c.refused(FtpOpcode.WRITE, session=session, offset=0xFFFFFFFF, data=b"1") is FtpError.FAIL_ERRNO
 
 
-def test_sizes_that_cannot_be():
+def test_oversized_read_is_refused():
     assert Client().refused(FtpOpcode.READ, size=DATA + 1) is FtpError.INVALID_DATA_SIZE
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.binary(max_size=300), max_size=10))
-def test_arbitrary_payloads_never_raise(payloads):
+def test_arbitrary_payloads_do_not_raise(payloads):
     c = Client()
     for payload in payloads:
         c.server.receive(PEER, payload)
@@ -301,7 +303,7 @@ requests = st.builds(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
-def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
+def test_arbitrary_requests_do_not_raise_and_use_bounded_memory(story):
     server = FtpServer(
         FileTree(
             {"/a/log.bin": LOG, "/b.txt": b""},
@@ -319,8 +321,8 @@ def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
 
 @settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=3000), st.data())
-def test_what_was_written_over_a_lossy_link_is_read_back(content, data):
-    """Every request is repeated until its reply arrives; what is lost is drawn."""
+def test_file_written_over_a_lossy_link_is_complete(content, data):
+    """Every request is repeated until its reply arrives; hypothesis draws the losses."""
     server = FtpServer(FileTree({"/d/.keep": b""}))
     client = Client(server)
 

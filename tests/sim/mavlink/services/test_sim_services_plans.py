@@ -1,4 +1,4 @@
-"""The mission protocol of the fake by messages and given time: both autopilots, three kinds of plan."""
+"""The mission protocol of the fake in virtual time: both autopilots, three kinds of plan."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def style(request):
 
 
 class Station:
-    """A ground station that uploads; it may be deaf, dumb or out of order."""
+    """A ground station that uploads plans message by message."""
 
     def __init__(self, style, *, system=255, vehicle=None):
         self.changes, self.texts = [], []
@@ -44,19 +44,19 @@ class Station:
             self.changes.append(kind)
 
     def send(self, message):
-        """One message as it would come off the wire; the answers, which are all for this station."""
+        """Sends one message in its wire form; returns the answers, all for this station."""
         packer = dialect.MAVLink(None, srcSystem=self.system, srcComponent=190)
-        (heard,) = dialect.MAVLink(None).parse_buffer(message.pack(packer))
-        answers = self.vehicle.receive(heard, self.now)
+        (received,) = dialect.MAVLink(None).parse_buffer(message.pack(packer))
+        answers = self.vehicle.receive(received, self.now)
         assert all((a.target_system, a.target_component) == (self.system, 190) for a in answers)
         return answers
 
     def wait(self, seconds, step=0.02):
-        heard = []
+        received = []
         for _ in range(round(seconds / step)):
             self.now += step
-            heard += self.vehicle.advance(self.now)
-        return heard
+            received += self.vehicle.advance(self.now)
+        return received
 
     def count(self, number, kind=PlanType.MISSION):
         return self.send(dialect.MAVLink_mission_count_message(1, 1, number, int(kind)))
@@ -65,7 +65,7 @@ class Station:
         return self.send(item.write((1, 1), number, kind, current=False))
 
     def upload(self, items, kind=PlanType.MISSION):
-        """The result of an upload in which nothing is lost."""
+        """The result of an upload without losses."""
         answers = self.count(len(items), kind)
         while answers[0].get_msgId() != dialect.MAVLINK_MSG_ID_MISSION_ACK:
             answers = self.item(answers[0].seq, items[answers[0].seq], kind)
@@ -83,7 +83,7 @@ class Station:
 
 
 @pytest.mark.parametrize("kind", list(PlanType))
-def test_what_is_uploaded_is_downloaded(style, kind):
+def test_uploaded_plan_is_downloaded(style, kind):
     items = {
         PlanType.MISSION: [waypoint(n) for n in range(20)],
         PlanType.FENCE: [corner(3, n) for n in range(3)] + [PlanItem(5004, 0, (25.0, 0, 0, 0), *HERE)],
@@ -93,19 +93,19 @@ def test_what_is_uploaded_is_downloaded(style, kind):
     assert s.upload(items, kind) is PlanResult.ACCEPTED
     assert s.changes == [kind]
     expected = [HOME, *items[1:]] if kind is PlanType.MISSION and style.home_first else items
-    # ArduPilot has no INT frames, PX4 tells nothing else.
+    # ArduPilot has no INT frames, PX4 reports only INT frames.
     expected = [replace(item, frame=style.frames.get(item.frame, item.frame)) for item in expected]
     assert [PlanItem.read(message) for message in s.download(kind)] == expected
 
 
-def test_the_autopilots_ask_in_their_own_ways():
+def test_each_autopilot_requests_items_with_its_own_message():
     (asked,) = Station(ARDUPILOT).count(2)
     assert asked.get_type() == "MISSION_REQUEST"
     (asked,) = Station(PX4).count(2)
     assert asked.get_type() == "MISSION_REQUEST_INT"
 
 
-def test_the_old_items_in_degrees_are_understood_both_ways(style):
+def test_items_in_degrees_are_uploaded_and_downloaded(style):
     s = Station(style)
     s.count(2)
     for number in (0, 1):
@@ -118,16 +118,16 @@ def test_the_old_items_in_degrees_are_understood_both_ways(style):
     assert item.x == pytest.approx(47.3977421, abs=4e-6)
 
 
-def test_an_item_that_does_not_come_is_asked_for_again_until_it_gives_up(style):
+def test_missing_item_is_requested_again_until_a_timeout(style):
     s = Station(style)
     s.count(3)
     s.item(0, waypoint())
-    heard = s.wait(style.give_up - 0.1)
-    assert {m.seq for m in heard} == {1}
-    assert len(heard) == pytest.approx((style.give_up - 0.1) / style.ask_again, abs=2)
+    received = s.wait(style.give_up - 0.1)
+    assert {m.seq for m in received} == {1}
+    assert len(received) == pytest.approx((style.give_up - 0.1) / style.ask_again, abs=2)
     assert s.texts == []
     ends = [m for m in s.wait(style.ask_again + 0.3) if m.get_type() == "MISSION_ACK"]
-    # PX4 says it in a text only.
+    # PX4 reports it only as a text.
     assert [end.type for end in ends] == [PlanResult.OPERATION_CANCELLED] * style.cancels
     assert s.texts == [style.texts["timeout"]]
     assert s.wait(20.0) == []
@@ -135,7 +135,7 @@ def test_an_item_that_does_not_come_is_asked_for_again_until_it_gives_up(style):
     assert s.changes == []
 
 
-def test_a_mission_that_fails_leaves_what_came_on_ardupilot_and_the_old_one_on_px4():
+def test_failed_upload_leaves_a_mixture_on_ardupilot_only():
     old = [waypoint(900 + n) for n in range(5)]
     for style, kept in ((ARDUPILOT, [waypoint(0), *old[1:3]]), (PX4, old)):
         s = Station(style)
@@ -152,26 +152,26 @@ def test_a_mission_that_fails_leaves_what_came_on_ardupilot_and_the_old_one_on_p
         assert len(s.download()) == (4 if style is ARDUPILOT else 5)
 
 
-def test_items_out_of_turn():
+def test_items_out_of_sequence():
     ardupilot, px4 = Station(ARDUPILOT), Station(PX4)
     for s in (ardupilot, px4):
         s.count(5)
         s.item(0, waypoint())
         s.item(1, waypoint())
         (again,) = s.item(1, waypoint())
-        assert again.seq == 2, "the same once more: its request was lost"
+        assert again.seq == 2, "a repetition: the request was lost"
     assert ardupilot.item(4, waypoint())[0].type == PlanResult.INVALID_SEQUENCE
     assert ardupilot.item(2, waypoint())[0].type == PlanResult.ERROR
     assert px4.item(4, waypoint())[0].seq == 2
 
 
-def test_too_many_items(style):
+def test_plan_above_the_capacity_is_refused(style):
     for kind in PlanType:
         assert Station(style).count(style.capacity[kind] + 1, kind)[0].type == PlanResult.NO_SPACE
         assert Station(style).count(style.capacity[kind], kind)[0].seq == 0
 
 
-def test_a_plan_of_none_and_clear_all(style):
+def test_empty_plan_and_clear_all_remove_the_mission(style):
     for clear in (
         lambda s: s.count(0),
         lambda s: s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0)),
@@ -184,11 +184,11 @@ def test_a_plan_of_none_and_clear_all(style):
         assert s.download() == []
 
 
-def test_ardupilots_empty_mission_is_home():
+def test_empty_ardupilot_mission_contains_home():
     s = Station(ARDUPILOT)
-    assert [PlanItem.read(m) for m in s.download()] == [HOME], "as the vehicle comes: a client waits for it"
+    assert [PlanItem.read(m) for m in s.download()] == [HOME], "after power-on: clients wait for it"
     ask = dialect.MAVLink_mission_request_int_message(1, 1, 0, 0)
-    assert [PlanItem.read(m) for m in s.send(ask)] == [HOME], "without a list, too"
+    assert [PlanItem.read(m) for m in s.send(ask)] == [HOME], "also without a list request"
     assert s.upload([waypoint()]) is PlanResult.ACCEPTED
     assert [PlanItem.read(m) for m in s.download()] == [HOME]
     s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0))
@@ -196,7 +196,7 @@ def test_ardupilots_empty_mission_is_home():
     assert Station(PX4).download() == []
 
 
-def test_two_stations_do_not_mix(style):
+def test_second_station_is_denied_during_an_upload(style):
     one = Station(style)
     two = Station(style, system=254, vehicle=one.vehicle)
     one.count(2)
@@ -209,7 +209,7 @@ def test_two_stations_do_not_mix(style):
     assert len(two.download()) == 2
 
 
-def test_an_upload_is_begun_anew_or_called_off(style):
+def test_upload_can_be_restarted_and_cancelled(style):
     s = Station(style)
     s.count(3)
     s.item(0, waypoint())
@@ -236,13 +236,13 @@ def test_an_upload_is_begun_anew_or_called_off(style):
         (waypoint(z=math.inf), PlanResult.INVALID_PARAM7),
     ],
 )
-def test_items_that_are_wrong(style, item, result):
+def test_invalid_mission_item_is_refused(style, item, result):
     s = Station(style)
     assert s.upload([waypoint(), item]) is result
     assert (s.changes == []) == (result is not PlanResult.ACCEPTED)
 
 
-def test_px4_takes_nan_for_what_is_not_given():
+def test_px4_accepts_nan_for_unset_parameters():
     unset = waypoint(values=(0, math.nan, math.nan, math.nan))
     assert Station(PX4).upload([unset]) is PlanResult.ACCEPTED
     assert Station(ARDUPILOT).upload([waypoint(), unset]) is PlanResult.INVALID_PARAM2
@@ -261,18 +261,18 @@ def test_px4_takes_nan_for_what_is_not_given():
         [corner(3, 0), PlanItem(5003, 0, (5.0, 0, 0, 0), *HERE)],
     ],
 )
-def test_fences_that_make_no_sense(style, items):
+def test_invalid_fence_is_refused(style, items):
     s = Station(style)
     result = s.upload(items, PlanType.FENCE)
     assert result not in (PlanResult.ACCEPTED, PlanResult.NO_SPACE)
     assert s.changes == []
-    # A number of corners that is none is refused with its item.
+    # A corner count of NaN is refused with its item.
     if style is ARDUPILOT and not math.isnan(items[0].values[0]):
         assert result is PlanResult.ERROR
         assert s.texts[-1] == "Fence validation failed"
 
 
-def test_a_polygon_of_two_corners_is_refused_at_its_first_by_px4_and_at_its_end_by_ardupilot():
+def test_px4_refuses_a_two_corner_polygon_earlier_than_ardupilot():
     ardupilot, px4 = Station(ARDUPILOT), Station(PX4)
     for s in (ardupilot, px4):
         s.count(2, PlanType.FENCE)
@@ -282,11 +282,11 @@ def test_a_polygon_of_two_corners_is_refused_at_its_first_by_px4_and_at_its_end_
     assert "Invalid vertex count (2)" in ardupilot.texts
 
 
-def test_what_is_not_there(style):
+def test_request_for_a_missing_item_or_plan(style):
     s = Station(style)
     s.upload([waypoint(), waypoint()])
     missing = dialect.MAVLink_mission_request_int_message(1, 1, 2, 0)
-    assert (s.send(missing) == []) == style.needs_list, "PX4 gives items only to who asked for the list"
+    assert (s.send(missing) == []) == style.needs_list, "PX4 sends items only after a list request"
     s.send(dialect.MAVLink_mission_request_list_message(1, 1, 0))
     assert s.send(missing)[-1].type == PlanResult.INVALID_SEQUENCE
     assert s.count(1, 7)[0].type == PlanResult.UNSUPPORTED
@@ -298,7 +298,7 @@ whole = st.integers(-(1 << 31), (1 << 31) - 1)
 
 
 def items_by(make, where):
-    """Items with any command, frame, values and kind; the first numbers of a plan."""
+    """Items with any command, frame, values and kind; the first sequence numbers of a plan."""
     head = (one, one, st.integers(0, 9), st.integers(0, 30), word, st.just(0), one)
     return st.builds(make, *head, *[number] * 4, where, where, number, st.integers(0, 3))
 
@@ -316,7 +316,7 @@ messages = st.one_of(
 
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from([ARDUPILOT, PX4]), st.lists(st.tuples(st.integers(1, 9), messages), max_size=20))
-def test_hostile_messages_never_raise(style, story):
+def test_random_mission_messages_do_not_raise(style, story):
     s = Station(style)
     for system, message in story:
         s.system = system
@@ -328,30 +328,30 @@ def test_hostile_messages_never_raise(style, story):
 
 @settings(max_examples=100, deadline=None)
 @given(st.sampled_from([ARDUPILOT, PX4]), st.integers(1, 12), st.data())
-def test_a_lossy_link_never_leaves_a_wrong_mission(style, size, data):
-    """A station that answers every request it hears, with a third of all packets lost."""
+def test_upload_over_a_lossy_link_leaves_no_wrong_mission(style, size, data):
+    """A station answers every received request; a third of all packets is lost."""
     s = Station(style)
     old, new = [waypoint(900 + n) for n in range(2)], [waypoint(n) for n in range(size)]
     s.upload(old)
     lost = st.sampled_from([True, False, False])
-    answers, told = s.count(size), None
+    answers, result = s.count(size), None
     for _ in range(400):
-        heard = [a for a in answers + s.wait(0.3, step=0.3) if not data.draw(lost)]
+        received = [a for a in answers + s.wait(0.3, step=0.3) if not data.draw(lost)]
         answers = []
-        for message in heard:
+        for message in received:
             if message.get_type() == "MISSION_ACK":
-                told = message.type
+                result = message.type
             elif not data.draw(lost):
                 answers += s.item(message.seq, new[message.seq])
         if s.vehicle._upload is None and not answers:
             break
     else:
-        pytest.fail("it neither ended nor gave up")
+        pytest.fail("the upload neither ended nor timed out")
     kept = s.vehicle.items[PlanType.MISSION]
     mixed = [new[:n] + old[:size][n:] for n in range(size + 1)] if style.writes_at_once else []
     assert kept in (old, new, *mixed)
-    assert told != PlanResult.ACCEPTED or kept == new
+    assert result != PlanResult.ACCEPTED or kept == new
 
 
-def test_every_message_of_the_protocol_has_a_handler():
+def test_every_message_of_the_mission_protocol_has_a_handler():
     assert sorted(HANDLED) == [39, 40, 43, 44, 45, 47, 51, 73]

@@ -1,4 +1,4 @@
-"""The services on a vehicle that moves: missions are flown, fences kept, parameters typed, files served."""
+"""The services on a moving vehicle: missions, fences, typed parameters, files."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
 
 class Craft:
-    """A vehicle with one service, and a ground station made of messages."""
+    """A vehicle with one service, and a ground station that sends messages."""
 
     def __init__(self, service, flavour="ardupilot", kind="copter"):
         self.pilot, self.place = Autopilot(FLAVOURS[flavour][kind]), GeoOrigin()
         self.service = service(self.pilot, self.place)
         self.pilot.station_at = math.inf
-        self.heard = []
+        self.received = []
 
     def send(self, message):
         (received,) = dialect.MAVLink(None).parse_buffer(message.pack(dialect.MAVLink(None, 255, 190)))
@@ -45,19 +45,19 @@ class Craft:
         result, replies = self.service.commands[number](
             MavCommand(number, (*values, *[0.0] * (7 - len(values))))
         )
-        self.heard += replies
+        self.received += replies
         return result
 
     def wait(self, seconds):
-        heard = []
+        received = []
         for _ in range(round(seconds / STEP)):
             self.pilot.step(STEP)
-            heard += self.service.advance(self.pilot.now)
-        self.heard += heard
-        return heard
+            received += self.service.advance(self.pilot.now)
+        self.received += received
+        return received
 
     def upload(self, items, kind=PlanType.MISSION):
-        """Upload a plan with ArduPilot's item 0 put before a mission."""
+        """Uploads a plan; for ArduPilot with item 0 before a mission."""
         if kind is PlanType.MISSION and self.pilot.flavour.home_item:
             items = [self.item(WAYPOINT, 0, 0, 0), *items]
         answers = self.send(dialect.MAVLink_mission_count_message(1, 1, len(items), int(kind)))
@@ -77,15 +77,15 @@ class Craft:
         assert self.pilot.arm() is MavResult.ACCEPTED
 
     def reached(self):
-        """Each once: PX4 tells them again."""
-        return list(dict.fromkeys(m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"))
+        """Each item once: PX4 repeats the report."""
+        return list(dict.fromkeys(m.seq for m in self.received if m.get_type() == "MISSION_ITEM_REACHED"))
 
     def current(self):
         return self.service.messages[dialect.MAVLINK_MSG_ID_MISSION_CURRENT]()
 
 
 @BOTH
-def test_a_mission_is_flown_item_by_item_and_returns(flavour):
+def test_mission_is_flown_item_by_item_and_returns(flavour):
     c = Craft(PlanService, flavour)
     first = 1 if flavour == "ardupilot" else 0
     assert c.current().mission_state == dialect.MISSION_STATE_NO_MISSION
@@ -98,7 +98,7 @@ def test_a_mission_is_flown_item_by_item_and_returns(flavour):
     assert c.current().mission_state == dialect.MISSION_STATE_ACTIVE
     c.wait(83.0)
     assert c.reached()[:3] == [first, first + 1, first + 2]
-    changes = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"]
+    changes = [m for m in c.received if m.get_type() == "MISSION_CURRENT"]
     assert [m.seq for m in changes] == sorted(m.seq for m in changes)
     assert dialect.MISSION_STATE_ACTIVE in {m.mission_state for m in changes}
     assert (c.pilot.armed, c.pilot.vehicle.airborne) == (False, False)
@@ -106,7 +106,7 @@ def test_a_mission_is_flown_item_by_item_and_returns(flavour):
 
 
 @BOTH
-def test_a_mission_that_lands(flavour):
+def test_mission_that_lands_is_complete(flavour):
     c = Craft(PlanService, flavour)
     c.upload([c.item(TAKEOFF), c.item(LAND, 8.0, 0.0, 0.0)])
     c.arm()
@@ -114,21 +114,23 @@ def test_a_mission_that_lands(flavour):
     c.wait(40.0)
     assert not c.pilot.armed
     assert c.pilot.vehicle.place == pytest.approx((8.0, 0.0, 0.0), abs=1.0)
-    told = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"][-1]
-    assert told.mission_state == c.current().mission_state == dialect.MISSION_STATE_COMPLETE
+    last = [m for m in c.received if m.get_type() == "MISSION_CURRENT"][-1]
+    assert last.mission_state == c.current().mission_state == dialect.MISSION_STATE_COMPLETE
 
 
 @BOTH
-def test_pause_go_on_and_jump(flavour):
+def test_mission_is_paused_resumed_and_jumped(flavour):
     c = Craft(PlanService, flavour)
     ardupilot = flavour == "ardupilot"
     first = 1 if ardupilot else 0
     c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 100.0), c.item(WAYPOINT, 0.0, 50.0)])
-    assert c.command(193, 0) is (MavResult.DENIED if ardupilot else MavResult.UNSUPPORTED), "nothing is flown"
+    assert c.command(193, 0) is (MavResult.DENIED if ardupilot else MavResult.UNSUPPORTED), (
+        "no mission is active"
+    )
     c.arm()
     c.command(300)
     c.wait(10.0)
-    # PX4 is stopped by another mode.
+    # PX4 is stopped by a change of mode.
     hold = c.pilot.kind.modes[c.pilot.kind.mode_for(Role.HOLD)].number
     assert (c.command(193, 0) if ardupilot else c.pilot.set_mode(hold)) is MavResult.ACCEPTED
     c.wait(6.0)
@@ -146,15 +148,15 @@ def test_pause_go_on_and_jump(flavour):
         c.send(dialect.MAVLink_mission_set_current_message(1, 1, first + 2))
     c.wait(2.0)
     assert c.current().seq == first + 2
-    told = c.send(dialect.MAVLink_mission_set_current_message(1, 1, first))
-    assert [m.seq for m in told] == ([first] if ardupilot else []), "PX4 tells it with its stream"
+    replies = c.send(dialect.MAVLink_mission_set_current_message(1, 1, first))
+    assert [m.seq for m in replies] == ([first] if ardupilot else []), "PX4 reports it with its stream"
     assert c.current().seq == first
     assert c.send(dialect.MAVLink_mission_set_current_message(1, 1, 77)) == []
     assert c.command(193, 7) is (MavResult.DENIED if ardupilot else MavResult.UNSUPPORTED)
 
 
 @BOTH
-def test_without_a_mission_there_is_no_start(flavour):
+def test_start_without_a_mission_fails(flavour):
     c = Craft(PlanService, flavour)
     c.arm()
     before = c.pilot.mode
@@ -166,7 +168,7 @@ def test_without_a_mission_there_is_no_start(flavour):
     )
 
 
-def test_ardupilot_tells_home_as_item_0_and_counts_in_parameters():
+def test_ardupilot_has_home_as_item_0_and_counts_in_a_parameter():
     c = Craft(PlanService)
     c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 5.0)])
     assert c.pilot.parameters["MIS_TOTAL"] == 3.0
@@ -176,13 +178,13 @@ def test_ardupilot_tells_home_as_item_0_and_counts_in_parameters():
 
 
 @pytest.mark.parametrize(("frame", "z"), [(6, 12.0), (3, 12.0), (5, 500.0), (0, 500.0), (11, 12.0)])
-def test_heights_in_every_frame(frame, z):
+def test_item_height_is_converted_in_every_frame(frame, z):
     c = Craft(PlanService, "px4")
     c.upload([PlanItem(WAYPOINT, frame, (0, 0, 0, 0), *c.place.at(3.0, 4.0), z)])
     assert c.pilot.mission.items[0].place == pytest.approx((3.0, 4.0, -12.0), abs=0.02)
 
 
-def test_a_place_of_zeros_is_here_and_a_takeoff_keeps_its_height():
+def test_zero_coordinates_mean_here_and_takeoff_keeps_its_height():
     c = Craft(PlanService, "px4")
     nowhere = [PlanItem(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), PlanItem(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
     c.upload([*nowhere, PlanItem(SPEED, 2, (1, 3.0, -1, 0))])
@@ -192,7 +194,7 @@ def test_a_place_of_zeros_is_here_and_a_takeoff_keeps_its_height():
 
 
 @BOTH
-def test_an_uploaded_fence_is_kept(flavour):
+def test_uploaded_fence_is_enforced(flavour):
     c = Craft(PlanService, flavour)
     corners = [
         c.item(5001, n, e, values=(4, 0, 0, 0)) for n, e in ((-20, -20), (-20, 20), (20, 20), (20, -20))
@@ -211,7 +213,7 @@ def test_an_uploaded_fence_is_kept(flavour):
     assert c.pilot.fence.breached((1e4, 0.0, 0.0)) == 0
 
 
-def test_the_fence_is_switched_and_wants_a_position():
+def test_enabled_fence_requires_a_position_to_arm():
     c = Craft(PlanService)
     assert c.command(207, 1) is MavResult.ACCEPTED
     assert c.pilot.parameters["FENCE_ENABLE"] == 1.0
@@ -225,7 +227,7 @@ def test_the_fence_is_switched_and_wants_a_position():
     assert Craft(PlanService, "px4").command(207, 1) is MavResult.UNSUPPORTED
 
 
-def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
+def test_reboot_aborts_an_upload_and_keeps_the_plan():
     c = Craft(PlanService)
     c.upload([c.item(TAKEOFF)])
     c.send(dialect.MAVLink_mission_count_message(1, 1, 5, 0))
@@ -238,7 +240,7 @@ def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
 
 
 def read(c, name):
-    """A parameter by its name; ArduPilot's answer takes a while."""
+    """Reads a parameter by name; ArduPilot's answer is delayed."""
     answers = c.send(dialect.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
     answers = answers or [m for m in c.wait(0.2) if m.param_id == name]
     return answers[0] if answers else None
@@ -255,23 +257,23 @@ def as_float(value):
 
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @BOTH
-def test_a_list_is_whole_numbered_and_takes_its_time(flavour, kind):
+def test_parameter_list_is_complete_numbered_and_paced(flavour, kind):
     c = Craft(ParameterService, flavour, kind)
     first = c.send(dialect.MAVLink_param_request_list_message(1, 1))
     hashed = [] if flavour == "ardupilot" else [("_HASH_CHECK", 65535, dialect.MAV_PARAM_TYPE_UINT32)]
     assert [(m.param_id, m.param_index, m.param_type) for m in first] == hashed
-    c.heard.clear()
+    c.received.clear()
     assert len(c.wait(STEP)) == 30
     c.wait(2.0)
-    assert [m.param_index for m in c.heard] == list(range(len(c.heard)))
-    assert {m.param_count for m in c.heard} == {len(c.heard)}
-    assert len(c.heard) >= 400
-    names = [m.param_id for m in c.heard]
+    assert [m.param_index for m in c.received] == list(range(len(c.received)))
+    assert {m.param_count for m in c.received} == {len(c.received)}
+    assert len(c.received) >= 400
+    names = [m.param_id for m in c.received]
     assert names == sorted(set(names))
     assert set(c.pilot.kind.parameters) <= set(names)
 
 
-def test_ardupilot_writes_integers_as_floats():
+def test_ardupilot_encodes_integers_as_floats():
     c = Craft(ParameterService)
     answer = read(c, "FS_GCS_ENABLE")
     assert (answer.param_value, answer.param_type) == (0.0, ParameterType.INT8)
@@ -281,7 +283,7 @@ def test_ardupilot_writes_integers_as_floats():
     assert c.pilot.own_speed() == pytest.approx(1.235)
 
 
-def test_px4_writes_integers_as_bytes_and_minds_types():
+def test_px4_encodes_integers_bytewise_and_checks_types():
     c = Craft(ParameterService, "px4")
     answer = read(c, "SYS_AUTOSTART")
     assert (answer.param_value, answer.param_type) == (as_float(10040), ParameterType.INT32)
@@ -294,7 +296,7 @@ def test_px4_writes_integers_as_bytes_and_minds_types():
 
 
 @BOTH
-def test_what_is_unknown_gets_no_answer(flavour):
+def test_unknown_parameter_gets_no_answer(flavour):
     c = Craft(ParameterService, flavour)
     assert read(c, "NO_SUCH") is None
     assert set_(c, "NO_SUCH", 1.0, ParameterType.REAL32) is None
@@ -305,7 +307,7 @@ def test_what_is_unknown_gets_no_answer(flavour):
     )
 
 
-def test_values_that_are_no_numbers_are_taken_by_px4_only():
+def test_nan_parameter_is_accepted_only_by_px4():
     for name in ("WPNAV_SPEED", "FS_GCS_ENABLE"):
         c = Craft(ParameterService)
         before = c.pilot.parameters[name]
@@ -317,7 +319,7 @@ def test_values_that_are_no_numbers_are_taken_by_px4_only():
     assert math.isnan(c.pilot.parameters["MPC_XY_CRUISE"])
 
 
-def test_ardupilot_tells_no_index_with_a_name_and_takes_its_time():
+def test_ardupilot_answers_by_name_without_index_and_delayed():
     c = Craft(ParameterService)
     asked = dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1)
     assert c.send(asked) == []
@@ -329,7 +331,7 @@ def test_ardupilot_tells_no_index_with_a_name_and_takes_its_time():
     assert answer.param_index == 3
 
 
-def test_px4_tells_a_change_twice():
+def test_px4_reports_a_changed_parameter_twice():
     c = Craft(ParameterService, "px4")
     message = dialect.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.5, ParameterType.REAL32)
     assert [m.param_value for m in c.send(message)] == [7.5, 7.5]
@@ -340,7 +342,7 @@ def test_px4_tells_a_change_twice():
 @given(
     st.sampled_from(["ardupilot", "px4"]), st.data(), st.integers(0, 255), st.binary(min_size=4, max_size=4)
 )
-def test_any_value_for_any_parameter_is_answered_by_what_it_now_is(flavour, data, kind, raw):
+def test_answer_to_any_parameter_value_is_the_stored_value(flavour, data, kind, raw):
     c = Craft(ParameterService, flavour)
     name = data.draw(st.sampled_from(sorted(c.pilot.parameters)))
     answer = set_(c, name, struct.unpack("<f", raw)[0], kind)
@@ -369,7 +371,7 @@ def unpacked(data):
     return rows
 
 
-def test_the_packed_parameters_are_those_that_are_listed():
+def test_packed_parameters_equal_the_listed_parameters():
     c = Craft(FileService)
     table = parameter_table("ardupilot", "copter")
     for name, row in table.items():
@@ -396,7 +398,7 @@ def fetch(c, path):
     return b"".join(p.data for p in packets if p.opcode == 128)
 
 
-def test_files_of_both_are_fetched():
+def test_log_and_parameter_files_are_fetched():
     for flavour, path in (
         ("ardupilot", "/APM/LOGS/00000001.BIN"),
         ("px4", "/fs/microsd/log/2026-11-20/10_00_00.ulg"),
@@ -415,7 +417,7 @@ def test_files_of_both_are_fetched():
         ([], "px4", MavResult.ACCEPTED),
     ],
 )
-def test_what_is_not_fitted_answers_as_on_the_real_one(words, flavour, result):
+def test_missing_payload_answers_as_on_a_real_vehicle(words, flavour, result):
     parser = argparse.ArgumentParser()
     SIM.add_arguments(parser)
     args = parser.parse_args([*words, "--vehicle", f"1:copter:{flavour}"])
@@ -426,7 +428,7 @@ def test_what_is_not_fitted_answers_as_on_the_real_one(words, flavour, result):
     assert service.commands[gimbal](MavCommand(gimbal, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[0] == result
 
 
-def test_what_cannot_be_fitted_is_named(capsys):
+def test_unknown_payload_option_is_refused(capsys):
     parser = argparse.ArgumentParser()
     SIM.add_arguments(parser)
     with pytest.raises(SystemExit):
