@@ -126,7 +126,7 @@ async def test_a_start_that_waits_for_devices_elsewhere_is_known_to_its_home(tea
 
 
 def _opens_later(running, opened: asyncio.Event) -> None:
-    """A host that listens already, and opens its devices open_later."""
+    """A host that listens already, and opens its devices later."""
     opens = running.host.guards.open
 
     async def open_later(devices, recording) -> None:
@@ -192,7 +192,7 @@ async def test_a_counted_start_that_was_not_made_is_made_the_next_time(team, /):
 
 
 def crash(running) -> None:
-    """As by SIGKILL: none of its open_later actions has an effect."""
+    """As by SIGKILL: none of its later actions has an effect."""
     running.host.peers.close()
     running.host.options.journal.close()
     running.host.fail(RuntimeError("killed"))

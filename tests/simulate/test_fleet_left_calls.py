@@ -1,4 +1,4 @@
-"""A call that is taken from its caller commands nothing more, whatever its portal goes on to do."""
+"""A call that was detached from its caller commands nothing more."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ coordinator Boss {
 """
 
 
-def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> None:
+def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Boss:boss@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 3)
@@ -53,7 +53,7 @@ def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> Non
     assert climbs() <= before + 1
     assert said("p: fc: the call that would command it was taken from its caller fc") >= 15
     assert said("p: wandered") == 1
-    # Both go on.
+    # Both continue.
     served = post.served
     assert post.ended == boss.ended == ""
     fleet.run(5.0)

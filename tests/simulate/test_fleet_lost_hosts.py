@@ -1,4 +1,4 @@
-"""Calls of a host that is away: how long they wait for it, and what they are told."""
+"""Calls of an absent host: how long they wait for it, and with which exception they end."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def fleet_of(folder: Path, words: str, call: str = CALL, program: str = PROGRAM)
 
 
 def said(fleet: Fleet, word: str) -> tuple[float, str]:
-    """When a line that begins so was printed first, and how it goes on."""
+    """The time of the first line that begins with a word, and the rest of the line."""
     for at, _, text in fleet.log:
         line = text.strip().removeprefix("w: ")
         if line == word or line.startswith(f"{word} "):
@@ -76,7 +76,7 @@ def start_of(fleet: Fleet) -> None:
 
 
 @pytest.mark.parametrize("end", ["crash", "power_off"])
-def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, end):
+def test_a_host_killed_seven_seconds_ago_is_waited_for_only_the_rest_of_the_time(tmp_path, end):
     fleet = fleet_of(tmp_path, "12.0")
     start_of(fleet)
     met = said(fleet, "met")[0]
@@ -91,7 +91,7 @@ def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, en
     assert after == " s; is it up?"
 
 
-def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothing(tmp_path):
+def test_a_together_does_not_wait_for_an_absent_host_without_begun_calls(tmp_path):
     fleet = fleet_of(tmp_path, "12.0", TOGETHER)
     start_of(fleet)
     fleet.run(said(fleet, "met")[0] + 5.0 - fleet.now)
@@ -104,7 +104,7 @@ def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothin
     )
 
 
-def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
+def test_the_time_of_an_absent_host_counts_from_the_end_of_its_link(tmp_path):
     fleet = fleet_of(tmp_path, "5.0")
     start_of(fleet)
     met = said(fleet, "met")[0]
@@ -118,7 +118,7 @@ def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp
     assert why == "bravo could not be reached within 10 s; is it up?"
 
 
-def test_a_host_that_comes_back_in_time_is_called(tmp_path):
+def test_a_host_that_returns_in_time_is_called(tmp_path):
     fleet = fleet_of(tmp_path, "5.0")
     start_of(fleet)
     fleet.run(3.0)
@@ -129,7 +129,7 @@ def test_a_host_that_comes_back_in_time_is_called(tmp_path):
     assert said(fleet, "got")[1] == "1"
 
 
-def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
+def test_a_host_that_has_surely_ended_is_not_waited_for(tmp_path):
     fleet = fleet_of(tmp_path, "6.0")
     start_of(fleet)
     fleet.run(4.0)
@@ -142,7 +142,7 @@ def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
     assert why == "bravo could not be reached: it has ended"
 
 
-def test_a_host_that_nobody_has_met_is_waited_for_once(tmp_path):
+def test_a_host_that_was_never_linked_is_waited_for_once(tmp_path):
     (tmp_path / "mission.devices.yaml").write_text("start: {without: [bravo]}\n")
     twice = CALL.replace('"threw', '"first') + CALL
     fleet = fleet_of(tmp_path, "0.1", twice, re.sub(r'print\("met .*', "", PROGRAM))
@@ -155,7 +155,7 @@ def test_a_host_that_nobody_has_met_is_waited_for_once(tmp_path):
     assert again.startswith("bravo could not be reached: there has been no link for 1")
 
 
-def test_what_was_begun_on_a_host_that_is_away_is_waited_for(tmp_path):
+def test_begun_calls_on_an_absent_host_are_waited_for(tmp_path):
     fleet = fleet_of(tmp_path, "0.1&7.0&1.0", BEGUN)
     start_of(fleet)
     asked = said(fleet, "asks")[0]

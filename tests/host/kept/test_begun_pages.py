@@ -68,7 +68,7 @@ class Engine:
 
 
 class Team:
-    """Coordinators and mobility in one: `end_reason` fetched the ended starts, `sent` those that left."""
+    """Coordinators and mobility in one: `end_reason` has the ended starts, `sent` those that left."""
 
     def __init__(self) -> None:
         self.write_ahead, self.write_trouble, self.mobility = WriteAheadQueue(), "", self
@@ -185,7 +185,7 @@ def test_a_fetched_result_is_deleted_after_the_coordinator_has_left() -> None:
     agent: Any = walker
     bench.store.on_departing(agent)
     bench.store.on_tick(0.0)
-    # It waits for a link: nothing is sent, and no record fetched changed.
+    # It waits for a link: nothing is sent, and no record has changed.
     assert bench.team.write_ahead.next_batch(1e9) is None
     bench.team.sent.add(("w", 1))
     bench.store.on_tick(0.0)
@@ -204,9 +204,9 @@ def test_calls_of_an_ended_start_are_cancelled_and_their_records_deleted() -> No
     bench = Bench(PAGE)
     bench.store.on_tick(0.0)
     assert bench.machine.cancelled == []
-    bench.team.ended["w", 1] = "w fetched ended (done)"
+    bench.team.ended["w", 1] = "w has ended (done)"
     bench.store.on_tick(0.0)
-    assert bench.machine.cancelled == [("w", 2, "w fetched ended (done)")]
+    assert bench.machine.cancelled == [("w", 2, "w has ended (done)")]
     assert bench.sync() == ([], [key_of(PAGE)])
     bench.store.on_tick(0.0)
     assert len(bench.machine.cancelled) == 1
@@ -246,7 +246,7 @@ def test_a_failing_disk_reports_to_the_coordinator_and_records_nothing() -> None
     assert not bench.begins(Walker())
     # `Coordinators.save` reports it.
     assert bench.team.saved == ["w"]
-    bench.team.ended["w", 1] = "w fetched ended (died)"
+    bench.team.ended["w", 1] = "w has ended (died)"
     bench.store.on_tick(0.0)
     assert pending_call_key("w", 1, 3) not in bench.sync()[1]
 
@@ -260,6 +260,6 @@ def test_calls_of_an_earlier_life_are_restored_in_the_machine(page: PendingCallR
 def test_records_of_another_mission_are_left_unchanged() -> None:
     bench = Bench(PendingCallRecord("w", 1, 3, "arm", "lift", program=b"o" * 32))
     assert bench.machine.running == []
-    bench.team.ended["w", 1] = "w fetched ended (done)"
+    bench.team.ended["w", 1] = "w has ended (done)"
     bench.store.on_tick(0.0)
     assert bench.team.write_ahead.next_batch(1e9) is None

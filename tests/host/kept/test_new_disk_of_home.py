@@ -13,7 +13,7 @@ coordinator Guest {
         FIRST
         findPost("far").count();
         try { findPost("near").stay(1000.0); }
-        catch (RestartException again) { print("expected: " + again.message()); sleep(1000.0); }
+        catch (RestartException again) { print("told: " + again.message()); sleep(1000.0); }
     }
 }
 """
@@ -36,7 +36,7 @@ async def test_a_coordinator_under_leases_is_recovered_from_its_shadow(team, /):
     home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
     expected = "guest not started again: it has left away, where a copy of it is kept"
     await team.until(lambda: expected in home.log)
-    await team.until(lambda: "guest: expected: guest was recovered on away" in away.log)
+    await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
     assert not home.holds("guest")
     assert away.output == ["counted"]
 

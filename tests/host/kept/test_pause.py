@@ -38,7 +38,7 @@ coordinator Late {
 }
 """
 DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n//Late:late@home?post\n"
-TOLD = "guest: told: the mission was paused; this call may have call_started"
+TOLD = "guest: told: the mission was paused; this call may have begun"
 
 
 async def send_pause(team, host, *, lift=False):

@@ -29,7 +29,7 @@ resource Post {
 coordinator Guest {
     init(string[] arg) {
         try { findPost(arg[1]).stay(1000.0); }
-        catch (RestartException again) { print("expected: " + again.message()); sleep(1000.0); }
+        catch (RestartException again) { print("told: " + again.message()); sleep(1000.0); }
     }
 }
 """
@@ -76,7 +76,7 @@ async def test_the_home_continues_and_the_returned_host_does_not(team, /):
     assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
     assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
     expected = (
-        "expected: guest was recovered on home from its departure for away; this call may have begun, "
+        "told: guest was recovered on home from its departure for away; this call may have begun, "
         "and later actions are unknown"
     )
     await team.until(lambda: expected in home.log)
@@ -161,7 +161,7 @@ async def test_the_answer_waits_for_the_disk(team, /, request_):
     asked = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
     await asyncio.sleep(3.0)
     assert not asked.done()
-    assert "expected: guest was recovered" not in home.log
+    assert "told: guest was recovered" not in home.log
     team.disks["home"].broken = False
     await asked
 
@@ -180,11 +180,11 @@ async def test_an_unreadable_copy_is_reported_and_an_older_one_can_be_recovered(
     names = {HostRef("", host): host for host in ("home", "away", "far")}
     desk = team.network.transport("desk")
 
-    async def expected():
+    async def reached_states():
         answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
         return host_states({HostRef("", host): answer for host, answer in answers.items()})
 
-    belief = best_candidate("guest", await expected(), names)
+    belief = best_candidate("guest", await reached_states(), names)
     assert belief.host_ref == HostRef("", "away")
     copy = away.host.mobility.newest_copy("guest")
     copy.block = bytes(len(copy.block))
@@ -195,10 +195,10 @@ async def test_an_unreadable_copy_is_reported_and_an_older_one_can_be_recovered(
     )
     out = io.StringIO()
     Console(file=out, width=200).print(
-        team_tables({place.host: answer for place, answer in (await expected()).items()})
+        team_tables({place.host: answer for place, answer in (await reached_states()).items()})
     )
     assert "in doubt: its stored copy here cannot be read" in out.getvalue()
-    belief = best_candidate("guest", await expected(), names)
+    belief = best_candidate("guest", await reached_states(), names)
     assert belief.host_ref == HostRef("", "home")
     assert belief.lines[1] == (
         "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "

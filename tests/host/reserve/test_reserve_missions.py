@@ -162,7 +162,7 @@ def test_a_holder_cut_off_for_longer_loses_the_reservation_before_its_next_porta
 def test_a_reservation_survives_a_restart_of_its_host(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(6.0); "
-        'try { b.look(); } catch (RestartException e) { print("denied_at"); }'
+        'try { b.look(); } catch (RestartException e) { print("told"); }'
         " b.work(1.0); a.work(4.0); b.work(1.0); }",
         "sleep(20.0);",
         "reservations: {lease: 6, wait: 60}\n",
@@ -172,7 +172,7 @@ def test_a_reservation_survives_a_restart_of_its_host(open_team):
     team.run(until=lambda: "pilot" in team.ended, at_most=100.0)
     assert team.ended["pilot"] == "done"
     assert not team.said("lost b:")
-    assert team.said("pilot: denied_at") == 1
+    assert team.said("pilot: told") == 1
 
 
 def test_after_a_restart_the_reservation_lasts_for_its_lease(open_team):
@@ -351,7 +351,7 @@ providers:
 
 
 def test_attribute_queries_of_a_host_do_not_block_reservations(tmp_path, lfield_mission):
-    """The queries run nearly all the time; a reservation action not wait for them, and they continue."""
+    """The queries run nearly all the time; a reservation does not wait for them, and they continue."""
     (tmp_path / "arms.L").write_text(ASKED)
     (tmp_path / "arms.dL").write_text(TEAM)
     (tmp_path / "arms.capabilities.yaml").write_text(ASKED_OF)

@@ -11,7 +11,7 @@ from lfield.wire.quorum_messages import Heartbeat, HeldRecord, Promise, Propose
 
 
 def suspecting(**given) -> One:
-    """A host that has proposed_at to ask."""
+    """A host that has begun to ask."""
     one = One(saved=shadow(), **given)
     one.pass_time(INTERVAL - 0.1)
     assert {host for host, _ in messages_of(one.pass_time(0.4), Locate)} == {"b", "c"}

@@ -1,4 +1,4 @@
-"""What makes a reservation its holder's alone, each left out: the judge must find what comes of it."""
+"""The rules that give a reservation to its holder alone, each removed: the judge must find the effect."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def an_expired_holder_renews(patch: Patch) -> None:
 
 def reservation_numbers_restart_at_1(patch: Patch) -> None:
     def nothing(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
-        """Nothing is known of earlier lives."""
+        """Restore nothing of earlier lives."""
         self._first = 1
 
     patch.setattr(Reservations, "restore", nothing)

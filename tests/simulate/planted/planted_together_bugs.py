@@ -1,4 +1,4 @@
-"""What makes calls that are begun together durable, each left out: the judge must find what comes of it."""
+"""The rules that make concurrent calls durable, each removed: the judge must find the effect."""
 
 from __future__ import annotations
 

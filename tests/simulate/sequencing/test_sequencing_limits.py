@@ -1,4 +1,4 @@
-"""What ends a wait for another coordinator, who may start it, and what its end means for the mission."""
+"""Limits of a wait for another coordinator, rights to start it, and the effect of its end on the mission."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def when(fleet: Fleet, text: str) -> float:
 
 
 @pytest.mark.parametrize("what", ['start("patrol", 4.0);', 'running("patrol", 4.0);', 'stop("patrol", 4.0);'])
-def test_a_home_that_is_missing_is_waited_for_as_long_as_the_limit(team, what: str) -> None:
+def test_a_missing_home_is_waited_for_until_the_limit(team, what: str) -> None:
     fleet = team('sleep(5.0); print("asks");' + attempt(what))
     fleet.run(3.0)
     fleet.power_off("bravo")
@@ -85,8 +85,8 @@ def test_a_home_that_is_missing_is_waited_for_as_long_as_the_limit(team, what: s
     assert said(fleet, "patrol started") == 0
 
 
-def test_another_host_that_is_missing_prevents_no_start(team) -> None:
-    """A fallback starts because a robot is missing; the started one deals with it by its own limits."""
+def test_another_missing_host_prevents_no_start(team) -> None:
+    """A fallback starts because a robot is missing; the started coordinator has its own limits."""
     fleet = team("sleep(5.0);" + attempt('start("patrol", 4.0);'))
     fleet.run(3.0)
     fleet.lose("carol")
@@ -128,7 +128,7 @@ def test_an_ordered_stop_stays_in_force_after_its_limit(team) -> None:
     assert not any("patrol" in life.core.machine.agents for life in fleet.lives.values())
 
 
-def test_who_may_start_and_stop(team) -> None:
+def test_start_and_stop_need_separate_rights(team) -> None:
     access = "coordinators:\n  boss:\n    Post: all\n    patrol: [start]\n"
     fleet = team(
         attempt('start("patrol", 4.0);')
@@ -147,7 +147,7 @@ def test_who_may_start_and_stop(team) -> None:
     assert said(fleet, "boss: done") == 1
 
 
-def test_an_access_file_knows_what_may_be_done_with_a_startable_coordinator(team) -> None:
+def test_an_access_file_rejects_an_unknown_action_on_a_coordinator(team) -> None:
     with pytest.raises(ProgramError) as caught:
         team("", "coordinators:\n  boss:\n    patrol: [begin]\n")
     assert [found.code for found in caught.value.diagnostics] == ["Y113"]
@@ -169,7 +169,7 @@ def test_a_started_coordinator_is_recovered_and_can_be_stopped_and_started_again
 
 
 @pytest.mark.parametrize(("argument", "status"), [("3", exit_status.DONE), ("x", exit_status.FAILED)])
-def test_a_mission_lasts_until_what_was_started_has_ended(team, argument: str, status: int) -> None:
+def test_a_mission_lasts_until_started_coordinators_have_ended(team, argument: str, status: int) -> None:
     deployment = DEPLOYMENT.replace("p1&3", f"p1&{argument}") + "startable Patrol:never@carol?p1&1\n"
     fleet = team('start("patrol", 4.0);', deployment=deployment, lost_after=5.0)
     fleet.run(30.0)

@@ -1,4 +1,4 @@
-"""Futures in a team whose hosts die, are cut off, or restart meanwhile. In virtual time."""
+"""Futures in a team whose hosts crash, are cut off, or restart. In virtual time."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_the_end_of_a_call_is_reported_although_the_link_was_down_at_that_time(t
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
-def test_a_host_that_cannot_be_reached_loses_the_race(tmp_path: Path) -> None:
+def test_an_unreachable_host_loses_the_race(tmp_path: Path) -> None:
     team = Team(tmp_path, 2.0, 25.0, RACE)
     team.until("sets 2")
     team.cut("bravo", "carol")
@@ -54,9 +54,7 @@ def test_a_host_that_cannot_be_reached_loses_the_race(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_host_that_dies_with_a_call_has_lost_it_and_begins_nothing_twice(
-    tmp_path: Path, times: int
-) -> None:
+def test_a_call_on_a_crashed_host_is_lost_and_not_begun_twice(tmp_path: Path, times: int) -> None:
     team = Team(tmp_path, 8.0, 12.0, NEXT)
     team.until("sets 2")
     for _ in range(times):
@@ -67,7 +65,7 @@ def test_a_host_that_dies_with_a_call_has_lost_it_and_begins_nothing_twice(
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
-def test_a_result_on_the_disk_of_its_host_survives_its_death(tmp_path: Path) -> None:
+def test_a_stored_result_survives_a_crash_of_its_host(tmp_path: Path) -> None:
     team = Team(
         tmp_path, 1.0, 6.0, f"{BEGIN} sleep(8.0); got[1] = calls[1].await(); got[0] = calls[0].await();"
     )
@@ -79,7 +77,7 @@ def test_a_result_on_the_disk_of_its_host_survives_its_death(tmp_path: Path) -> 
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
-def test_the_host_where_the_boss_waits_dies_and_its_open_futures_are_not_begun_again(tmp_path: Path) -> None:
+def test_a_crash_of_the_waiting_host_does_not_repeat_open_futures(tmp_path: Path) -> None:
     body = """
             future<int> one = null;
             try {{
@@ -97,7 +95,7 @@ def test_the_host_where_the_boss_waits_dies_and_its_open_futures_are_not_begun_a
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
-def test_a_boss_that_is_recovered_elsewhere_may_not_fetch_the_calls_of_its_earlier_start(
+def test_a_recovered_coordinator_may_not_fetch_calls_of_its_earlier_start(
     tmp_path: Path,
 ) -> None:
     body = f"heartbeatInterval(1.0); {BEGIN} got[1] = calls[1].await(); got[0] = calls[0].await();"
@@ -112,7 +110,7 @@ def test_a_boss_that_is_recovered_elsewhere_may_not_fetch_the_calls_of_its_earli
     assert team.said("leaves 1") == 1
 
 
-def test_a_boss_that_ends_leaves_no_call_behind(tmp_path: Path) -> None:
+def test_a_coordinator_that_ends_leaves_no_call_running(tmp_path: Path) -> None:
     team = Team(tmp_path, 40.0, 1.0, f"{BEGIN} got[1] = calls[1].await();", rest=0.0)
     team.until("boss: came back 0 20")
     team.until("leaves 1: boss has ended (done)")

@@ -1,4 +1,4 @@
-"""Somebody who watches hosts of a fleet, and the team that most are about."""
+"""A client that watches hosts of a fleet, and the team of most tests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 @dataclass(eq=False)
 class EventWatcher:
-    """Somebody who watches one host of a fleet, by whole messages; `reads` when it says what it has seen."""
+    """A client that watches one host of a fleet, by whole messages; `reads` tells whether it acknowledges."""
 
     fleet: Fleet
     host: str
@@ -58,7 +58,7 @@ class EventWatcher:
             life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
 
     def order(self, message: EmergencyStop | Pause) -> None:
-        """An order that names what the host says of itself now."""
+        """Send an order with the present epochs of the host."""
         self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
 
     def send(self, message: object) -> None:
@@ -105,7 +105,7 @@ def watch(fleet: Fleet, host: str, message: Subscribe | None = None, **options: 
 
 
 def chain(eye: EventWatcher, event: Event) -> list[str]:
-    """The kinds of what led to an event, the last one first."""
+    """The kinds of the causes of an event, the last one first."""
     known, kinds = eye.by_number(), []
     while event.cause in known:
         event = known[event.cause]

@@ -1,4 +1,4 @@
-"""What a host tells whoever watches it, in virtual time: hops with causes, latches, every line of its log."""
+"""The events of a watched host, in virtual time: hops with causes, latches, every line of its log."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
         assert isinstance(there, events.MigrationArrived)
         assert (there.of, there.size) == ("alpha", what.size)
         assert what.size > 100
-    # What it did here led to its leaving: it came, its portal began, commanded the copter, and ended.
+    # The causes of the departure: it arrived, its portal began, commanded the copter, and ended.
     last = chain(alpha, left[-2])
     assert last[:6] == ["printed", "ended", "answered", "asked", "began", "came"]
     hopped = alpha.of(events.MigrationConfirmed)
@@ -60,7 +60,7 @@ def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) 
     }
 
 
-def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_path: Path) -> None:
+def test_every_line_of_log_and_output_is_one_event_and_vice_versa(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(0.001)
     eye = watch(fleet, "alpha", Subscribe(1))
@@ -77,7 +77,7 @@ def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_p
     assert len(told) > 10
 
 
-def test_states_are_numbered_without_a_gap_from_the_first_moment(tmp_path: Path) -> None:
+def test_events_are_numbered_without_a_gap_from_the_start(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(6.0)
     eye = watch(fleet, "alpha", Subscribe(1, 0, 5.0))
@@ -90,7 +90,7 @@ def test_states_are_numbered_without_a_gap_from_the_first_moment(tmp_path: Path)
     assert times == sorted(times)
 
 
-def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -> None:
+def test_an_emergency_stop_causes_the_latches_of_all_devices(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
@@ -113,7 +113,7 @@ def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -
     )
 
 
-def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> None:
+def test_a_pause_and_its_end_are_reported_with_the_person(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
@@ -130,7 +130,7 @@ def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> No
     assert chain(eye, eye.of(events.DeviceReleased)[0])
 
 
-def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> None:
+def test_broken_links_and_restarted_hosts_are_reported(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
@@ -143,7 +143,7 @@ def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> 
     assert eye.of(events.LinkUp)[-1].what == events.LinkUp("beta", restarted=True)
 
 
-def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) -> None:
+def test_positions_of_agents_are_sent_at_the_requested_rate(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     often, seldom = (
@@ -167,7 +167,7 @@ def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) ->
     assert min(gaps) > 0.15
 
 
-def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_watcher_that_reconnects_continues_at_its_last_event(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     first = watch(fleet, "alpha")
@@ -184,7 +184,7 @@ def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not any(batch.lost for batch in second.batches)
 
 
-def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tmp_path: Path) -> None:
+def test_a_restarted_host_sends_all_its_events_to_a_watcher_of_the_earlier_life(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     before = watch(fleet, "alpha")
@@ -200,7 +200,7 @@ def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tm
     assert eye.states[0].number == 1
 
 
-def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None:
+def test_a_watcher_that_stops_reading_gets_a_window_and_then_the_end(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
@@ -210,14 +210,14 @@ def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None
     assert eye.refused == ""
     fleet.run(20.0)
     assert eye.refused == "what it watches was not read for 60 s"
-    # One more says what it has lost, should it read that one day.
+    # A last message has the number of its lost events.
     assert len(eye.batches) == WINDOW + 1
     assert eye.batches[-1].lost.keys() == {"measured", "standing", "path"}
     assert len(other.batches) > 600
     assert not any("state" in batch.lost for batch in other.batches)
 
 
-def test_a_slow_watcher_loses_telemetry_is_told_so_and_loses_no_state(tmp_path: Path) -> None:
+def test_a_slow_watcher_loses_only_telemetry_and_is_informed(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha", Subscribe(telemetry=20.0), reads=False)
@@ -232,7 +232,7 @@ def test_a_slow_watcher_loses_telemetry_is_told_so_and_loses_no_state(tmp_path: 
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_one_more_than_may_watch_is_told_so(tmp_path: Path) -> None:
+def test_a_watcher_beyond_the_limit_is_refused(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(2.0)
     eyes = [watch(fleet, "alpha") for _ in range(17)]
@@ -240,7 +240,7 @@ def test_one_more_than_may_watch_is_told_so(tmp_path: Path) -> None:
     assert [eye.refused for eye in eyes] == [*[""] * 16, "16 others watch alpha already"]
 
 
-def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
+def test_repeated_subscriptions_do_not_keep_a_host_busy(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(2.0)
     eye = watch(fleet, "alpha")
@@ -252,7 +252,7 @@ def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
     assert len(eye.batches) < 25
 
 
-def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Path) -> None:
+def test_a_host_that_ends_reports_it_and_the_rest_of_its_devices(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     eye = watch(fleet, "alpha")
@@ -265,7 +265,7 @@ def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Pat
     assert eye.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
 
 
-def test_nothing_is_told_of_portal_calls_before_somebody_watches(tmp_path: Path) -> None:
+def test_portal_calls_are_not_reported_without_a_watcher(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(10.0)
     core = fleet.lives["alpha"].core
@@ -292,7 +292,7 @@ coordinator Walker {
 """
 
 
-def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
+def test_too_frequent_events_are_counted(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet.run(0.001)
     eye = watch(fleet, "alpha", Subscribe(1))
@@ -308,7 +308,7 @@ def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
     assert not any(batch.lost for batch in eye.batches)
 
 
-def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
+def test_an_exception_of_a_portal_is_reported_with_its_end(tmp_path: Path) -> None:
     program = PROGRAM.replace("fc.takeoff(height);", "int none = 0; print(i2s(1 / none));")
     fleet = fleet_of(tmp_path, program)
     fleet.run(0.001)
@@ -326,8 +326,8 @@ def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(4))
-def test_a_run_is_the_same_whether_or_not_it_is_watched(tmp_path: Path, seed: int) -> None:
-    """A watcher changes nothing of what the team does: not one line, nor when."""
+def test_a_run_is_the_same_with_and_without_a_watcher(tmp_path: Path, seed: int) -> None:
+    """A watcher does not change the actions of the team: no log line, and no time."""
 
     def logged(*, watched: bool) -> list[tuple[str, str]]:
         fleet = fleet_of(tmp_path, seed=seed)

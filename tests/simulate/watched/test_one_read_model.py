@@ -1,4 +1,4 @@
-"""A command that takes one snapshot and a page that follows events have the same state of a host."""
+"""A snapshot and a sequence of events give the same state of a host."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def asked(fleet: Fleet) -> HostState:
 
 
 def essence(host: HostState) -> dict[str, object]:
-    """What events change."""
+    """The parts of a state that events change."""
     held = {name: (each.latched, each.confirmed, each.moving) for name, each in host.devices.items()}
     known = "linked", "stopped", "paused", "waits_for", "start_held", "refused", "bundle", "ending"
     return {
@@ -68,7 +68,7 @@ def boot(fleet: Fleet, eye: EventWatcher) -> None:
 
 
 @pytest.mark.parametrize("steps", [(stop, lift), (pause, stop), (crash, boot)])
-def test_events_lead_to_the_state_that_a_snapshot_has(
+def test_events_lead_to_the_state_of_a_snapshot(
     tmp_path: Path, steps: Sequence[Callable[[Fleet, EventWatcher], None]]
 ) -> None:
     fleet = fleet_of(tmp_path)

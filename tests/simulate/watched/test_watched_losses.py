@@ -1,4 +1,4 @@
-"""What is told when hosts, links and coordinators are lost, and of who can be called. In virtual time."""
+"""The events of lost hosts, links and coordinators, and of changed offers. In virtual time."""
 
 from __future__ import annotations
 
@@ -67,17 +67,17 @@ def mission(folder: Path, interval: str = "", team: str = TEAM) -> Mission:
 
 
 def holder(fleet: Fleet, *others: str) -> str:
-    """Let time go on until the coordinator runs on a host that is none of these."""
+    """Run until the coordinator runs on a host that is none of these."""
     for _ in range(2000):
         for name, life in fleet.lives.items():
             agent = life.core.machine.agents.get("walker")
             if name not in others and agent is not None and not agent.frozen:
                 return name
         fleet.run(0.05)
-    raise AssertionError("it is nowhere")
+    raise AssertionError("the coordinator runs on no host")
 
 
-def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path) -> None:
+def test_the_host_that_recovers_a_coordinator_reports_it(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 1)
     fleet.run(20.0)
     lost = holder(fleet)
@@ -97,7 +97,7 @@ def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path)
     )
 
 
-def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: Path) -> None:
+def test_a_coordinator_that_cannot_leave_stays_with_an_exception(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 1)
     fleet.run(8.0)
     assert holder(fleet, "bravo") == "alpha"
@@ -115,7 +115,7 @@ def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: 
     assert printed.cause == stayed[0].number
 
 
-def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_path: Path) -> None:
+def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None:
     made = mission(tmp_path)
     bound = {
         agent: {name: structs.replace(d, without_policy=OrphanPolicy(10.0, "hold")) for name, d in of.items()}
@@ -139,9 +139,7 @@ def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_p
 
 
 @pytest.mark.parametrize("asks_for_capabilities", [True, False])
-def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
-    tmp_path: Path, asks_for_capabilities: bool
-) -> None:
+def test_changed_offers_are_reported_with_their_cause(tmp_path: Path, asks_for_capabilities: bool) -> None:
     if asks_for_capabilities:
         (tmp_path / "mission.L").write_text(HOISTS)
         (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
@@ -171,7 +169,7 @@ def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
     assert chain(eye, offered) == ["linked"]
 
 
-def test_a_coordinator_goes_on_from_the_journal_of_its_host(tmp_path: Path) -> None:
+def test_a_coordinator_continues_from_the_journal_of_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 3)
     fleet.run(10.0)
     assert holder(fleet, "bravo") == "alpha"
@@ -186,12 +184,12 @@ def test_a_coordinator_goes_on_from_the_journal_of_its_host(tmp_path: Path) -> N
 
 
 def reads_all(eye: EventWatcher) -> bool:
-    """Whether no state is missing in what it was told."""
+    """Whether it has received every event."""
     numbers = [event.number for event in eye.states]
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> None:
+def test_no_event_is_missing_under_faults_of_links_and_hosts(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 5)
     fleet.run(8.0)
     eye = watch(fleet, "alpha", Subscribe(telemetry=10.0))
