@@ -1,4 +1,4 @@
-"""What journals are tried on: a real disk, and that of a simulation."""
+"""The disks of the journal tests: a real one, and a simulated one."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ OWNER = JournalOwner("harvest", "barn", "this computer")
 
 
 class Bench(Protocol):
-    """A disk, and processes that have its journal one after the other."""
+    """A disk, and successive processes that open its journal."""
 
     clock: Clock
     told: list[str]
 
     def open(self) -> Journal:
-        """A process begins; the one before was killed, unless it closed the journal."""
+        """Start a process; the one before was killed, unless it closed the journal."""
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
-        """Do something in the process."""
+        """Run work in the process."""
 
     def fill(self, full: bool) -> None:
-        """The disk has no room for another large page, and none was kept in advance; or has room again."""
+        """The disk has no space for another large record, and none in reserve; or has space again."""
 
     def damage(self, key: RecordKey) -> None:
-        """Spoil a page, while no process has the journal."""
+        """Damage a record, while no process has the journal open."""
 
 
 class FileBench:
-    """A folder for each life: what a killed process leaves is what its files say at that moment."""
+    """A folder for each life: a killed process leaves the contents of its files at that moment."""
 
     def __init__(self, folder: Path) -> None:
         self.clock, self.told = ManualClock(), list[str]()
@@ -86,7 +86,7 @@ class FileBench:
 
 
 class SimulatedBench:
-    """A disk of the simulation. Each life has a loop of its own, and is killed as others are."""
+    """A simulated disk. Each life has its own loop, and is killed like a process."""
 
     def __init__(self) -> None:
         self.timeline = EventQueue()

@@ -1,4 +1,4 @@
-"""Loops of resources: their schedule, overruns, priorities, and what they do to devices."""
+"""Loops of resources: their schedule, overruns, priorities, and commands of devices."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_loops_begin_at_the_first_pause_of_init() -> None:
     assert yard.run(10.0)[3:5] == ["7", "6"] or "7" in yard.output
 
 
-def test_reports_are_limited() -> None:
+def test_reports_of_a_loop_are_limited() -> None:
     yard = Yard(
         """loop slow at 10 { sleep(0.15); }
         loop mute at 10 { if (n < 0) return; throw new DeviceException("x"); }"""
@@ -69,7 +69,8 @@ def test_reports_are_limited() -> None:
 
 
 def a_suppressed_body(lower: int = -1, upper: int = 2) -> None:
-    """It is cancelled in its instruction; the other one does not wait for that; it commands nothing more."""
+    """The lower body is cancelled in its instruction; the upper one does not wait for that; the lower
+    commands nothing more."""
     yard = Yard(TWO % (lower, upper), "sleep(0.05); wagon.press(true);")
     assert yard.run(0.06) == []
     assert yard.host.commands == ["turn"]
@@ -84,7 +85,7 @@ def a_suppressed_body(lower: int = -1, upper: int = 2) -> None:
     assert yard.run(0.05) == ["cleans", "motor: the loop guard has a higher priority than drive"]
     assert yard.host.commands == ["turn", "stop"]
     assert yard.codes == ["loop-suppressed", "loop-overrun"]
-    # The next tick of the lower loop is as any other.
+    # The next tick of the lower loop is like any other.
     assert yard.wagon.ended == ""
     yard.run(1.0)
     assert yard.machine.agents["wagon"].loops is not None
@@ -108,7 +109,7 @@ def test_an_instruction_that_cannot_be_cancelled_ends_by_itself() -> None:
 
 
 def the_order_of_equal_ticks() -> None:
-    """The lower loop is declared first, and its thread sleeps first: the upper one is still before it."""
+    """The lower loop is declared first, and its thread sleeps first: the upper one is still first."""
     yard = Yard(
         """loop low at 10 priority 1 { print("low"); }
         loop high at 10 priority 2 when (n < 5) { n += 1; print("high"); sleep(0.01); }"""
@@ -121,7 +122,7 @@ def test_at_equal_times_the_higher_priority_is_first() -> None:
 
 
 def an_unknown_condition() -> None:
-    """A query in `when` fails: what is below does not move anything meanwhile."""
+    """A query in `when` fails: lower loops command nothing meanwhile."""
     yard = Yard(
         """loop low at 10 priority 1 { motor.turn(); }
         loop high at 10 priority 2 when (motor.load() > 9.0) { print("never"); }"""
@@ -145,7 +146,8 @@ def test_an_unknown_condition_suppresses() -> None:
 
 
 def a_loop_that_controls(priority: int = 1) -> list[str]:
-    """A portal that would command a device while the body of a loop runs; what the coordinator prints."""
+    """A portal that would command a device while the body of a loop runs; returns the output of the
+    coordinator."""
     yard = Yard(
         f'loop turn at 10 priority {priority} when (n == 0) {{ n += 1; motor.stop(); print("ends"); }}',
         "sleep(0.05); print(wagon.load()); wagon.push();",
@@ -183,27 +185,27 @@ def test_portals_command_when_the_body_has_ended() -> None:
 
 
 @pytest.mark.parametrize("rate", ["at n", "every -1.0 * n", "at 5000 + n", "every n / 0.0"])
-def test_a_rate_without_sense_ends_the_resource(rate: str) -> None:
+def test_an_invalid_rate_ends_the_resource(rate: str) -> None:
     yard = Yard(f"loop turn {rate} {{ }}")
     yard.run(1.0)
     assert yard.wagon.ended == "died"
     assert yard.wagon.report.startswith("ArithmeticException: ")
 
 
-def test_a_heap_without_space_for_loops() -> None:
+def test_a_heap_without_space_for_loops_ends_the_resource() -> None:
     loops = "\n".join(f"loop turn{n} at 1 {{ }}" for n in range(16))
     yard = Yard(loops, limits=AgentLimits(heap=2048))
     yard.run(0.1)
     assert yard.wagon.report.startswith("LimitException: ")
 
 
-def test_threads_of_portals_are_left() -> None:
+def test_loops_leave_threads_for_portals() -> None:
     loops = "\n".join(f"loop turn{n} at 1 {{ }}" for n in range(16))
     yard = Yard(loops, "print(wagon.load());")
     assert yard.run(0.1) == ["5.0"]
 
 
-def all_stories() -> None:
+def all_scenarios() -> None:
     a_schedule_without_drift()
     a_suppressed_body()
     the_order_of_equal_ticks()
@@ -216,4 +218,4 @@ def all_stories() -> None:
 def test_a_planted_loop_bug_is_found(bug: bugs.LoopBug, monkeypatch: pytest.MonkeyPatch) -> None:
     bug(monkeypatch)
     with pytest.raises(AssertionError):
-        all_stories()
+        all_scenarios()
