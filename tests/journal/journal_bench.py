@@ -29,7 +29,7 @@ class Bench(Protocol):
     """A disk, and successive processes that open its journal."""
 
     clock: Clock
-    told: list[str]
+    reports: list[str]
 
     def open(self) -> Journal:
         """Start a process; the one before was killed, unless it closed the journal."""
@@ -48,7 +48,7 @@ class FileBench:
     """A folder for each life: a killed process leaves the contents of its files at that moment."""
 
     def __init__(self, folder: Path) -> None:
-        self.clock, self.told = ManualClock(), list[str]()
+        self.clock, self.reports = ManualClock(), list[str]()
         self._folder, self._life = folder, 0
         self.journal: FileJournal | None = None
 
@@ -62,7 +62,7 @@ class FileBench:
             self._life += 1
             shutil.copytree(before, self.path.parent)
             killed.close()
-        self.journal = FileJournal(self.path, owner, self.told.append, self.clock)
+        self.journal = FileJournal(self.path, owner, self.reports.append, self.clock)
         return self.journal
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
@@ -91,7 +91,7 @@ class SimulatedBench:
     def __init__(self) -> None:
         self.timeline = EventQueue()
         self.machine = SimulatedMachine("barn", self.timeline, random.Random(1))
-        self.clock, self.told = self.machine.clock, list[str]()
+        self.clock, self.reports = self.machine.clock, list[str]()
         self.disk = JournalDisk(random.Random(2), sync=0.05)
         self.disk.reserve = 0
         self.loop = ProcessLoop(self.machine)
@@ -100,7 +100,7 @@ class SimulatedBench:
         self.loop.die()
         self.loop.close()
         self.loop = ProcessLoop(self.machine)
-        return self.disk.open(self.clock, self.told.append)
+        return self.disk.open(self.clock, self.reports.append)
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         tasks: list[asyncio.Task[T]] = []

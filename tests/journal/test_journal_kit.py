@@ -78,7 +78,7 @@ def test_stored_records_are_there_in_the_next_life(bench: Bench) -> None:
     again = bench.open()
     assert by_key(again.records()) == by_key(PAGES)
     assert again.identity == journal.identity
-    assert bench.told == []
+    assert bench.reports == []
 
 
 def test_a_closed_journal_is_readable_and_accepts_no_records(bench: Bench) -> None:
@@ -200,13 +200,13 @@ def test_a_damaged_record_is_reported_and_changes_the_identity(bench: Bench) -> 
     journal.close()
     bench.damage(RecordKey("copy", "scout", 3))
     again = bench.open()
-    (told,) = bench.told
-    assert told.startswith("the copy of scout, start 3, stored ")
-    assert "is damaged in the journal" in told
+    (report,) = bench.reports
+    assert report.startswith("the copy of scout, start 3, stored ")
+    assert "is damaged in the journal" in report
     assert by_key(again.records()) == by_key(PAGES[1:])
     assert again.identity != journal.identity
     last = bench.open()
-    assert (last.identity, len(bench.told)) == (again.identity, 1)
+    assert (last.identity, len(bench.reports)) == (again.identity, 1)
 
 
 def test_the_start_counter_is_lost_with_a_damaged_fence(bench: Bench) -> None:
@@ -217,8 +217,8 @@ def test_the_start_counter_is_lost_with_a_damaged_fence(bench: Bench) -> None:
     bench.damage(RecordKey("fence", "scout"))
     left = [page for page in PAGES if not isinstance(page, FenceRecord | StartCounter)]
     assert by_key(bench.open().records()) == by_key(left)
-    (told,) = bench.told
-    assert told.startswith("the fence of scout, stored ")
+    (report,) = bench.reports
+    assert report.startswith("the fence of scout, stored ")
     assert by_key(bench.open().records()) == by_key(left)
 
 
@@ -228,7 +228,7 @@ def test_an_unreadable_stop_is_reported_and_no_start_is_lost_with_it(bench: Benc
     journal.close()
     bench.damage(RecordKey("stopped"))
     assert by_key(bench.open().records()) == by_key([StartCounter(4), PauseFlag(True)])
-    assert bench.told[0].startswith("whether an emergency stop holds here, stored ")
+    assert bench.reports[0].startswith("whether an emergency stop holds here, stored ")
 
 
 def test_the_commits_of_a_minute_are_counted(bench: Bench) -> None:

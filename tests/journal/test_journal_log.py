@@ -45,7 +45,7 @@ def spoil(path: Path, at: int) -> None:
 
 def again(bench: FileBench, path: Path) -> FileJournal:
     """Open the journal in the next process."""
-    journal = FileJournal(path, OWNER, bench.told.append, bench.clock)
+    journal = FileJournal(path, OWNER, bench.reports.append, bench.clock)
     journal.close()
     return journal
 
@@ -69,10 +69,10 @@ def test_a_wrong_bit_in_an_older_commit_loses_no_later_record(bench: FileBench, 
     assert count_of(journal) == 30
     assert bench.journal is not None
     assert journal.identity == bench.journal.identity
-    assert "frame 21 of the " in bench.told[0]
-    assert bench.told[0].endswith("nothing is lost")
+    assert "frame 21 of the " in bench.reports[0]
+    assert bench.reports[0].endswith("nothing is lost")
     again(bench, path)
-    assert len(bench.told) == 1
+    assert len(bench.reports) == 1
 
 
 def test_no_older_record_is_used_when_the_newest_is_damaged(bench: FileBench, tmp_path: Path) -> None:
@@ -86,8 +86,8 @@ def test_no_older_record_is_used_when_the_newest_is_damaged(bench: FileBench, tm
     assert journal.records() == []
     assert bench.journal is not None
     assert journal.identity != bench.journal.identity
-    assert "stay in doubt" in bench.told[0]
-    assert any("a later one may have been lost with the log" in line for line in bench.told)
+    assert "stay in doubt" in bench.reports[0]
+    assert any("a later one may have been lost with the log" in line for line in bench.reports)
     assert again(bench, path).identity == journal.identity
 
 
@@ -97,14 +97,14 @@ def test_a_damaged_header_of_an_older_frame_is_detected(bench: FileBench, tmp_pa
     spoil(path, HEAD + 20 * WHOLE + at)
     assert read_wal(path).valid_prefix == 20
     assert count_of(again(bench, path)) in (30, None)
-    assert bench.told
+    assert bench.reports
 
 
 def test_a_log_with_a_damaged_header_is_still_read(bench: FileBench, tmp_path: Path) -> None:
     path = killed(bench, tmp_path / "left")
     spoil(path, 17)
     assert count_of(again(bench, path)) in (30, None)
-    assert "frame 1 of the " in bench.told[0]
+    assert "frame 1 of the " in bench.reports[0]
 
 
 def test_an_incomplete_last_commit_counts_as_a_power_cut(bench: FileBench, tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_an_incomplete_last_commit_counts_as_a_power_cut(bench: FileBench, tmp_p
     spoil(path, HEAD + (len(frames) - 1) * WHOLE + FRAME)
     assert read_wal(path).fault == ""
     assert count_of(again(bench, path)) == 29
-    assert bench.told == []
+    assert bench.reports == []
 
 
 def test_the_rest_of_an_earlier_log_is_no_damage(bench: FileBench, tmp_path: Path) -> None:
@@ -133,18 +133,18 @@ def test_the_rest_of_an_earlier_log_is_no_damage(bench: FileBench, tmp_path: Pat
 
 def test_a_missing_log_is_reported_and_older_records_are_not_used(bench: FileBench, tmp_path: Path) -> None:
     for spoilt in (Path.unlink, lambda log: log.write_bytes(b"")):
-        path = killed(bench, tmp_path / f"left{bool(bench.told)}")
-        bench.told.clear()
+        path = killed(bench, tmp_path / f"left{bool(bench.reports)}")
+        bench.reports.clear()
         spoilt(wal_file(path))
         assert open_read_only(path).fault == "its log is missing"
         journal = again(bench, path)
         assert journal.records() == []
-        assert "its log is missing" in bench.told[0]
+        assert "its log is missing" in bench.reports[0]
         assert bench.journal is not None
         assert journal.identity != bench.journal.identity
-        told = len(bench.told)
+        count = len(bench.reports)
         again(bench, path)
-        assert len(bench.told) == told
+        assert len(bench.reports) == count
 
 
 def test_a_log_removed_while_in_use_loses_nothing(bench: FileBench) -> None:
@@ -155,7 +155,7 @@ def test_a_log_removed_while_in_use_loses_nothing(bench: FileBench) -> None:
     assert wal_file(bench.path).exists()
     bench.run(journal.persist([CoordinatorRecord("pilot", 2, "RUN")]))
     assert len(bench.open().records()) == 3
-    assert bench.told == []
+    assert bench.reports == []
 
 
 def test_a_regular_end_leaves_no_log(bench: FileBench) -> None:
@@ -166,7 +166,7 @@ def test_a_regular_end_leaves_no_log(bench: FileBench) -> None:
         bench.journal = None
         assert not wal_file(bench.path).exists()
     assert count_of(bench.open()) == 2
-    assert bench.told == []
+    assert bench.reports == []
 
 
 def test_the_lock_remains_when_its_file_is_removed(bench: FileBench) -> None:

@@ -28,18 +28,18 @@ def test_a_commit_during_a_kill_is_stored_completely_or_not_at_all(bench: Simula
     dice, found = random.Random(0), []
     for _ in range(40):
         bench.run(bench.open().persist(BEFORE))
-        journal, told = bench.open(), list[None]()
+        journal, reported = bench.open(), list[None]()
 
-        async def keep(journal=journal, told=told) -> None:  # type: ignore[no-untyped-def]
+        async def keep(journal=journal, reported=reported) -> None:  # type: ignore[no-untyped-def]
             await journal.persist(AFTER)
-            told.append(None)
+            reported.append(None)
 
         bench.loop.enter(lambda keep=keep: bench.loop.create_task(keep()))  # type: ignore[misc]
         bench.timeline.run(dice.uniform(0.0, 1.2 * bench.disk.sync))
         left = bench.open().records()
         assert left in (BEFORE, AFTER)
-        assert left == AFTER or not told
-        found.append((left == AFTER, bool(told)))
+        assert left == AFTER or not reported
+        found.append((left == AFTER, bool(reported)))
     # Not stored; stored and not reported; stored and reported.
     assert set(found) == {(False, False), (True, False), (True, True)}
 
@@ -90,4 +90,4 @@ def test_a_damaged_record_is_reported_and_the_others_are_kept(bench: SimulatedBe
     bench.run(bench.open().persist(BEFORE))
     bench.damage(RecordKey("run"))
     assert bench.open().records() == [StartCounter(1)]
-    assert bench.told[0].startswith("whether the last run continues, stored ")
+    assert bench.reports[0].startswith("whether the last run continues, stored ")
