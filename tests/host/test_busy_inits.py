@@ -30,7 +30,7 @@ coordinator Boss { init(string[] arg) { print(findReady("ready").move()); print(
 WAITING = "boss waiting: the init of axis has neither returned nor yielded yet"
 
 
-class Homing(GoldenWorld):
+class EndlessDevice(GoldenWorld):
     """A device whose call never ends by itself."""
 
     def call_device(
@@ -42,7 +42,7 @@ class Homing(GoldenWorld):
 
 def test_a_wait_for_an_init_is_reported_once_after_a_second() -> None:
     program = compile_program(check_text(PROGRAM, devices={"Motor": MOTOR}).or_raise())
-    desk, clock, log = Homing(), ManualClock(), []
+    desk, clock, log = EndlessDevice(), ManualClock(), []
     team = team_for(program, [])
     machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     inits = InitBarrier(machine.opening, log.append)

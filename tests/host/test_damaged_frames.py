@@ -55,7 +55,7 @@ CLOSE, THEN = 8 * 16, 9
 PASSED = 4
 
 
-class Damage:
+class FrameDamage:
     """Flips a bit of the frames that `wanted` selects, at a later place each time: one frame of each link."""
 
     def __init__(self, wanted: Callable[[MemoryLink, bytes], bool]) -> None:
@@ -102,7 +102,7 @@ class Damage:
 async def test_a_flipped_bit_in_any_byte_of_a_hop_is_repaired(team, /, monkeypatch, wanted, rounds):
     if wanted is is_hop:
         monkeypatch.setattr(TransferHistory, "keep", lambda self, agent, payload, is_sent: None)
-    damage, write = Damage(wanted), MemoryLink.write
+    damage, write = FrameDamage(wanted), MemoryLink.write
     monkeypatch.setattr(MemoryLink, "write", lambda link, data: write(link, damage(link, bytes(data))))
     finished, ended = MemoryLink.on_eof, []
 

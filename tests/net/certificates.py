@@ -22,7 +22,7 @@ NOT_BEFORE, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year i
 
 
 @dataclass(frozen=True)
-class Shown:
+class CertificateWithKey:
     """A certificate and its key."""
 
     certificate: x509.Certificate
@@ -43,8 +43,8 @@ def made(
     name: str,
     uris: Iterable[str] = (),
     *,
-    signer: Shown | None = None,
-) -> Shown:
+    signer: CertificateWithKey | None = None,
+) -> CertificateWithKey:
     """A certificate, self-signed if there is no signer."""
     key = Ed25519PrivateKey.generate()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -61,7 +61,7 @@ def made(
     alternatives = [x509.UniformResourceIdentifier(uri) for uri in uris]
     if alternatives:
         builder = builder.add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
-    return Shown(builder.sign(signer.key if signer else key, None), key)
+    return CertificateWithKey(builder.sign(signer.key if signer else key, None), key)
 
 
 class Team:
@@ -79,12 +79,14 @@ class Team:
         issued = self.authority.issue("person", name, may=may, at=NOT_BEFORE.timestamp(), ends=end)
         return Keys("person", self.authority.certificate, issued.certificate, issued.key)
 
-    def odd(self, *uris: str) -> Keys:
+    def unusual(self, *uris: str) -> Keys:
         """Keys with these names, which the authority would not issue."""
-        signer = Shown(certificate_in(self.authority.certificate), private_in(self.authority.key))
+        signer = CertificateWithKey(
+            certificate_in(self.authority.certificate), private_in(self.authority.key)
+        )
         return self.with_(made("odd", uris, signer=signer))
 
-    def with_(self, shown: Shown) -> Keys:
+    def with_(self, shown: CertificateWithKey) -> Keys:
         """Any certificate and key, of an owner that trusts this authority."""
         return Keys("host", self.authority.certificate, shown.pem, shown.key_pem)
 

@@ -38,7 +38,7 @@ def member(inn: HostBench, name: str, cost: float = COST):
     return made
 
 
-async def floods(inn: HostBench, caller, seconds: float) -> None:
+async def flood(inn: HostBench, caller, seconds: float) -> None:
     """Send more whenever the link is read, for `seconds` or until it is closed."""
     end = inn.loop.time() + seconds
     while inn.loop.time() < end and not caller.wire.closing:
@@ -81,7 +81,7 @@ async def test_a_stop_gets_through_the_floods_of_all_members_at_once(inn, /):
 
 async def test_a_member_within_its_budget_precedes_one_over_it(inn, /):
     bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
-    await asyncio.wait_for(floods(inn, bravo, 2.0), 5.0)
+    await asyncio.wait_for(flood(inn, bravo, 2.0), 5.0)
     before = inn.work
     charlie.say(encode(Ping(2)) * 20)
     assert charlie.heard == 21
@@ -90,7 +90,7 @@ async def test_a_member_within_its_budget_precedes_one_over_it(inn, /):
 
 async def test_a_flood_is_reported_once_limited_and_closed_after_five_seconds(inn, /):
     bravo, began = member(inn, "bravo"), inn.loop.time()
-    await floods(inn, bravo, 20.0)
+    await flood(inn, bravo, 20.0)
     took = inn.loop.time() - began
     first, last = bravo.recorder.excesses
     assert (first.closes, last.closes) == (False, True)
@@ -118,10 +118,10 @@ async def test_small_messages_are_charged_in_units(inn, /):
 
 async def test_an_exhausted_budget_outlives_the_link(inn, /):
     bravo = member(inn, "bravo")
-    await floods(inn, bravo, 20.0)
+    await flood(inn, bravo, 20.0)
     again = member(inn, "bravo")
     before, began = inn.work, inn.loop.time()
-    await floods(inn, again, 1.0)
+    await flood(inn, again, 1.0)
     assert inn.work - before <= CPU_SHARE * (inn.loop.time() - began) + 0.1
     assert not again.wire.closing
 
@@ -259,7 +259,7 @@ async def test_records_without_a_message_are_processed_in_pieces(inn, /, monkeyp
 
 async def test_a_closed_link_is_removed_while_it_waits_or_is_held(inn, /):
     bravo, charlie = member(inn, "bravo"), member(inn, "charlie")
-    await floods(inn, bravo, 3.0)
+    await flood(inn, bravo, 3.0)
     charlie.say(PINGS)
     for caller in (bravo, charlie):
         caller.link.connection_lost(None)

@@ -67,7 +67,7 @@ class Computer:
             self.rations.on_probe_end(member, self.now)
 
 
-def floods(computer: Computer, member: str, rate: float, cost: float, seconds: float) -> None:
+def flood(computer: Computer, member: str, rate: float, cost: float, seconds: float) -> None:
     """A member sends `rate` messages a second, and does not wait for answers."""
     began, sent = computer.now, 0
     while computer.now < began + seconds and member not in computer.closed:
@@ -94,7 +94,7 @@ def hops(computer: Computer, member: str, agents: int, cost: float, seconds: flo
 )
 def test_a_flood_is_limited_and_closed_after_five_seconds_over_budget(rate, cost):
     computer = Computer()
-    floods(computer, "bravo", rate, cost, 60.0)
+    flood(computer, "bravo", rate, cost, 60.0)
     (member, reported), *rest = computer.reports
     assert (member, rest) == ("bravo", [])
     over = computer.closed["bravo"] - reported
@@ -106,9 +106,9 @@ def test_a_flood_is_limited_and_closed_after_five_seconds_over_budget(rate, cost
 
 def test_a_flood_on_the_next_link_has_five_seconds_again():
     computer = Computer()
-    floods(computer, "bravo", 30_000, 8e-6, 60.0)
+    flood(computer, "bravo", 30_000, 8e-6, 60.0)
     first = computer.closed.pop("bravo")
-    floods(computer, "bravo", 30_000, 8e-6, 60.0)
+    flood(computer, "bravo", 30_000, 8e-6, 60.0)
     assert computer.closed["bravo"] - first >= MAX_EXCESS_TIME
 
 

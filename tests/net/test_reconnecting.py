@@ -24,7 +24,7 @@ PROMISE = 10.0
 
 
 @dataclass
-class Two:
+class TwoHosts:
     """Two linked hosts; faults are applied to `net`."""
 
     net: Network
@@ -46,21 +46,21 @@ def net(request, tmp_path) -> Iterator[Network]:
     yield from network(ring.give("a", "b"))
 
 
-def linked(net: Network, *places: str) -> Two:
+def linked(net: Network, *places: str) -> TwoHosts:
     a, b = net.start("a", *places), net.start("b", *places)
     for process, other in ((a, "b"), (b, "a")):
         process.wait_for(f" linked {other}")
-    return Two(net, a, b, places)
+    return TwoHosts(net, a, b, places)
 
 
-def by_numbers(net: Network, a: str, b: str) -> Two:
+def by_numbers(net: Network, a: str, b: str) -> TwoHosts:
     net.address("a", f"{a}/64" if ":" in a else f"{a}/24")
     net.address("b", f"{b}/64" if ":" in b else f"{b}/24")
     bracketed = [f"[{address}]:7001" if ":" in address else f"{address}:7001" for address in (a, b)]
     return linked(net, f"a={bracketed[0]}", f"b={bracketed[1]}")
 
 
-def by_names(net: Network) -> Two:
+def by_names(net: Network) -> TwoHosts:
     net.address("a", "10.9.0.1/24")
     net.address("b", "10.9.0.2/24")
     for host in "ab":
@@ -68,24 +68,24 @@ def by_names(net: Network) -> Two:
     return linked(net, "a=alpha:7001", "b=bravo:7001")
 
 
-def silence(two: Two) -> Callable[[], None]:
+def silence(two: TwoHosts) -> Callable[[], None]:
     """All packets are lost for a while: the router has no power."""
     two.net.silence()
     two.lost()
     return two.net.heal
 
 
-def silence_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+def silence_v6(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     two = by_numbers(net, "fd00::1", "fd00::2")
     return two, silence(two)
 
 
-def silence_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+def silence_v4(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     return two, silence(two)
 
 
-def peer_died(net: Network) -> tuple[Two, Callable[[], None]]:
+def peer_died(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """The peer loses power, and starts with a new incarnation."""
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     net.silence()
@@ -96,7 +96,7 @@ def peer_died(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, net.heal
 
 
-def interface(net: Network, a: str, b: str) -> tuple[Two, Callable[[], None]]:
+def interface(net: Network, a: str, b: str) -> tuple[TwoHosts, Callable[[], None]]:
     """The interface of the listening host is removed with its address, and restored."""
     two = by_numbers(net, a, b)
     net.pull_out("b")
@@ -109,15 +109,15 @@ def interface(net: Network, a: str, b: str) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def interface_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+def interface_v4(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     return interface(net, "10.9.0.1", "10.9.0.2")
 
 
-def interface_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+def interface_v6(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     return interface(net, "fd00::1", "fd00::2")
 
 
-def own_interface(net: Network) -> tuple[Two, Callable[[], None]]:
+def own_interface(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """The same at the host that dials."""
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     net.pull_out("a")
@@ -130,7 +130,7 @@ def own_interface(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
+def link_local(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """The zone of the address has another number when the interface is back."""
     for host, number in (("a", 1), ("b", 2)):
         net.address(host)
@@ -146,7 +146,7 @@ def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def peer_moved(net: Network) -> tuple[Two, Callable[[], None]]:
+def peer_moved(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """The listening host gets another address, and its name is changed."""
     two = by_names(net)
     net.address("b")
@@ -160,7 +160,7 @@ def peer_moved(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def moved(net: Network) -> tuple[Two, Callable[[], None]]:
+def moved(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """The host that dials gets another address."""
     two = by_names(net)
     net.address("a")
@@ -168,7 +168,7 @@ def moved(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, lambda: net.address("a", "10.9.0.11/24")
 
 
-def dead_first_address(net: Network) -> tuple[Two, Callable[[], None]]:
+def dead_first_address(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     """A name has an address that does not answer, and one that does."""
     net.address("a", "10.9.0.1/24")
     net.address("b", "10.9.0.2/24")

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from certificates import Shown, Team, made
+from certificates import CertificateWithKey, Team, made
 from cryptography.hazmat.primitives import serialization
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,7 +102,7 @@ def test_the_channel_reports_the_validity_and_does_not_judge_it():
 
 
 ITSELF = made("alpha", [uri_of("host", "alpha")])
-SIGNER = Shown(certificate_in(BRAVO.certificate), private_in(BRAVO.key))
+SIGNER = CertificateWithKey(certificate_in(BRAVO.certificate), private_in(BRAVO.key))
 BY_A_HOST = made("alpha", [uri_of("host", "alpha")], signer=SIGNER)
 
 
@@ -130,7 +130,7 @@ def test_the_dialling_end_refuses_a_host_of_another_authority():
 
 def test_a_certificate_without_one_valid_name_authenticates_no_peer():
     for uris in ([], [uri_of("host", "a"), uri_of("host", "b")], ["lfield://host/", "https://host/alpha"]):
-        assert Ends(TlsIdentity(TEAM.odd(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
+        assert Ends(TlsIdentity(TEAM.unusual(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
 
 
 class Dials:

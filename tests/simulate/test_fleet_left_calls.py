@@ -39,7 +39,7 @@ def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> N
     def climbs() -> int:
         return sum(told.what == "takeoff" for told in fleet.hardware["p.fc"].record)
 
-    def said(text: str) -> int:
+    def count_logged(text: str) -> int:
         return sum(text in line for _, _, line in fleet.log)
 
     while climbs() < 3:
@@ -49,10 +49,10 @@ def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> N
     assert machine.detach_caller(boss, "RestartException", "the mission is paused")
     before = climbs()
     fleet.run(15.0)
-    assert said("boss: the mission is paused at p") == 1
+    assert count_logged("boss: the mission is paused at p") == 1
     assert climbs() <= before + 1
-    assert said("p: fc: the call that would command it was taken from its caller fc") >= 15
-    assert said("p: wandered") == 1
+    assert count_logged("p: fc: the call that would command it was taken from its caller fc") >= 15
+    assert count_logged("p: wandered") == 1
     # Both continue.
     served = post.served
     assert post.ended == boss.ended == ""

@@ -71,7 +71,7 @@ def stamps(fleet: Fleet) -> Counter[str]:
     return Counter(text.strip() for _, _, text in fleet.log if text.startswith(("w", "guest")))
 
 
-def said(fleet: Fleet, words: str) -> list[str]:
+def logged(fleet: Fleet, words: str) -> list[str]:
     return [host for _, host, text in fleet.log if words in text]
 
 
@@ -103,7 +103,7 @@ def test_walkers_reach_all_hosts_with_each_call_made_once_and_unneeded_links_clo
         numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         assert len(numbers) > 100
-    assert not said(fleet, " lost\n")
+    assert not logged(fleet, " lost\n")
     for host, life in fleet.lives.items():
         # A walker stays for half a second, and links for ten.
         assert life.core.membership.neighbours <= links(fleet, host)
@@ -134,7 +134,7 @@ def test_two_hosts_that_dial_each_other_at_once_have_one_link(tmp_path, seed):
     assert len(connections) == 1
     fleet.run(25.0)
     assert "host12" not in links(fleet, "host0")
-    assert not said(fleet, " lost\n")
+    assert not logged(fleet, " lost\n")
 
 
 @pytest.mark.few(1)

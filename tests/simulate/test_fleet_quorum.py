@@ -62,7 +62,7 @@ def mission(folder: Path, call: str = "stamp", team: str = TEAM, interval: float
     return load_mission(folder / "mission.dL", simulate=True)
 
 
-def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
+def logged(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
@@ -70,7 +70,7 @@ def run_until(fleet: Fleet, what: str, within: float) -> float:
     """The time of the first line with this text; fail after so many seconds."""
     end = fleet.now + within
     while fleet.now < end:
-        if found := said(fleet, what):
+        if found := logged(fleet, what):
             return found[0][0]
         fleet.run(0.1)
     raise AssertionError(
@@ -102,12 +102,12 @@ def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: 
     fleet.power_off(gone)
     told = run_until(fleet, "was recovered on", 20.0)
     # It may have had one more call to make before it came to the lost host.
-    last = max([at, *(when + 0.35 for when, _, _ in said(fleet, "stamp ") if when < told)])
+    last = max([at, *(when + 0.35 for when, _, _ in logged(fleet, "stamp ") if when < told)])
     assert told - last <= INTERVAL + 3.0
     run_until(fleet, "complete", 90.0)
-    stamped = [text.strip() for _, _, text in said(fleet, "stamp ")]
+    stamped = [text.strip() for _, _, text in logged(fleet, "stamp ")]
     assert len(stamped) - len(set(stamped)) <= 1
-    assert not said(fleet, "bug in lfield")
+    assert not logged(fleet, "bug in lfield")
 
 
 def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     fleet.run(5.0)
     (row,) = (k for k in fleet.lives[gone].core.mobility.known_states() if k.generation == 1)
     assert (row.state, row.outcome) == ("EXITED", "superseded")
-    assert len(said(fleet, "complete")) == 1
+    assert len(logged(fleet, "complete")) == 1
 
 
 def test_a_host_that_returns_in_time_continues_itself(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_a_host_that_returns_in_time_continues_itself(tmp_path: Path) -> None:
     fleet.boot(gone)
     run_until(fleet, "resumed from the journal", 10.0)
     run_until(fleet, "complete", 90.0)
-    assert not said(fleet, "was recovered on")
+    assert not logged(fleet, "was recovered on")
 
 
 def test_a_host_cut_off_stops_and_its_devices_are_safe_before_another_continues(tmp_path: Path) -> None:
@@ -161,9 +161,9 @@ def test_without_a_majority_no_coordinator_acts_and_with_one_all_continue(tmp_pa
             if one < other:
                 fleet.cut(one, other)
     fleet.run(LEASE * 1.01 + 0.4)
-    before = len(said(fleet, "stamp "))
+    before = len(logged(fleet, "stamp "))
     fleet.run(20.0)
-    assert len(said(fleet, "stamp ")) == before
+    assert len(logged(fleet, "stamp ")) == before
     fleet.heal_all()
     run_until(fleet, "complete", 90.0)
 
@@ -174,8 +174,8 @@ def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None
     for name in ("bravo", "charlie"):
         fleet.cut("alpha", name)
     fleet.run(20.0)
-    assert said(fleet, "walker not started: no majority of the members responds yet")
-    assert not said(fleet, "stamp ")
+    assert logged(fleet, "walker not started: no majority of the members responds yet")
+    assert not logged(fleet, "stamp ")
     fleet.heal("alpha", "charlie")
     run_until(fleet, "stamp 0", 10.0)
 
@@ -189,10 +189,10 @@ def test_a_member_that_lost_its_promises_grants_no_lease_before_all_have_answere
     fleet.lose_disk(other)
     fleet.boot(other)
     fleet.run(20.0)
-    stamped = len(said(fleet, "stamp "))
+    stamped = len(logged(fleet, "stamp "))
     fleet.run(10.0)
-    assert len(said(fleet, "stamp ")) == stamped
-    ((_, where, why),) = said(fleet, "is new or has lost a vote")
+    assert len(logged(fleet, "stamp ")) == stamped
+    ((_, where, why),) = logged(fleet, "is new or has lost a vote")
     assert (where, "and alpha must respond" in why) == (other, True)
     fleet.boot("alpha")
     run_until(fleet, "complete", 120.0)
@@ -208,9 +208,9 @@ def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: P
     fleet.lose_disk(other)
     fleet.boot(other)
     run_until(fleet, f"and {gone} must respond", 20.0)
-    assert said(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
+    assert logged(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
     fleet.run(20.0)
-    assert not said(fleet, "complete")
+    assert not logged(fleet, "complete")
     # A host with the old members gets no link: the two never count in one majority.
     recovery = replace(fleet.mission.bindings.recovery, members=(other, kept))
     bindings = replace(fleet.mission.bindings, recovery=recovery)
@@ -253,8 +253,8 @@ def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_ans
     fleet.boot(gone)
     fleet.boot(promised)
     fleet.run(30.0)
-    assert said(fleet, "is new or has lost a vote")
-    assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
+    assert logged(fleet, "is new or has lost a vote")
+    assert not [line for line in logged(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
     fleet.heal_all()
     run_until(fleet, "complete", 120.0)
 
@@ -265,7 +265,7 @@ def test_a_coordinator_with_interval_zero_waits_for_its_host(tmp_path: Path) -> 
     gone = holder(fleet)
     fleet.power_off(gone)
     fleet.run(30.0)
-    assert not said(fleet, "was recovered on")
+    assert not logged(fleet, "was recovered on")
     fleet.boot(gone)
     run_until(fleet, "complete", 90.0)
 
@@ -277,7 +277,7 @@ def test_a_witness_is_a_member(tmp_path: Path) -> None:
     gone = holder(fleet)
     fleet.power_off(gone)
     run_until(fleet, "complete", 90.0)
-    assert said(fleet, "was recovered on")
+    assert logged(fleet, "was recovered on")
 
 
 def test_without_journals_the_interval_is_ignored_and_logged(tmp_path: Path) -> None:
@@ -302,7 +302,7 @@ def test_an_unreadable_checkpoint_is_reported_once_and_no_older_copy_continues(t
     fleet.power_off("bravo")
     copy, at = spoil(fleet, "alpha"), fleet.now
     fleet.run(40.0)
-    (told,) = said(fleet, "failover of walker impossible")
+    (told,) = logged(fleet, "failover of walker impossible")
     assert told[1:] == (
         "alpha",
         "failover of walker impossible: its newest checkpoint, on alpha, cannot be read; if the host that "
@@ -311,10 +311,10 @@ def test_an_unreadable_checkpoint_is_reported_once_and_no_older_copy_continues(t
     )
     assert copy.state_message().unreadable
     # alpha once, charlie twice: between them it had promised alpha, and was in contact by that.
-    assert len(said(fleet, "walker suspected lost")) == 3
-    assert len(said(fleet, "failover of walker left to alpha")) == 2
-    assert not said(fleet, "was recovered on")
-    assert not [line for line in said(fleet, "stamp ") if line[0] > at]
+    assert len(logged(fleet, "walker suspected lost")) == 3
+    assert len(logged(fleet, "failover of walker left to alpha")) == 2
+    assert not logged(fleet, "was recovered on")
+    assert not [line for line in logged(fleet, "stamp ") if line[0] > at]
     fleet.boot("bravo")
     run_until(fleet, "complete", 90.0)
-    assert said(fleet, "walker was recovered on bravo")
+    assert logged(fleet, "walker was recovered on bravo")

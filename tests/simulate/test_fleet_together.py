@@ -64,14 +64,14 @@ class Team(Fleet):
         (folder / "mission.dL").write_text(DEPLOYMENT.format(rest))
         super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
 
-    def said(self, text: str, host: str = "") -> int:
+    def count_logged(self, text: str, host: str = "") -> int:
         """How often a text was logged."""
         return sum(text in line and host in ("", name) for _, name, line in self.log)
 
     def until(self, text: str) -> None:
         """Run until a text is logged."""
         end = self.now + 60.0
-        while not self.said(text):
+        while not self.count_logged(text):
             assert self.now < end, f"{text!r} was not logged"
             self.run(0.05)
 
@@ -111,9 +111,9 @@ def test_a_crash_between_begin_and_fetch_is_reported_and_nothing_begins_twice(
     for _ in range(times):
         team.again("bravo")
     team.until("boss: restarted at one")
-    assert team.said("its host restarted while one.work() ran; it may have been executed")
-    assert team.said("sets 1") == team.said("sets 2") == 1
-    assert team.said("gives 2") == 1
+    assert team.count_logged("its host restarted while one.work() ran; it may have been executed")
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
+    assert team.count_logged("gives 2") == 1
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -124,7 +124,7 @@ def test_a_crash_between_result_and_fetch_keeps_the_result(tmp_path: Path, times
     for _ in range(times):
         team.again("bravo")
     team.until("boss: came back 10 20")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_after_a_crash_the_waiting_boss_fetches_the_other_results(tmp_path: Path) -> None:
@@ -134,8 +134,8 @@ def test_after_a_crash_the_waiting_boss_fetches_the_other_results(tmp_path: Path
     team.again("carol")
     # It was there only to fetch: none of its actions is unknown, but the call was lost.
     team.until("boss: restarted at two")
-    assert team.said("boss resumed from the journal", "carol") == 1
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("boss resumed from the journal", "carol") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_a_boss_recovered_where_it_began_calls_is_informed_again_after_a_restart(
@@ -150,8 +150,8 @@ def test_a_boss_recovered_where_it_began_calls_is_informed_again_after_a_restart
     team.again("bravo")
     team.boot("carol")
     team.run(20.0)
-    assert team.said("boss: restarted at", "bravo") == 2
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("boss: restarted at", "bravo") == 2
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_a_boss_that_ends_leaves_no_call_running_also_on_an_unreachable_host(tmp_path: Path) -> None:
@@ -166,11 +166,11 @@ def test_a_boss_that_ends_leaves_no_call_running_also_on_an_unreachable_host(tmp
     assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
     team.until("boss: unreachable 0 0")
     team.run(5.0)
-    assert team.said("leaves 1") == 0
+    assert team.count_logged("leaves 1") == 0
     team.heal("bravo", "carol")
     team.heal("bravo", "alpha")
     team.until("leaves 1: boss has ended (done)")
-    assert team.said("gives 1") == 0
+    assert team.count_logged("gives 1") == 0
     team.run(3.0)
     assert team.begun("bravo") == []
 
@@ -193,8 +193,8 @@ def test_a_limit_noticed_first_by_the_host_of_a_call_is_reported_as_one(tmp_path
     """The time in transit is not counted by a coordinator, so its clock is slightly behind."""
     team = Team(tmp_path, 40.0, 1.0, "within (3.0) {{" + BOTH + "}}")
     team.until("boss: ")
-    assert team.said("boss: late 0 0") == 1
-    assert team.said("leaves 1") == 1
+    assert team.count_logged("boss: late 0 0") == 1
+    assert team.count_logged("leaves 1") == 1
 
 
 def test_a_time_limit_includes_the_downtime_of_the_boss_host(tmp_path: Path) -> None:
@@ -202,11 +202,11 @@ def test_a_time_limit_includes_the_downtime_of_the_boss_host(tmp_path: Path) -> 
     team.until("sets 2")
     team.crash("carol")
     team.run(10.0)
-    assert team.said("leaves 1: the time limit of boss is over")
+    assert team.count_logged("leaves 1: the time limit of boss is over")
     team.boot("carol")
     began = team.now
     team.until("boss: ")
-    assert team.said("boss: late")
+    assert team.count_logged("boss: late")
     assert team.now < began + 4.0
 
 
@@ -227,7 +227,7 @@ def test_a_call_of_a_remote_boss_ends_when_its_host_is_paused(tmp_path: Path) ->
     assert team.begun("bravo") == ["thrown"]
     say(lift=True)
     team.until("boss: restarted at one: the mission was paused; this call may have begun")
-    assert team.said("sets 1") == 1
+    assert team.count_logged("sets 1") == 1
 
 
 LEASED = """

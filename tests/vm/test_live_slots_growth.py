@@ -43,7 +43,7 @@ def _longest(program: Program) -> int:
     return max(range(len(methods)), key=lambda i: methods[i].end - methods[i].entry)
 
 
-def _plainly(program: Program, record: MethodRecord) -> list[int]:
+def _fixed_point(program: Program, record: MethodRecord) -> list[int]:
     """The definition before every instruction, applied until nothing changes."""
     sets = [0] * (record.end - record.entry + 1)
     while True:
@@ -61,12 +61,12 @@ def _plainly(program: Program, record: MethodRecord) -> list[int]:
                     live |= 1 << value
                 elif operand.role == "L":
                     live |= sets[value - record.entry]
-            sets[pc - record.entry] = live | _caught_plainly(record, sets, pc)
+            sets[pc - record.entry] = live | _live_in_handlers(record, sets, pc)
         if sets == before:
             return sets
 
 
-def _caught_plainly(record: MethodRecord, sets: list[int], pc: int) -> int:
+def _live_in_handlers(record: MethodRecord, sets: list[int], pc: int) -> int:
     live = 0
     for row in record.handlers:
         if row.start <= pc < row.end and row.kind in (CATCH, FINALLY):
@@ -78,10 +78,10 @@ def _compare(program: Program) -> int:
     """Compare every method; return the number of instructions."""
     compared = 0
     for number, record in enumerate(program.core.methods):
-        sets, slots = _plainly(program, record), LiveSlots(program, number)
+        sets, slots = _fixed_point(program, record), LiveSlots(program, number)
         for pc in range(record.entry, record.end):
             assert slots.live_at(pc) == sets[pc - record.entry]
-            assert slots.live_in_handlers(pc) == _caught_plainly(record, sets, pc)
+            assert slots.live_in_handlers(pc) == _live_in_handlers(record, sets, pc)
             compared += 1
     return compared
 

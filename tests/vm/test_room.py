@@ -84,7 +84,7 @@ def found(count: int) -> GoldenWorld:
     return run("print(findPost().length());", count, posts=count)
 
 
-def born(count: int) -> GoldenWorld:
+def create_objects(count: int) -> GoldenWorld:
     return run('print("born");', count, arguments=count)
 
 
@@ -93,7 +93,7 @@ def test_space_for_all_proxies_is_made_at_once(work: Work) -> None:
     assert work.collections == 1
 
 
-@pytest.mark.parametrize("things", [found, born])
+@pytest.mark.parametrize("things", [found, create_objects])
 def test_the_work_of_collections_is_linear_in_the_objects(
     things: Callable[[int], GoldenWorld], work: Work
 ) -> None:

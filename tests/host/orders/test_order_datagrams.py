@@ -306,7 +306,7 @@ def test_a_datagram_for_another_host_is_dropped_before_any_check():
 # --- bad input and floods ----------------------------------------------------------------------------
 
 
-def genuine() -> tuple[World, bytes]:
+def sent_order() -> tuple[World, bytes]:
     world = taught(World("alpha"))
     OrderingPerson(world, "stop", present(world))
     world.sent, sent = [], world.sent
@@ -315,7 +315,7 @@ def genuine() -> tuple[World, bytes]:
 
 
 def test_truncated_and_changed_datagrams_are_not_executed():
-    world, data = genuine()
+    world, data = sent_order()
     alpha = world.posts["alpha"]
     bent = [data[:end] for end in range(len(data))]
     bent += [data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :] for at in range(len(data))]
@@ -348,7 +348,7 @@ def test_the_answer_to_an_unverified_datagram_is_not_larger():
 
 
 def test_a_flood_of_forged_datagrams_from_one_address_does_not_delay_a_stop():
-    world, data = genuine()
+    world, data = sent_order()
     alpha = world.posts["alpha"]
     signed = decode_datagram(data)
     assert isinstance(signed, SignedOrder)

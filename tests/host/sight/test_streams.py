@@ -270,7 +270,7 @@ def test_only_sent_batches_can_be_acknowledged():
 # --- slow readers ---------------------------------------------------------------------------------------
 
 
-class Chatty:
+class FastPrinter:
     """A host that keeps 1000 lines, and prints 20 between two batches."""
 
     def __init__(self):
@@ -302,7 +302,7 @@ def states(batches):
 
 
 def test_a_reader_that_was_away_gets_one_loss_and_then_all_events():
-    host = Chatty()
+    host = FastPrinter()
     host.ask(Subscribe(LIFE, 3))
     sent = host.run(5.0)
     (lost,) = losses(sent)
@@ -311,7 +311,7 @@ def test_a_reader_that_was_away_gets_one_loss_and_then_all_events():
 
 
 def test_a_reader_that_paused_gets_one_loss_and_then_new_events():
-    host = Chatty()
+    host = FastPrinter()
     host.ask(Subscribe())
     assert losses(host.run(1.0)) == []
     unread = host.run(READ_TIMEOUT - 1.0, reads=False)
@@ -329,7 +329,7 @@ def test_a_reader_that_paused_gets_one_loss_and_then_new_events():
 
 
 def test_a_reader_that_paused_misses_no_rare_event():
-    host = Chatty()
+    host = FastPrinter()
     host.ask(Subscribe())
     unread = host.run(10.0, reads=False)
     seldom = [
@@ -353,7 +353,7 @@ def test_a_reader_that_paused_misses_no_rare_event():
 @pytest.mark.parametrize("lines", [15, 60, 200])
 def test_a_slow_reader_loses_many_events_at_once_and_gets_new_ones(lines):
     """It reads a batch a second; in the last case more events are dropped meanwhile than a batch has."""
-    host = Chatty()
+    host = FastPrinter()
     host.ask(Subscribe())
     sent = []
     for second in range(50):

@@ -78,7 +78,7 @@ class Telemetry:
         return None if value is None else Observation(value, self.clock.monotonic() - 0.25)
 
 
-async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
+async def start_hoists(team, program=IDLE, capabilities=CAPABILITIES):
     """alpha and bravo, linked, and the telemetry of alpha."""
     mission = team.mission(HOISTS + program, TEAM, BINDINGS, capabilities=capabilities, simulate=True)
     alpha, bravo = (team.make(mission, name) for name in ("alpha", "bravo"))
@@ -100,7 +100,7 @@ def facts_of(running, agent, condition=None):
 
 
 async def test_every_attribute_of_an_offer_has_its_source(team, /):
-    alpha, bravo, said = await hoists(team)
+    alpha, bravo, said = await start_hoists(team)
     said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
     await asyncio.sleep(2.0)
     for asked in (alpha, bravo):
@@ -118,7 +118,7 @@ async def test_every_attribute_of_an_offer_has_its_source(team, /):
 
 
 async def test_a_query_portal_provides_an_attribute(team, /):
-    alpha, bravo, _ = await hoists(team)
+    alpha, bravo, _ = await start_hoists(team)
     for asked in (alpha, bravo):
         near = facts_of(asked, "near", "level > 1.4")
         assert near["level"] == (1.5, "measured")
@@ -142,7 +142,7 @@ coordinator Foreman {
 }
 """
 
-    alpha, _, _ = await hoists(team, program)
+    alpha, _, _ = await start_hoists(team, program)
     await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
     why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
     assert "near: level() throws DeviceException: the rope is torn" in why
@@ -150,7 +150,7 @@ coordinator Foreman {
 
 
 async def test_attribute_queries_do_not_count_as_served_calls(team, /):
-    alpha, _, _ = await hoists(team)
+    alpha, _, _ = await start_hoists(team)
     await asyncio.sleep(20.0)
     near = alpha.host.machine.agents["near"]
     assert near.served == 0
@@ -175,7 +175,7 @@ coordinator Foreman {
 }
 """
 
-    alpha, bravo, _ = await hoists(team, program)
+    alpha, bravo, _ = await start_hoists(team, program)
     await team.until(lambda: "no younger" in alpha.log)
     assert "older by 7.0 and 0.0" in bravo.log
     assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)

@@ -85,7 +85,7 @@ class Slow(asyncio.Transport):
         return 0
 
 
-class Far(FramedLink):
+class FarEnd(FramedLink):
     """The other end."""
 
     def __init__(self) -> None:
@@ -98,7 +98,7 @@ class Far(FramedLink):
 
 
 def decoded_messages(written_parts) -> list[object]:
-    far = Far()
+    far = FarEnd()
     for data in written_parts:
         far.received(data)
     assert far._error is None
@@ -301,7 +301,7 @@ def test_a_hello_is_never_sent_in_parts():
     ],
 )
 def test_parts_that_do_not_form_one_frame_close_the_link(bad):
-    far = Far()
+    far = FarEnd()
     far.received(bad)
     assert far.closed
     assert isinstance(far._error, WireError)

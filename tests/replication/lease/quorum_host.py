@@ -57,8 +57,7 @@ class HostLife:
         members = QuorumMembers(world.scenario.members, self.name, LEASE)
         tokens = FencingTokens({k: v for k, v in fences.items() if k in world.scenario.agents})
         self.core = world.core(members, others, world.scenario.agents, number, self, tokens, self._rng)
-        #: Actions that wait for records of each coordinator: None stands for a record that is not durable
-        #: yet.
+        #: Actions that wait for records of each coordinator; None stands for a record that is not durable.
         self._waiting: dict[str, deque[Callable[[], None] | None]] = {
             a: deque() for a in world.scenario.agents
         }
@@ -257,7 +256,7 @@ class HostLife:
         """Until when, in real seconds, a command of now may move a device."""
         return min(self.computer.real(self.core.lease.valid_until), self.world.now + LEASE)
 
-    def well(self, agent: str, below: int) -> float | None:
+    def healthy_since(self, agent: str, below: int) -> float | None:
         """The time since which an earlier start has been here under a lease; None if there is none."""
         copy = self.copies.get(agent)
         if copy is None or copy.generation >= below or self._leased is None:

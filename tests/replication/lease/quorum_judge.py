@@ -92,7 +92,7 @@ class Judge:
         self.counts["bars"] += 1
         for computer in self.world.hosts.values():
             life = computer.life
-            since = life.well(agent, generation) if life and not computer.frozen else None
+            since = life.healthy_since(agent, generation) if life and not computer.frozen else None
             if since is not None and self.world.now - max(since, self.disturbed) > WELL:
                 self.breach(f"{host} bars {agent}, which is healthy on {computer.name}, from {generation}")
 

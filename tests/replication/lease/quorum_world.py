@@ -103,7 +103,7 @@ class World:
             return
         ambush = self.scenario.ambush and self.now < self.scenario.until
         if ambush and isinstance(message, Locate) and self.rng.random() < 0.2:
-            self._ambush(sender)
+            self._leave_one_link(sender)
         delay = self.rng.uniform(*(SLOW if self._is_active(self.late, way) else SWIFT))
         self.at(self.now + delay, lambda: self._deliver(sender, host, message))
 
@@ -171,7 +171,7 @@ class World:
         hit = {"lossy": self.lossy, "late": self.late}.get(fault.kind, self.cut)
         hit.update((way, max(end, hit.get(way, end))) for way in self._ways(fault.kind, fault.hosts))
 
-    def _ambush(self, asker: str) -> None:
+    def _leave_one_link(self, asker: str) -> None:
         """When a host suspects, restore all links, except those with another host."""
         self.cut.clear()
         hosts = asker, self.rng.choice([name for name in self.hosts if name != asker])

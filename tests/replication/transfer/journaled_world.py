@@ -82,9 +82,9 @@ class JournaledWorld(World):
         start = copy.agent, copy.generation
         count = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
         (host.running if runs else host.frozen)[start] = self.count[start] = count
-        return self.sealer(start, count)
+        return self.block_maker(start, count)
 
-    def sealer(self, start: Start, count: int):
+    def block_maker(self, start: Start, count: int):
         return lambda sequence: f"{start[0]} {start[1]} {sequence} {count}".encode()
 
     def kill(self, name: str) -> None:
@@ -103,7 +103,7 @@ class JournaledWorld(World):
     def save(self, host: JournaledHost, start: Start) -> None:
         """A coordinator calls a portal of its host: it is saved first."""
         host.waiting[start] = host.running.pop(start)
-        block = self.sealer(start, host.waiting[start])(0)
+        block = self.block_maker(start, host.waiting[start])(0)
         self.apply(host, host.mobility.save(start[0], block))
 
     def inject(self, host: JournaledHost, header, block: bytes) -> TransferRefusal | None:
@@ -140,7 +140,7 @@ class JournaledWorld(World):
         left, newest = host.mobility.recoverable_state(agent), max(g for a, g in self.count if a == agent)
         return left is not None and left.generation == newest and left.state in ("MOVED", "IN DOUBT")
 
-    def bury(self, host: JournaledHost, agent: str) -> bool:
+    def declare_newer_lost(self, host: JournaledHost, agent: str) -> bool:
         """Declare all hosts with newer copies of an agent lost; whether that is true."""
         left = host.mobility.recoverable_state(agent)
         here = left.generation, left.sequence
@@ -184,7 +184,7 @@ class JournaledWorld(World):
         def put(copy: CoordinatorCopy):
             start = copy.agent, copy.generation
             host.frozen[start] = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
-            return self.sealer(start, host.frozen[start])
+            return self.block_maker(start, host.frozen[start])
 
         self.apply(host, host.mobility.recover(agent, number, put))
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import precondition, rule
 from journaled_world import JournaledWorld
-from test_mobility_property import AGENTS, HOSTS, Wandering, explored, hosts, picks, rarely
+from test_mobility_property import AGENTS, HOSTS, MobilityMachine, explored, hosts, picks, rarely
 
 from lfield.replication.transfer.core import Mobility
 
 
-class Surviving(Wandering):
+class DurableMobilityMachine(MobilityMachine):
     """All events, with disks that are late."""
 
     world_type = JournaledWorld
@@ -37,7 +37,7 @@ class Surviving(Wandering):
             self.world.boot(name)
 
 
-class Declared(Surviving):
+class Declared(DurableMobilityMachine):
     """Also hosts that an operator truly declares lost; some return later, and receive that first."""
 
     @precondition(lambda self: any(host.running for host in self.world.hosts.values()))
@@ -57,7 +57,7 @@ class Declared(Surviving):
     def recover(self, pick, sync, chance) -> None:
         found = self._left()
         host, agent = found[pick % len(found)]
-        if chance < 2 and self.world.bury(host, agent):
+        if chance < 2 and self.world.declare_newer_lost(host, agent):
             self.world.recover(host, agent)
             if sync:
                 self.world.sync(host.name)
@@ -84,7 +84,7 @@ class Declared(Surviving):
 
 
 def test_no_copy_runs_twice_and_each_is_on_some_disk():
-    explored(Surviving, Mobility, examples=60)
+    explored(DurableMobilityMachine, Mobility, examples=60)
 
 
 def test_a_truly_declared_recovery_makes_no_second_copy():
@@ -116,7 +116,7 @@ class AdmissionNotOnDisk(ForgetsItsAnswer):
     forgets = ("RUN",)
 
 
-class Deaf(Mobility):
+class IgnoresRecoveries(Mobility):
     """Continues the copy on its disk before it receives a recovery."""
 
     def __init__(self, *args, **options) -> None:
@@ -129,10 +129,10 @@ class Deaf(Mobility):
 def test_a_restarted_host_that_ignores_a_failover_is_found():
     """A restarted host resumes the copy on its disk and ignores messages about a failover."""
     with pytest.raises(AssertionError, match="side by side"):
-        explored(Declared, Deaf, examples=400, shrink=False)
+        explored(Declared, IgnoresRecoveries, examples=400, shrink=False)
 
 
 @pytest.mark.parametrize("machine", [SentTransferNotOnDisk, AdmissionNotOnDisk])
 def test_a_host_that_stores_too_little_is_found(machine):
     with pytest.raises(AssertionError):
-        explored(Surviving, machine, examples=400, shrink=False)
+        explored(DurableMobilityMachine, machine, examples=400, shrink=False)

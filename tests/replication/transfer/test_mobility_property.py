@@ -25,7 +25,7 @@ picks = st.integers(0, 1 << 16)
 rarely = st.integers(0, 4)  # the end of a coordinator must be rarer than its hops
 
 
-class Wandering(RuleBasedStateMachine):
+class MobilityMachine(RuleBasedStateMachine):
     """All events, in any order."""
 
     machine = Mobility
@@ -148,11 +148,15 @@ class Wandering(RuleBasedStateMachine):
 
 
 def explore(machine: type[Mobility], examples: int, shrink: bool = True) -> None:
-    explored(Wandering, machine, examples, shrink=shrink)
+    explored(MobilityMachine, machine, examples, shrink=shrink)
 
 
 def explored(
-    events: type[Wandering], machine: type[Mobility], examples: int, steps: int = 60, shrink: bool = True
+    events: type[MobilityMachine],
+    machine: type[Mobility],
+    examples: int,
+    steps: int = 60,
+    shrink: bool = True,
 ) -> None:
     broken = type(f"{events.__name__}{machine.__name__}", (events,), {"machine": machine})
     run_state_machine_as_test(

@@ -38,11 +38,11 @@ def test_time_advances_while_a_process_never_waits() -> None:
         machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {}
     ).start()
 
-    async def spins() -> None:
+    async def run_forever() -> None:
         while True:
             await asyncio.sleep(0)
 
-    process.loop.enter(lambda: process.loop.create_task(spins()))
+    process.loop.enter(lambda: process.loop.create_task(run_forever()))
     timeline.run(0.5)
     assert timeline.now == 0.5
     assert 100 < timeline.events < 1000

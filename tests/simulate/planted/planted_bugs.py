@@ -140,13 +140,13 @@ def a_receiver_forgets_its_answers(patch: Patch) -> None:
 
 
 def a_restart_counts_as_proof_of_absence(patch: Patch) -> None:
-    take_up = TransferSender._retry
+    retry = TransferSender._retry
 
-    def take_up_boldly(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
+    def retry_without_query(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
         restarted = copy.state == "PREPARED" and peer.state_id != copy.receiver_memory
-        return self._send(copy) if restarted else take_up(self, copy, peer)
+        return self._send(copy) if restarted else retry(self, copy, peer)
 
-    patch.setattr(TransferSender, "_retry", take_up_boldly)
+    patch.setattr(TransferSender, "_retry", retry_without_query)
 
 
 def _drops(patch: Patch, cls: type, name: str, states: str) -> None:

@@ -25,8 +25,8 @@ NEXT = f"""{BEGIN}
 def test_the_first_of_two_hosts_wins_and_the_other_call_is_cancelled(tmp_path: Path) -> None:
     team = Team(tmp_path, 2.0, 30.0, RACE)
     team.until("boss: came back 10 0")
-    assert team.said("sets 1") == team.said("sets 2") == 1
-    assert team.said("leaves 2: boss has cancelled work()") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
+    assert team.count_logged("leaves 2: boss has cancelled work()") == 1
     assert team.now < 15.0
 
 
@@ -37,11 +37,11 @@ def test_the_end_of_a_call_is_reported_although_the_link_was_down_at_that_time(t
     team.cut("bravo", "alpha")
     team.until("gives 1")
     team.run(1.0)
-    assert not team.said("boss: ")
+    assert not team.count_logged("boss: ")
     team.heal("bravo", "carol")
     team.heal("bravo", "alpha")
     team.until("boss: came back 10 0")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_an_unreachable_host_loses_the_race(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_an_unreachable_host_loses_the_race(tmp_path: Path) -> None:
     team.cut("bravo", "carol")
     team.cut("bravo", "alpha")
     team.until("boss: came back 0 20")
-    assert team.said("gives 1") == 1
+    assert team.count_logged("gives 1") == 1
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -60,9 +60,9 @@ def test_a_call_on_a_crashed_host_is_lost_and_not_begun_twice(tmp_path: Path, ti
     for _ in range(times):
         team.again("bravo")
     team.until("boss: restarted at one")
-    assert team.said("ended 0")
-    assert team.said("its host restarted while one.work() ran; it may have been executed")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("ended 0")
+    assert team.count_logged("its host restarted while one.work() ran; it may have been executed")
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_a_stored_result_survives_a_crash_of_its_host(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_a_stored_result_survives_a_crash_of_its_host(tmp_path: Path) -> None:
     assert team.begun("bravo") == ["done"]
     team.again("bravo")
     team.until("boss: came back 10 20")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_a_crash_of_the_waiting_host_does_not_repeat_open_futures(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_a_crash_of_the_waiting_host_does_not_repeat_open_futures(tmp_path: Path
     team.again("carol")
     team.until("told at two")
     team.until("boss: came back 10 0")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
 def test_a_recovered_coordinator_may_not_fetch_calls_of_its_earlier_start(
@@ -105,9 +105,9 @@ def test_a_recovered_coordinator_may_not_fetch_calls_of_its_earlier_start(
     team.crash("carol")
     team.until("boss recovered on this host")
     team.until("boss: restarted at")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
     team.run(5.0)
-    assert team.said("leaves 1") == 1
+    assert team.count_logged("leaves 1") == 1
 
 
 def test_a_coordinator_that_ends_leaves_no_call_running(tmp_path: Path) -> None:
@@ -122,4 +122,4 @@ def test_a_limit_around_a_race_ends_it_and_cancels_its_calls(tmp_path: Path) -> 
     team = Team(tmp_path, 30.0, 30.0, "within (4.0) {{" + RACE + "}}")
     team.until("boss: late 0 0")
     team.run(1.0)
-    assert team.said("leaves 1") == team.said("leaves 2") == 1
+    assert team.count_logged("leaves 1") == team.count_logged("leaves 2") == 1

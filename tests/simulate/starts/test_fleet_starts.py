@@ -61,7 +61,7 @@ def fleets() -> Iterator[list[Fleet]]:
         fleet.close()
 
 
-def said(fleet: Fleet, text: str, host: str = "") -> int:
+def count_logged(fleet: Fleet, text: str, host: str = "") -> int:
     return sum(text in line and host in ("", name) for _, name, line in fleet.log)
 
 
@@ -70,7 +70,7 @@ def status(fleet: Fleet, host: str) -> Status:
 
 
 def started(fleet: Fleet) -> bool:
-    return said(fleet, "boss: begins") > 0
+    return count_logged(fleet, "boss: begins") > 0
 
 
 def event(fleet: Fleet, entry: HostInput) -> None:
@@ -102,7 +102,7 @@ def test_a_new_start_waits_for_every_host_with_resources_and_for_no_other(
     fleet.run(3.0)
     assert started(fleet)
     assert status(fleet, "alpha").start is None
-    assert said(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss: begins") == 1
 
 
 def test_without_a_record_a_witness_must_answer_unless_it_is_left_out(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_without_a_record_a_witness_must_answer_unless_it_is_left_out(tmp_path: 
     fleet.run(10.0)
     assert started(fleet)
     warning = "boss started without proof: this host has no record of earlier starts, and dora did not answer"
-    assert said(fleet, warning, "alpha") == 1
+    assert count_logged(fleet, warning, "alpha") == 1
 
 
 def test_a_host_left_out_by_the_devices_file_may_start_later(tmp_path: Path) -> None:
@@ -124,8 +124,8 @@ def test_a_host_left_out_by_the_devices_file_may_start_later(tmp_path: Path) -> 
     assert started(fleet)
     fleet.boot("carol")
     fleet.run(20.0)
-    assert said(fleet, "works", "carol") == 1
-    assert said(fleet, "boss: ends") == 1
+    assert count_logged(fleet, "works", "carol") == 1
+    assert count_logged(fleet, "boss: ends") == 1
 
 
 def test_a_command_starts_without_a_host_and_refuses_an_unknown_one(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_host_lost_before_the_start_is_waited_for_again(tmp_path: Path) -> Non
     fleet.boot("carol")
     fleet.run(10.0)
     assert not started(fleet)
-    assert said(fleet, "bravo (its link was lost", "alpha")
+    assert count_logged(fleet, "bravo (its link was lost", "alpha")
     fleet.heal_all()
     fleet.run(5.0)
     assert started(fleet)
@@ -163,7 +163,7 @@ def test_missing_hosts_are_logged_at_once_and_then_less_often(tmp_path: Path) ->
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(3.0)
     line = "boss not started: waiting for carol (no link yet)"
-    assert said(fleet, line, "alpha") == 1
+    assert count_logged(fleet, line, "alpha") == 1
     fleet.run(1200.0)
     times = [at for at, _, text in fleet.log if line in text]
     gaps = [later - at for at, later in pairwise(times)]
@@ -194,8 +194,8 @@ def test_a_host_with_another_bundle_prevents_the_start_and_both_report_it(tmp_pa
     assert (refused.bundle, words in refused.reason or "carol runs" in refused.reason) == (theirs, True)
     assert {one.bundle for one in status(fleet, "carol").refused} == {ours}
     assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
-    assert said(fleet, "boss not started: waiting for carol (refused: ", "alpha")
-    assert said(fleet, "runs bundle 2222222222222222", "alpha")
+    assert count_logged(fleet, "boss not started: waiting for carol (refused: ", "alpha")
+    assert count_logged(fleet, "runs bundle 2222222222222222", "alpha")
     # The right bundle is copied there, and it joins.
     fleet.crash("carol")
     fleet.boot("carol")
@@ -215,8 +215,8 @@ def test_a_coordinator_restored_from_the_journal_does_not_wait(tmp_path: Path) -
             fleet.power_off(name)
         fleet.boot("alpha")
         fleet.run(5.0)
-        assert said(fleet, "boss: restarted", "alpha") == 1
-        assert not said(fleet, "not started: ")
+        assert count_logged(fleet, "boss: restarted", "alpha") == 1
+        assert not count_logged(fleet, "not started: ")
         fleet.close()
 
 

@@ -55,18 +55,18 @@ Event = Callable[[Fleet], None]
 def slow(seconds: float) -> Event:
     """All messages between hosts take so long."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for one in fleet.machines:
             for other in fleet.machines:
                 fleet.network.ways.slow[one, other] = seconds, seconds
 
-    return happens
+    return apply
 
 
-def island(host: str, *, quietly: bool = False) -> Event:
+def isolate(host: str, *, quietly: bool = False) -> Event:
     """A host is cut off; `quietly`: its links seem to stand."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             if other != host and quietly:
                 fleet.network.silence(host, other)
@@ -74,39 +74,39 @@ def island(host: str, *, quietly: bool = False) -> Event:
             elif other != host:
                 fleet.cut(host, other)
 
-    return happens
+    return apply
 
 
 def process(host: str, *, frozen: bool) -> Event:
     """The process of a host is suspended, or killed."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         if frozen:
             fleet.lives[host].process.loop.freeze()
         else:
             fleet.crash(host)
 
-    return happens
+    return apply
 
 
-def mute(host: str) -> Event:
+def cut_outgoing(host: str) -> Event:
     """A host receives from all, and no host receives from it."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             fleet.network.silence(host, other)
 
-    return happens
+    return apply
 
 
-def deaf(host: str) -> Event:
+def cut_incoming(host: str) -> Event:
     """All hosts receive from a host, and it receives from none."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             fleet.network.silence(other, host)
 
-    return happens
+    return apply
 
 
 def ends(
@@ -148,26 +148,26 @@ def of(one: float, two: float) -> str:
     ("body", "script"),
     [
         # Both calls run, and the host of one is cut off: at the begin, in the middle, at the very end.
-        (of(20.0, 20.0), {0.5: island("bravo")}),
-        (of(20.0, 20.0), {3.9: island("bravo")}),
-        (of(0.5, 20.0), {1.0: island("bravo")}),
-        (of(20.0, 0.5), {0.2: island("bravo")}),
+        (of(20.0, 20.0), {0.5: isolate("bravo")}),
+        (of(20.0, 20.0), {3.9: isolate("bravo")}),
+        (of(0.5, 20.0), {1.0: isolate("bravo")}),
+        (of(20.0, 0.5), {0.2: isolate("bravo")}),
         # It cannot be reached from the beginning, or its link is silent without notice.
-        (of(0.5, 0.5), {-1.0: island("carol")}),
-        (of(0.5, 0.5), {-1.0: island("bravo")}),
-        (of(20.0, 20.0), {1.5: island("bravo", quietly=True)}),
+        (of(0.5, 0.5), {-1.0: isolate("carol")}),
+        (of(0.5, 0.5), {-1.0: isolate("bravo")}),
+        (of(20.0, 20.0), {1.5: isolate("bravo", quietly=True)}),
         (of(20.0, 20.0), {1.0: process("bravo", frozen=True)}),
         (of(20.0, 20.0), {1.0: process("bravo", frozen=False)}),
-        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo", quietly=True)}),
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: isolate("bravo", quietly=True)}),
         ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: process("bravo", frozen=True)}),
         ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: process("bravo", frozen=True)}),
-        (WORKS_TWICE, {0.3: island("carol", quietly=True)}),
+        (WORKS_TWICE, {0.3: isolate("carol", quietly=True)}),
         # Nested blocks: the nearer end counts, and no catch inside keeps it.
-        (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: island("bravo")}),
-        (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: island("bravo")}),
+        (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: isolate("bravo")}),
+        (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: isolate("bravo")}),
         # Other waits for a host.
-        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo")}),
-        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: island("bravo")}),
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: isolate("bravo")}),
+        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: isolate("bravo")}),
         ("within (4.0) { sleep(60.0); }", {}),
         ('within (4.0) { findPost("zero").alone(60.0); }', {}),
         ("within (4.0) { while (true) { findPost(); yield(); } }", {}),
@@ -186,16 +186,16 @@ def test_a_block_ends_in_time_although_a_host_cannot_be_reached(
 @pytest.mark.parametrize(
     "script",
     [
-        {3.4: island("bravo", quietly=True)},
+        {3.4: isolate("bravo", quietly=True)},
         # Also a host that was in contact just before the end is asked when the time is over.
-        {3.88: island("bravo", quietly=True)},
-        {3.94: island("bravo", quietly=True)},
-        {3.99: island("bravo", quietly=True)},
-        {3.96: island("carol", quietly=True)},
+        {3.88: isolate("bravo", quietly=True)},
+        {3.94: isolate("bravo", quietly=True)},
+        {3.99: isolate("bravo", quietly=True)},
+        {3.96: isolate("carol", quietly=True)},
         # Then the coordinator is on the host that is cut off.
-        {3.0: island("carol", quietly=True)},
-        {3.0: mute("bravo")},
-        {1.0: deaf("bravo")},
+        {3.0: isolate("carol", quietly=True)},
+        {3.0: cut_outgoing("bravo")},
+        {1.0: cut_incoming("bravo")},
         {3.0: process("bravo", frozen=True)},
         {3.0: lambda fleet: fleet.power_off("bravo")},
     ],
@@ -214,7 +214,7 @@ def test_several_silent_hosts_cost_one_sign_of_life_together(tmp_path: Path) -> 
     last = 'got[1] = findPost("two").work(2, 20.0);'
     body = of(20.0, 20.0).replace(last, f'{last} findPost("zero").work(3, 20.0);')
     # It has begun the call on carol last, and is there.
-    seconds, how = ends(tmp_path, body, {3.5: island("carol", quietly=True)})
+    seconds, how = ends(tmp_path, body, {3.5: isolate("carol", quietly=True)})
     assert seconds == pytest.approx(4.0 + ANSWER_GRACE, abs=0.1), how
     assert how.count("was not reached") == 2, how
 
@@ -226,7 +226,7 @@ def test_an_exception_out_of_together_is_limited_by_the_enclosing_block(tmp_path
                 got[1] = findPost("two").work(2, 20.0);
                 findPost("zero").work(7 / (got.length() - 2), 1.0);
             } }"""
-    seconds, how = ends(tmp_path, body, {0.5: island("bravo")})
+    seconds, how = ends(tmp_path, body, {0.5: isolate("bravo")})
     assert seconds < 4.1, how
     assert how.startswith(("else: division by zero", "time limit: "))
 
@@ -235,7 +235,7 @@ def test_a_copy_in_doubt_stays_and_the_exception_names_the_delay(tmp_path: Path)
     """It has been sent when the links become silent: nothing is repeated, and nothing is undone."""
     body = 'within (4.0) { findPost("two").work(2, 0.5); }'
     seconds, how = ends(
-        tmp_path, body, {0.0: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
+        tmp_path, body, {0.0: isolate("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
     )
     assert seconds > 12.0
     late = re.match(r"time limit: the time is over, ([0-9.]+) s late(.*)", how)
@@ -269,11 +269,11 @@ def test_a_finally_block_is_not_interrupted_and_its_delay_is_reported(tmp_path: 
 def paused(host: str, *, on: bool) -> Event:
     """The mission is paused at a host, or resumed there."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         life = fleet.lives[host]
         life.process.loop.enter(lambda: life.host.dispatch(PauseOrdered(on)))
 
-    return happens
+    return apply
 
 
 @pytest.mark.parametrize(

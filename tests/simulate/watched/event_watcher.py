@@ -99,14 +99,14 @@ def fleet_of(folder: Path, program: str = PROGRAM, team: str = TEAM, seed: int =
 
 
 def watch(fleet: Fleet, host: str, message: Subscribe | None = None, **options: bool) -> EventWatcher:
-    eye = EventWatcher(fleet, host, **options)
-    eye.say(message or Subscribe())
-    return eye
+    watcher = EventWatcher(fleet, host, **options)
+    watcher.say(message or Subscribe())
+    return watcher
 
 
-def chain(eye: EventWatcher, event: Event) -> list[str]:
+def chain(watcher: EventWatcher, event: Event) -> list[str]:
     """The kinds of the causes of an event, the last one first."""
-    known, kinds = eye.by_number(), []
+    known, kinds = watcher.by_number(), []
     while event.cause in known:
         event = known[event.cause]
         kinds.append(event.kind)

@@ -88,7 +88,7 @@ class WagonHost(HostWorldStub):
         return PENDING
 
 
-class Yard:
+class WagonTeam:
     """A wagon, a boss, and a clock."""
 
     def __init__(

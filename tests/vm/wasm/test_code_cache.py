@@ -300,13 +300,13 @@ def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], No
         wasm_compiler.compiler.cache_clear()
         machine_code._recent.clear()
 
-    def without(name: str) -> None:
+    def remove_option(name: str) -> None:
         left_out = ("__dict__", "__weakref__", name)
         known = {key: value for key, value in vars(wasmtime.Config).items() if key not in left_out}
         monkeypatch.setattr(wasmtime, "Config", type("Config", wasmtime.Config.__bases__, known))
         forget()
 
-    yield without
+    yield remove_option
     forget()
 
 

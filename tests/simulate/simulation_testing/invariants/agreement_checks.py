@@ -81,13 +81,13 @@ def _groups(fleet: Fleet) -> dict[str, set[str]]:
     for name in runs:
         groups[name] = {name}
     for one, other in combinations(sorted(runs), 2):
-        if _stands(fleet, one, other) and groups[one] is not groups[other]:
+        if _are_linked(fleet, one, other) and groups[one] is not groups[other]:
             joined = groups[one] | groups[other]
             groups |= dict.fromkeys(joined, joined)
     return groups
 
 
-def _stands(fleet: Fleet, one: str, other: str) -> bool:
+def _are_linked(fleet: Fleet, one: str, other: str) -> bool:
     ways, incarnation = (
         fleet.network.ways,
         {name: fleet.lives[name].core.incarnation for name in (one, other)},

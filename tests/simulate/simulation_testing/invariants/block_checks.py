@@ -96,7 +96,7 @@ class BlockChecks:
         """Handle an output line of a program; whether it is about a block."""
         match text:
             case ["opens" | "closes" | "told" as what, who, number, *more]:
-                self._crew_says(life.core.name, agent, what, (who, int(number)), more)
+                self._on_crew_output(life.core.name, agent, what, (who, int(number)), more)
             case ["sets", who, number, piece]:
                 self._sets(life, agent, (who, int(number)), int(piece))
             case ["steps", who, number, piece]:
@@ -109,7 +109,7 @@ class BlockChecks:
                 return False
         return True
 
-    def _goes_on(self, who: str, generation: int, number: int) -> bool:
+    def _observe_start(self, who: str, generation: int, number: int) -> bool:
         """Record that a start is at this block; whether it is not older than another that has continued."""
         if generation > self._at[who]:
             if is_recovery(generation):
@@ -121,10 +121,12 @@ class BlockChecks:
 
     # --- output of crews ------------------------------------------------------------------------------
 
-    def _crew_says(self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]) -> None:
+    def _on_crew_output(
+        self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]
+    ) -> None:
         (who, number), start = key, agent.generation
         # A later start has not opened its blocks before.
-        if not self._goes_on(who, start, number - 1 if what == "opens" else number):
+        if not self._observe_start(who, start, number - 1 if what == "opens" else number):
             return
         if what == "told" or more[0] == "restarted":
             self._durable.add((who, start))
@@ -181,7 +183,7 @@ class BlockChecks:
         if generation < self._newest_at(name, self._now()):
             self._breaches.add("I1", (host,), f"{what} began for start {generation}; a later goes on")
             return
-        self._goes_on(who, generation, block)
+        self._observe_start(who, generation, block)
         piece = self._blocks[key].pieces[number]
         piece.starts, piece.at, piece.generation = piece.starts + 1, self._now(), generation
         if piece.starts > 1:

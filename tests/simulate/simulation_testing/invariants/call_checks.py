@@ -91,7 +91,7 @@ class CallChecks:
         """Whether this copy has a successor; its output between calls has no effect elsewhere."""
         return agent.generation < self._at[who]
 
-    def _goes_on(self, who: str, generation: int, number: int) -> None:
+    def _observe_start(self, who: str, generation: int, number: int) -> None:
         """A start continues with the call of this number. A recovery does not know later calls.
 
         Nor this one, if it stood before it: the exception was then about a call that only queries.
@@ -102,7 +102,7 @@ class CallChecks:
             self._at[who] = generation
 
     def _on_outcome(self, host: str, agent: Agent, who: str, number: int, outcome: str) -> None:
-        self._goes_on(who, agent.generation, number)
+        self._observe_start(who, agent.generation, number)
         call = self._calls[who].setdefault(number, _Call())
         self.ended[agent.id] += 1
         call.outcome = outcome
@@ -117,7 +117,7 @@ class CallChecks:
     def _restarted(self, host: str, agent: Agent, who: str, number: int, text: str) -> None:
         """A call that may have begun, or has not; later calls had not begun, and are dropped."""
         self.restarts += 1
-        self._goes_on(who, agent.generation, number)
+        self._observe_start(who, agent.generation, number)
         calls = self._calls[who]
         later = sorted(n for n in calls if n > number)
         for begun in (n for n in later if calls[n].starts):
@@ -137,7 +137,7 @@ class CallChecks:
             found = f"call {number} of {who} began for start {generation}; {self._newest(name)} had gone on"
             self._breaches.add("I1", host, found)
             return
-        self._goes_on(who, generation, number)
+        self._observe_start(who, generation, number)
         call = self._calls[who].setdefault(number, _Call())
         call.starts += 1
         self._started_for[float(who.partition(".")[2]), float(number)] = name, generation

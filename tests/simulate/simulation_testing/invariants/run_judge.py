@@ -6,11 +6,11 @@ I3  no resource starts a portal for an older copy than the newest that it has se
 I4  no portal call is started twice, and none is skipped silently
 I5  at every moment some disk holds a state to continue from (`durability.py`)
 
-Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). None that is known
-to have ended is recovered or runs on (`end_checks.py`). Calls begun together do not outlive their block
-(`block_checks.py`), what is reserved is its holder's alone (`reservation_checks.py`). Beside them: no start
-has an earlier one's number, no live coordinator is called lost, no device has two owners, no host fails.
+A copy of a recoverable coordinator may coexist with its successor if it then begins no call and commands no
+device (`call_checks.py`, `device_use.py`). A terminated coordinator is not recovered (`end_checks.py`). Calls
+do not outlive their block (`block_checks.py`); a reserved resource serves only its holder
+(`reservation_checks.py`). Start numbers are unique, a device has one owner, no live coordinator is reported
+lost, and no host fails.
 """
 
 from __future__ import annotations
@@ -48,8 +48,7 @@ MIN_CALLS = 3
 
 @dataclass(slots=True, eq=False)
 class _StartRecord:
-    """One start of a coordinator: when it was first seen, which hosts may have it, can run it, and ever had
-    it.
+    """One start of a coordinator: when it was first seen, and the hosts that may have it, run it, or had it.
 
     `copy` is the last one in a machine.
     """
@@ -155,7 +154,7 @@ class RunJudge:
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.options.keeps and not moved and not begun:
             return
-        if self._remembers(life.core.name) or self._known(agent, life.core.name):
+        if self._keeps_memory(life.core.name) or self._known(agent, life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
             self._breach("start", (life.core.name,), found)
         self._void.add(start)
@@ -189,7 +188,7 @@ class RunJudge:
         """A host has found a coordinator on its own disk."""
         self._kept.add((life, (agent.id, agent.generation)))
 
-    def _goes_on_from_disk(self, life: HostLife, start: Start) -> None:
+    def _continues_from_disk(self, life: HostLife, start: Start) -> None:
         """It may have lost the failures of calls that were reported to it."""
         if (life, start) not in self._kept:
             return
@@ -198,12 +197,12 @@ class RunJudge:
 
     def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again, with this exception: the receiver does not have it."""
-        self._goes_on_from_disk(life, (agent.id, agent.generation))
+        self._continues_from_disk(life, (agent.id, agent.generation))
         self._held(life, agent)
 
     def _held(self, life: HostLife, agent: Agent) -> None:
         seen = self._starts.setdefault((agent.id, agent.generation), _StartRecord(self.fleet.now))
-        self._goes_on(agent)
+        self._observe_recovery(agent)
         seen.holders, seen.copy = {life}, agent
         seen.knew.add(life)
         seen.places, seen.unsaved = {life.core.name: life.host.journal_writer.journal_id}, ""
@@ -211,7 +210,7 @@ class RunJudge:
             self._agents[life].append(agent)
         self._check_host(life)
 
-    def _goes_on(self, agent: Agent) -> None:
+    def _observe_recovery(self, agent: Agent) -> None:
         if is_recovery(agent.generation) and not agent.frozen:
             gone_on = self._gone_on[agent.id]
             self.counts["recoveries"] += agent.generation not in gone_on
@@ -220,13 +219,13 @@ class RunJudge:
     def on_sent(self, life: HostLife, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent: the receiver may have it now."""
         receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
-        self._goes_on_from_disk(life, (header.agent, header.generation))
+        self._continues_from_disk(life, (header.agent, header.generation))
         if seen is not None:
             seen.places[target] = header.receiver_memory
         if seen is not None and receiver is not None:
             seen.holders.add(receiver)
 
-    def _remembers(self, name: str) -> bool:
+    def _keeps_memory(self, name: str) -> bool:
         """Whether a host has always had one memory."""
         return self.fleet.options.keeps and name not in self.fleet.replaced
 
@@ -303,10 +302,10 @@ class RunJudge:
         barred = {(page.agent, page.generation) for _, page in kept if isinstance(page, FenceRecord)}
         safe = [(a, s) for a, s in going if s and not any(a == b and s < g for b, g in barred)]
         identities = {name: disk.identity for name, disk in self.fleet.disks.items()}
-        self._results.check(kept, identities, [start for start in safe if not self._doubtful(start)])
+        self._results.check(kept, identities, [start for start in safe if not self._in_doubt(start)])
         pages = (page for _, page in kept)
         for agent, start in unsaved_starts(pages, [(agent, start) for agent, start in going if start]):
-            if not self._doubtful((agent, start)):
+            if not self._in_doubt((agent, start)):
                 self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
     def _is_saved(self, name: str, page: Record) -> None:
@@ -322,7 +321,7 @@ class RunJudge:
         starts = (s for s, seen in self._starts.items() if s[0] == agent and not seen.was_superseded)
         return max((generation for _, generation in starts), default=0)
 
-    def _doubtful(self, start: Start) -> bool:
+    def _in_doubt(self, start: Start) -> bool:
         """Whether a host that may have had it has lost its disk since: then the truth is unknown."""
         places = self._starts[start].places
         if any(self._lost(name, memory) for name, memory in places.items()):
@@ -361,14 +360,14 @@ class RunJudge:
 
     def waits_for(self) -> list[str]:
         """The coordinators that may continue, and have not made enough progress."""
-        return [agent for agent in self._homes if self._owed(agent)]
+        return [agent for agent in self._homes if self._must_run(agent)]
 
     @property
     def _homes(self) -> dict[str, str]:
         team = self.fleet.mission.team
         return {member.id: team.hosts[member.host] for member in team.coordinators}
 
-    def _owed(self, agent: str) -> bool:
+    def _must_run(self, agent: str) -> bool:
         ended = self._calls.ended[agent] + self._blocks.closed[agent] + self.reserved.closed[agent]
         given_up = self.orders.is_given_up(agent, self._newest.get(agent, 0))
         if agent in self._calls.over or ended >= MIN_CALLS or given_up:
@@ -377,14 +376,14 @@ class RunJudge:
             return is_shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
-            if self.fleet.gone and self._doubtful(start):
+            if self.fleet.gone and self._in_doubt(start):
                 return self.orders.acted and is_shadowed(agent, self.fleet.pages_left)
             if self.fleet.options.keeps:
-                return not self._doubtful(start)
+                return not self._in_doubt(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
         # A new start waits for all others except those that an operator has declared lost.
-        return name in self.fleet.lives and (self._remembers(name) or not self.fleet.left)
+        return name in self.fleet.lives and (self._keeps_memory(name) or not self.fleet.left)
 
     def end(self) -> None:
         """The end of the run: a coordinator without progress is stuck."""

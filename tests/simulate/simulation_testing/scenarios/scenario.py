@@ -250,8 +250,7 @@ def fenced(seed: int) -> Scenario:
 
 
 def doubted(seed: int) -> Scenario:
-    """A scenario of a small team in which hosts often suspect live ones, and coordinators continue
-    meanwhile."""
+    """A scenario of a small team in which hosts often suspect live ones, whose coordinators continue."""
     story, dice = fenced(seed), random.Random(f"doubted {seed}")
     seconds = DOUBTED + 2.0 * story.lease
     return replace(
@@ -333,8 +332,7 @@ def crew(seed: int) -> Scenario:
 
 
 def racer(seed: int) -> Scenario:
-    """A scenario of coordinators that begin calls and fetch them later, or the first of them; else as of
-    crews."""
+    """A scenario of crews whose coordinators begin calls and fetch them later, or the first of them."""
     return replace(crew(seed), kind="racer")
 
 
