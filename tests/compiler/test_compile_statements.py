@@ -245,7 +245,7 @@ def test_the_deepest_nesting_the_parser_accepts_compiles(before: str, inside: st
             assert {d.code for d in checked.errors} == {"L211"}
             return
         assert compile_program(checked.program)
-    pytest.fail("the front end let 200 levels through")
+    pytest.fail("the parser accepted 200 levels")
 
 
 def test_debug_information_has_each_statement_of_a_line():

@@ -128,7 +128,7 @@ def test_under_random_faults_a_device_has_one_owner_and_moves_only_for_it(
                 unowned.pop(name, None)
             else:
                 since = unowned.setdefault(name, fleet.now)
-                assert fleet.now - since < 1.01, f"{name} moves though nobody has had it since {since:.3f} s"
+                assert fleet.now - since < 1.01, f"{name} moves without an owner since {since:.3f} s"
 
     fleet = Fleet(mission, seed, watch)
     weather = FaultRates(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
