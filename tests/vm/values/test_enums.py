@@ -83,6 +83,13 @@ def test_a_debugger_has_types_and_names() -> None:
     assert reader.plain((types["number"], 1)) == 1
 
 
+def watch_scope() -> WatchScope:
+    machine, block = running()
+    moment = SimpleNamespace(table=SimpleNamespace(program=machine.program), agents=machine.agents)
+    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
+    return WatchScope(cast(Moment, moment), frames)
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -94,20 +101,13 @@ def test_a_debugger_has_types_and_names() -> None:
     ],
 )
 def test_a_watch_expression_may_name_members(text: str, value: object) -> None:
-    machine, block = running()
-    table = SimpleNamespace(program=machine.program)
-    moment = SimpleNamespace(table=table, agents=machine.agents)
-    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
-    assert WatchExpression(text).value(WatchScope(cast(Moment, moment), frames)) == value
+    assert WatchExpression(text).value(watch_scope()) == value
 
 
 def test_a_watch_expression_refuses_other_types() -> None:
-    machine, block = running()
-    moment = SimpleNamespace(table=SimpleNamespace(program=machine.program), agents=machine.agents)
-    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
     for text in ("held == 2", 'held == "HOME"'):
         with pytest.raises(ValueUnknown):
-            WatchExpression(text).value(WatchScope(cast(Moment, moment), frames))
+            WatchExpression(text).value(watch_scope())
 
 
 def test_a_mission_test_gets_member_names() -> None:
