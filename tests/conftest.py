@@ -1,4 +1,4 @@
-"""What holds for all tests: how many run at a time, none meets another, none is judged by a busy computer."""
+"""Settings of all tests: number of workers, isolation from each other and from the user, and no deadlines."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ from xdist.workermanage import WorkerController
 
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
-#: Hypothesis would read all modules of ours for constants: seconds of each worker, and examples depend on
-#: which modules the tests before have imported, also those of a test that shall repeat itself (derandomize).
+#: Hypothesis would read all modules of lfield for constants. This takes seconds in each worker, and the
+#: examples would depend on the modules that earlier tests imported, even with derandomize.
 assert hasattr(providers, "is_local_module_file")
 providers.is_local_module_file = lambda path: False
-#: The part of its examples that a run without `--every-case` makes for each property, and the least.
+#: The part of the examples of each property that a run without `--every-case` makes, and the minimum.
 _EXAMPLES, _LEAST_EXAMPLES = 0.3, 12
 
-#: What tests build is kept for this run only, and found in no other. Its workers share it.
+#: Built files are kept for this run only, and not used by any other. The workers share them.
 _OWN = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
 if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["XDG_CACHE_HOME"] = os.path.join(_OWN.name, "cache")
-#: Nor are keys, and what hosts keep of their starts, which each worker has for itself.
+#: Each worker has its own keys and its own record of the starts of hosts.
 os.environ["XDG_CONFIG_HOME"] = os.path.join(_OWN.name, "config")
 os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
-#: Nor do the commands of tests find, or stop, what else runs on this computer.
+#: Commands of tests do not find or stop other teams that run on this computer.
 os.environ["LFIELD_RUNS"] = "here"
-#: Nor do they reach the hosts of an inventory of this computer.
+#: They do not reach the hosts in the inventory of this computer.
 os.environ["LFIELD_INVENTORY"] = ""
-#: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
+#: Python caches compiled modules, whatever the environment says: a run starts a thousand interpreters.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
-#: Whoever runs the tests in the background may ignore Ctrl-C, and what tests start would inherit that.
+#: A shell that runs the tests in the background may ignore Ctrl-C; processes of the tests would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-#: Files and folders whose tests share nothing and mostly wait.
+#: Files and folders whose tests share nothing and mostly wait for processes.
 WAITING = (
     "tests/cli/run/test_thesis_and_examples.py",
     "tests/cli/run/test_up_",
@@ -60,23 +60,23 @@ WAITING = (
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two workers for each core, since many tests wait for processes; none for a few files or one test."""
+    """Two workers for each core, since many tests wait for processes; none for single files or tests."""
     if config.option.keyword or any(word.partition("::")[0].endswith(".py") for word in config.args):
         return 0
     return 2 * len(os.sched_getaffinity(0))
 
 
 class Dealing(LoadFileScheduling):
-    """The tests of a file stay together, for they may share what is costly; those of WAITING do not."""
+    """Keeps the tests of a file on one worker, since they may share expensive fixtures, except WAITING."""
 
     def _split_scope(self, nodeid: str) -> str:
         return nodeid if nodeid.startswith(WAITING) else super()._split_scope(nodeid)
 
     def remove_node(self, node: WorkerController) -> str | None:
-        """What a worker that is gone has left is dealt again, but for the test in which it crashed.
+        """Distribute the remaining tests of a worker that ended, except for the test in which it crashed.
 
-        xdist deals that again too, and what was done: the one crashes the next worker, and who gets only the
-        other is told nothing more, so that the run never ends.
+        xdist would also distribute the crashed test, which would crash the next worker, and the finished
+        ones: a worker that gets only finished tests receives no further command, so the run would never end.
         """
         left = {
             scope: [test for test, done in tests.items() if not done]
@@ -93,11 +93,11 @@ class Dealing(LoadFileScheduling):
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Dealing:
-    """Who gets which test."""
+    """Use `Dealing` to distribute the tests."""
     return Dealing(config, log)
 
 
-#: Tests in which others' software uses our fakes, or stands in for what our drivers meet.
+#: Tests in which software of others uses our fakes, or takes the place of devices of our drivers.
 FOREIGN = {
     "tests/sim/mavlink/test_sim_foreign.py": "pymavlink: mavutil, mavwp, mavftp; dronekit's way",
     "tests/mavlink/client/test_mavsdk_client.py": "MAVSDK",
@@ -111,12 +111,12 @@ FOREIGN = {
 
 
 def needs_namespaces(report: pytest.TestReport) -> bool:
-    """Whether it is of a test that needs what few computers offer: namespaces, and tools for them."""
+    """Whether it is the report of a test that needs network namespaces, which few computers offer."""
     return report.nodeid.startswith(("tests/radio/", "tests/provision/"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Notes of tests, what was not tried here and why; with -s also the uses of others' software."""
+    """Print notes of tests and reasons for skips; with -s also the tests with software of others."""
     for why in sorted(
         {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if needs_namespaces(skip)}
     ):
@@ -138,27 +138,27 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--every-case", action="store_true", help="all cases of the tests marked few(COUNT)")
-    parser.addoption("--rewrite", action="store_true", help="write the golden files of tests/oracles anew")
+    parser.addoption("--rewrite", action="store_true", help="rewrite the golden files of tests/oracles")
 
 
 def _named(config: pytest.Config) -> bool:
-    """Whether the command names tests: then they run as they are named, each case alone."""
+    """Whether the command names tests; then each case of them runs as an item of its own."""
     return bool(config.option.keyword) or any("::" in word for word in config.args)
 
 
 class EveryTest:
-    """Hooks for the tests of the examples too: those of a conftest are for its own folder."""
+    """Hooks for the tests of the examples too, since hooks of a conftest apply only to its own folder."""
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> Iterator[None]:
-        """Take a sample of the cases, and check in one item what needs no fixture of its own."""
+        """Take a sample of the cases, and merge cases that need no fixture of their own into one item."""
         yield
         if not (metafunc.config.option.every_case or _named(metafunc.config)):
             parametrized_cases.take_sample(metafunc)
             parametrized_cases.merge(metafunc)
 
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """Check all cases of an item that has several, and run coroutine functions."""
+        """Check all cases of a merged item, and run coroutine functions."""
         merged = getattr(pyfuncitem, "callspec", None)
         check = coroutine_tests.synchronous(pyfuncitem)
         if isinstance(merged, parametrized_cases.MergedCases):
@@ -176,13 +176,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pycollect_makeitem(name: str, obj: object) -> None:
-    """A coroutine function is run by the fixture `runner`."""
+    """Mark coroutine functions to use the fixture `runner`."""
     if name.startswith("test_") and inspect.iscoroutinefunction(obj):
         pytest.mark.usefixtures("runner")(obj)
 
 
 def _make_fewer_examples(function: Any) -> None:
-    """Of a property that hypothesis tests with random examples; other runs make others."""
+    """Reduce the random examples of a property; other runs make other examples."""
     made = getattr(function, "_hypothesis_internal_use_settings", None) or settings.default
     least = min(_LEAST_EXAMPLES, made.max_examples)
     reduced = settings(made, max_examples=max(least, int(_EXAMPLES * made.max_examples)))
@@ -190,9 +190,9 @@ def _make_fewer_examples(function: Any) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
+    """Sort long files first and mix the others, so that tests that compute run beside tests that wait."""
     if not (config.option.every_case or _named(config)):
-        # Of a test with parameters the sample has been taken.
+        # The cases of tests with parameters were sampled before.
         out = {item for item in items if any(mark.args == (0,) for mark in item.iter_markers("few"))}
         config.hook.pytest_deselected(items=[item for item in items if item in out])
         items[:] = [item for item in items if item not in out]
@@ -207,9 +207,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Iterator[None]:
-    """What is collected stays until the end: Python's collector looks at it neither now nor in any test.
+    """Freeze the collected items, so that the garbage collector never visits them in a test.
 
-    And at what is new it looks less often.
+    Also make it visit new objects less often.
     """
     gc.disable()
     try:
@@ -222,8 +222,8 @@ def pytest_collection() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_doors() -> Iterator[None]:
-    """The running teams and fakes that a worker's commands find are its own."""
-    # Not pytest's folder: the path of a socket may have 107 bytes.
+    """Give each worker its own folder for the sockets of running teams and fakes."""
+    # Not pytest's folder: the path of a socket is limited to 107 bytes.
     with tempfile.TemporaryDirectory(prefix="lf-") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
         yield
@@ -254,5 +254,5 @@ def _steps_of(work: Callable[[], object]) -> int:
 
 @pytest.fixture
 def steps() -> Callable[[Callable[[], object]], int]:
-    """How many lines of Python a work takes: what a clock would say of it, but the same every time."""
+    """A function that counts the lines of Python that a call executes: a repeatable measure of time."""
     return _steps_of

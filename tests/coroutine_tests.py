@@ -39,8 +39,8 @@ def on_bench(
 ) -> Callable[[Coroutines], Callable[..., None]]:
     """Run a test `async def test(bench, *devices, /, ...)` as the scenario of a `DriverBench`.
 
-    `maker` creates the bench: a function, or the name of the fixture that is one. It gets `arguments`,
-    `options`, and the parameters of the test that `given` names: `speed`, or `option=speed`.
+    `maker` creates the bench: a function, or the name of a fixture that returns one. It is called with
+    `arguments`, `options`, and the parameters of the test that `given` names: `speed`, or `option=speed`.
     """
     passed = [word.split("=") for word in given.split()]
 

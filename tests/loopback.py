@@ -1,4 +1,4 @@
-"""Addresses of loopback on which no other process of a test run listens, calls or locks anything."""
+"""Loopback addresses that no other process of a test run uses."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import os
 
 
 def own_address() -> str:
-    """The address of this process, whose number is in it.
+    """The address of this process, derived from its number.
 
-    Locks of endpoints are seen by the whole computer, and a port of 127.0.0.1 that was just found to be free
+    Locks of endpoints apply to the whole computer, and a port of 127.0.0.1 that was just found to be free
     may be given to another process before it is used.
     """
     number = os.getpid()

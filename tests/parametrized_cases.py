@@ -1,11 +1,11 @@
-"""Cases of parametrized tests: which of them a run takes, and those without fixtures as one item.
+"""Cases of parametrized tests: which of them a run takes, and how they are merged into items.
 
 A run without `--every-case` takes a sample of the tests marked `few`. The sample is taken before pytest makes
 an item of each case: 8,000 of 20,000 are not made.
 
 An item costs pytest and xdist about as much as the check of one table row, and each worker collects all of
 them. So the cases of a test without a fixture of its own are checked in one item, which runs all of them and
-reports each that fails with its id. `pytest -k` and `pytest FILE::TEST[ID]` make one item of each case.
+reports each failed case with its id. `pytest -k` and `pytest FILE::TEST[ID]` make one item of each case.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from typing import Any
 import pytest
 from _pytest.python import CallSpec
 
-#: Fixtures of all tests, which are set up once for each worker.
+#: Scopes of fixtures that are set up once for each worker.
 _SHARED = ("session", "package", "module", "class")
-#: Of each test that is checked in one item. More are dealt to several items, so that none takes long.
+#: The most cases in one item. More are split into several items, so that no item takes long.
 MOST_CASES = 400
 
 
 @dataclasses.dataclass(frozen=True)
 class MergedCases(CallSpec):
-    """The parameters of the first case, for pytest; `cases` has all of them."""
+    """The parameters of the first case, for pytest, and all cases."""
 
     cases: tuple[CallSpec, ...] = ()
 
 
 def sample(test: str, cases: Iterable[CallSpec], count: int) -> list[CallSpec]:
-    """At most `count` cases, in which as many values of each parameter occur as can; always the same."""
+    """At most `count` cases, with as many values of each parameter as possible; always the same."""
     left = sorted(cases, key=lambda case: zlib.crc32(f"{test}[{case.id}]".encode()))
     seen: set[tuple[str, int]] = set()
     found: list[CallSpec] = []
@@ -45,7 +45,7 @@ def sample(test: str, cases: Iterable[CallSpec], count: int) -> list[CallSpec]:
 
 
 def take_sample(metafunc: pytest.Metafunc) -> None:
-    """Keep the sample of a test that is marked `few`; without parameters it is kept or left out whole."""
+    """Keep the sample of a test that is marked `few`; a test without parameters is kept or left out whole."""
     marker = metafunc.definition.get_closest_marker("few")
     if marker is not None and metafunc._calls:
         chosen = sample(metafunc.definition.nodeid, metafunc._calls, *marker.args)
@@ -53,10 +53,10 @@ def take_sample(metafunc: pytest.Metafunc) -> None:
 
 
 def engines(config: pytest.Config) -> list[str]:
-    """On which engines a test of the machine runs.
+    """The engines on which a test of the machine runs.
 
-    `both` runs the reference engine beside the one in WebAssembly and compares them, so the reference engine
-    alone is for `--every-case`, and for a computer without wasmtime.
+    `both` runs the reference engine beside the WebAssembly engine and compares them. So the reference engine
+    runs alone only with `--every-case`, and on a computer without wasmtime.
     """
     if not config.option.every_case and find_spec("wasmtime"):
         return ["both"]
@@ -64,7 +64,7 @@ def engines(config: pytest.Config) -> list[str]:
 
 
 def is_mergeable(metafunc: pytest.Metafunc) -> bool:
-    """Whether nothing is set up for a single case."""
+    """Whether no fixture is set up for a single case."""
     if len(metafunc._calls) < 2 or hasattr(metafunc.function, "hypothesis"):
         return False
     if any(case.marks for case in metafunc._calls):
@@ -77,7 +77,7 @@ def is_mergeable(metafunc: pytest.Metafunc) -> bool:
 
 
 def merge(metafunc: pytest.Metafunc) -> None:
-    """Check the cases of a test in one item, or in few."""
+    """Check the cases of a test in one item, or in a few."""
     if not is_mergeable(metafunc):
         return
     cases = metafunc._calls
@@ -96,9 +96,9 @@ def merge(metafunc: pytest.Metafunc) -> None:
 
 
 def failures_of(cases: Iterable[CallSpec], check: Callable[..., object], shared: dict[str, Any]) -> list[Any]:
-    """Check every case; the exceptions of those that failed, each with its case as a note.
+    """Check every case; return the exceptions of those that failed, each with its case as a note.
 
-    Raises what ends a test at once: Ctrl-C, its time limit, and a skip of all cases.
+    Exceptions that end a test at once are raised: Ctrl-C, the time limit, and a skip of all cases.
     """
     failed: list[BaseException] = []
     skipped: list[BaseException] = []

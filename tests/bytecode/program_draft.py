@@ -36,17 +36,17 @@ from lfield.bytecode.program import (
 )
 from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
 
-# Classes behind the built-in ones.
+# Indices of the classes after the built-in ones.
 BOX, ARM, GUIDE, TOOL = range(len(BUILTIN_RECORDS), len(BUILTIN_RECORDS) + 4)
-# Types behind the fixed ones.
+# Indices of the types after the fixed ones.
 T_BOX, T_ARM, T_PROXY, T_GUIDE, T_STRINGS, T_PROXIES, T_INTS, T_TOOL, T_OVERFLOW = range(
     len(FIXED_TYPES), len(FIXED_TYPES) + 9
 )
 # Methods.
 BOX_NEW, BOX_SUM, ARM_INIT, ARM_LIFT, GUIDE_INIT, TOOL_NEW, TOOL_SHOW = range(7)
-# Constants as operands.
+# Operands that name constants.
 ONE, HALF, TRUE, NOTHING, WORD = -1, -2, -3, -4, -5
-# The numbers of two classes that handlers name.
+# Indices of two classes that handlers catch.
 EXCEPTION, ARITHMETIC = 0, 6
 
 

@@ -1,4 +1,4 @@
-"""Which portals act: one resource with a portal for every way to change something, or nothing."""
+"""Which portals have side effects: one resource with a portal for each kind of statement."""
 
 from __future__ import annotations
 
@@ -96,17 +96,17 @@ def portals(text: str) -> list[str]:
     return re.findall(r"portal (?:synchronized )?(\w+)", text)
 
 
-def test_a_portal_acts_when_anything_that_it_may_call_changes_something(program: Program) -> None:
+def test_a_portal_has_side_effects_if_code_it_may_call_has(program: Program) -> None:
     found = effectful_methods(program)
     acts = {m.name: i in found for i, m in enumerate(program.core.methods) if m.kind == "portal"}
     assert acts == {**dict.fromkeys(portals(QUERIES), False), **dict.fromkeys(portals(ACTS), True)}
 
 
-def test_a_portal_call_acts_whatever_it_calls(program: Program) -> None:
-    """No resource can make one today; whoever could begins something elsewhere."""
+def test_a_portal_call_counts_as_a_side_effect(program: Program) -> None:
+    """No resource can call a portal; a coordinator that does may cause side effects in another agent."""
     init = next(i for i, m in enumerate(program.core.methods) if program.method_name(i) == "Boss.init")
     assert init in effectful_methods(program)
 
 
-def test_it_is_computed_once_for_a_program(program: Program) -> None:
+def test_the_methods_with_side_effects_are_computed_once(program: Program) -> None:
     assert effectful_methods(program) is effectful_methods(program)

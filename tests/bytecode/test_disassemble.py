@@ -39,13 +39,13 @@ class Tool resource specific
 """
 
 
-def test_a_listing_has_names_for_numbers() -> None:
+def test_a_listing_shows_names_instead_of_numbers() -> None:
     listing = disassemble(Draft().program())
     assert _CLASSES in listing
     assert _LIFT in listing
 
 
-def test_every_kind_of_operand_is_written() -> None:
+def test_every_kind_of_operand_is_listed() -> None:
     listing = disassemble(Draft().program())
     for line in (
         "    L8  gete, ^2, ^4, 1",
@@ -61,13 +61,13 @@ def test_every_kind_of_operand_is_written() -> None:
         assert f"\n{line}\n" in listing
 
 
-def test_without_debug_information_methods_still_have_names() -> None:
+def test_methods_have_names_without_debug_information() -> None:
     draft = Draft()
     draft.debug = []
     assert "    50  pcall, Arm.lift\n" in disassemble(draft.program())
 
 
-def test_a_listing_never_controls_the_terminal() -> None:
+def test_a_listing_contains_no_control_characters() -> None:
     draft = Draft()
     draft.sources = [SourceText("a\x1b[2J.L", "\x1b]0;owned\x07\n")]
     draft.constants[4] = "\x9b31m"
@@ -76,7 +76,7 @@ def test_a_listing_never_controls_the_terminal() -> None:
     assert r"\x9b31m" in listing
 
 
-def test_a_line_beyond_the_source_is_shown_without_text() -> None:
+def test_a_line_after_the_end_of_the_source_is_listed_without_text() -> None:
     draft = Draft()
     draft.debug[ARM_LIFT] = type(draft.debug[ARM_LIFT])(0, ((0, 999),), (), "lift()")
     assert "; sample.L:999\n" in disassemble(draft.program())

@@ -1,4 +1,4 @@
-"""Which coordinators may be recovered elsewhere: from the program alone, and in doubt they may."""
+"""Which coordinators are fenced: those that may set a heartbeat interval, found from the program alone."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ coordinator Made { init(string[] arg) { Keeper k = new Keeper(2.0); } }
 coordinator Field { Keeper kept = new Keeper(2.0); init(string[] arg) { } }
 coordinator Deep { init(string[] arg) { new Keeper().rest(); } }
 """
-#: The compiler leaves out what is never reached.
+#: The compiler leaves out code that is never reached.
 FENCED = {"Own", "Off", "Uncalled", "Caught", "Made", "Field", "Deep"}
 
 
-def test_a_coordinator_that_may_call_it_is_fenced() -> None:
+def test_a_coordinator_that_may_set_an_interval_is_fenced() -> None:
     program = compile_text(PROGRAM)
     assert fenced_classes(program) == FENCED
-    # A robot that reads the program comes to the same.
+    # A robot that reads the encoded program gets the same result.
     assert fenced_classes(decode(encode(program))) == FENCED
 
 
-#: Those with a driver of their own are for whoever has installed it.
+#: Without those that need a driver of their own, which may not be installed.
 EXAMPLES = [
     path
     for path in sorted(Path(__file__).parents[2].glob("examples/*/*.L"))
@@ -56,6 +56,6 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
-def test_no_program_is_fenced_that_does_not_name_it(example: Path) -> None:
+def test_an_example_without_heartbeat_interval_is_not_fenced(example: Path) -> None:
     if "heartbeatInterval" not in example.read_text():
         assert not fenced_classes(load_program(example))

@@ -1,7 +1,7 @@
-"""A program with `together`, `within`, `reserve`, `finally` that somebody has changed is refused or harmless.
+"""A randomly changed program with `together`, `within`, `reserve`, `finally` is refused or harmless.
 
-What the verifier lets through runs on a machine; after every round of it all blocks must be sound, and no
-agent may have ended by a bug of ours.
+Programs that the verifier accepts run on a machine. After every round all blocks must be sound, and no agent
+may have ended by a bug in lfield.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ NULL = -1 - SOUND.core.constants.index(None)
 ROUNDS = 60
 
 
-class Vandal:
-    """Changes a program in a few places, mostly so that types still fit."""
+class ProgramMutator:
+    """Changes a program in a few places, mostly so that the types still fit."""
 
     def __init__(self, seed: int) -> None:
         self.dice = random.Random(seed)
@@ -81,7 +81,7 @@ class Vandal:
         return msgspec.structs.replace(SOUND.core, code=encode_quads(self.quads), methods=tuple(self.methods))
 
     def operand(self) -> None:
-        """Another slot of the same type, null, or another place to jump to."""
+        """Replace an operand by another slot of the same type, null, or another jump target."""
         at = self.dice.randrange(len(self.quads))
         quad = list(self.quads[at])
         method = next(m for m in self.methods if m.entry <= at < m.end)
@@ -102,13 +102,13 @@ class Vandal:
         return self.dice.choice([*same, NULL])
 
     def instruction(self) -> None:
-        """Another opcode, or the instruction of another place."""
+        """Replace an instruction by another opcode, or by another instruction of the program."""
         at, other = (self.dice.randrange(len(self.quads)) for _ in range(2))
         code = self.dice.choice(TABLE).code
         self.quads[at] = self.dice.choice([self.quads[at]._replace(op=code), self.quads[other]])
 
     def row(self) -> None:
-        """A row of handlers that is about something else, or in another place."""
+        """Change or swap rows of a handler table."""
         index = self.dice.choice([i for i, m in enumerate(self.methods) if m.handlers])
         method = self.methods[index]
         rows = list(method.handlers)
@@ -126,7 +126,7 @@ class Vandal:
 
 
 def run(program: Program) -> None:
-    """Run it for some rounds, and look at every block after each."""
+    """Run it for some rounds and check every block after each round."""
     desk, clock = GoldenWorld(), ManualClock()
     team = team_for(program, TEAM)
     machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
@@ -145,10 +145,10 @@ def run(program: Program) -> None:
 
 
 @pytest.mark.parametrize("part", range(4))
-def test_what_is_let_through_does_no_harm(part: int) -> None:
+def test_a_changed_program_is_refused_or_harmless(part: int) -> None:
     ran = 0
     for seed in range(100 * part, 100 * part + 100):
-        program = Program(Vandal(seed).core(), SOUND.debug, SOUND.digest)
+        program = Program(ProgramMutator(seed).core(), SOUND.debug, SOUND.digest)
         with contextlib.suppress(ProgramFileError):
             verify(program)
             ran += 1

@@ -1,4 +1,4 @@
-"""Every refusal of the verifier: a sound program, made unsound in one way."""
+"""Every error of the verifier: a sound program, made unsound in one way."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_program_without_debug_information_is_accepted() -> None:
         (lambda d: d.types.append(TypeRecord(INT, 1)), "has no members"),
     ],
 )
-def test_types(change: Change, reason: str) -> None:
+def test_invalid_types_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -147,7 +147,7 @@ def test_types(change: Change, reason: str) -> None:
         (lambda d: _without_init(d, BOX_SUM), "Guide has no init"),
     ],
 )
-def test_classes(change: Change, reason: str) -> None:
+def test_invalid_classes_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -169,7 +169,7 @@ def test_classes(change: Change, reason: str) -> None:
         (lambda d: d.change_device_call(result=-3), "drivers do not support"),
     ],
 )
-def test_constants_and_device_calls(change: Change, reason: str) -> None:
+def test_invalid_constants_and_device_calls_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -203,7 +203,7 @@ def test_constants_and_device_calls(change: Change, reason: str) -> None:
         (lambda d: d.change_method(ARM_INIT, result=INT), "string"),
     ],
 )
-def test_methods(change: Change, reason: str) -> None:
+def test_invalid_method_records_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -224,15 +224,15 @@ def _lift_takes(kind: int) -> Change:
         lambda d: d.change_class(BOX, usage="coordinator"),
     ],
 )
-def test_nothing_of_one_side_crosses_a_portal(change: Change) -> None:
+def test_types_of_one_side_cannot_cross_a_portal(change: Change) -> None:
     refused(change, "cannot cross")
 
 
 def _with_core(**fields: object) -> Change:
     def change(draft: Draft) -> None:
         core = draft.core()
-        spoiled = Core(*(fields.get(f, getattr(core, f)) for f in Core.__struct_fields__))
-        draft.core = lambda: spoiled  # type: ignore[method-assign]  # the draft of this one test
+        changed_core = Core(*(fields.get(f, getattr(core, f)) for f in Core.__struct_fields__))
+        draft.core = lambda: changed_core  # type: ignore[method-assign]  # the draft of this one test
 
     return change
 
@@ -260,7 +260,7 @@ def _moved(index: int, **fields: int) -> Change:
         (lambda d: _with_core(code=d.core().code[:-1])(d), "longer or shorter"),
     ],
 )
-def test_methods_cover_the_code(change: Change, reason: str) -> None:
+def test_methods_must_cover_the_code(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -277,7 +277,7 @@ def test_methods_cover_the_code(change: Change, reason: str) -> None:
         (lambda d: d.debug.__setitem__(0, MethodDebug(0, (), ((2, "x"),), "")), "slot that does not exist"),
     ],
 )
-def test_debug_information(change: Change, reason: str) -> None:
+def test_invalid_debug_information_is_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -333,7 +333,7 @@ def test_debug_information(change: Change, reason: str) -> None:
         (put(ARM_INIT, 1, "throw", 0), "only objects"),
     ],
 )
-def test_operands(change: Change, reason: str) -> None:
+def test_invalid_operands_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -363,7 +363,7 @@ def _append(method: int, *quad: str | int) -> Change:
         (put(GUIDE_INIT, 18, "jmp", 15), "into a group"),
     ],
 )
-def test_control_flow(change: Change, reason: str) -> None:
+def test_invalid_control_flow_is_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -429,7 +429,7 @@ def core_parts(core: Core) -> list[object]:
         (put(ARM_INIT, 4, "array_len"), "wrong type"),
     ],
 )
-def test_groups(change: Change, reason: str) -> None:
+def test_invalid_groups_of_instructions_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -459,28 +459,28 @@ def _handler(start: int, end: int, target: int, catches: int, slot: int) -> Chan
         (_handler(1, 4, 4, EXCEPTION, 99), "no slot 99"),
     ],
 )
-def test_handlers(change: Change, reason: str) -> None:
+def test_invalid_handlers_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
-def test_a_handler_of_a_class_is_accepted() -> None:
+def test_a_handler_may_catch_a_class_of_the_program() -> None:
     draft = Draft()
     _handler(1, 4, 4, BOX, 1)(draft)
     verify(draft.program())
 
 
-def test_exception_takes_any_object_so_its_slot_must() -> None:
+def test_a_handler_of_exception_needs_a_slot_for_any_object() -> None:
     handler = (Handler(1, 3, 4, EXCEPTION, 2),)
     refused(lambda d: d.change_method(TOOL_SHOW, handlers=handler), "does not fit its slot")
     other = (Handler(1, 3, 4, ARITHMETIC + 1, 2),)
     refused(lambda d: d.change_method(TOOL_SHOW, handlers=other), "does not fit its slot")
 
 
-def test_an_agent_is_not_caught() -> None:
+def test_a_handler_cannot_catch_an_agent() -> None:
     refused(_handler(1, 4, 4, ARM, 4), "catches something that is not a class")
 
 
-def test_a_refusal_says_where() -> None:
+def test_an_error_names_method_and_instruction() -> None:
     draft = Draft()
     draft.put(BOX_SUM, 2, "move", 2, TRUE)
     with pytest.raises(ProgramFileError) as caught:
@@ -488,7 +488,7 @@ def test_a_refusal_says_where() -> None:
     assert (caught.value.method, caught.value.pc) == ("sum", 5)
 
 
-def test_null_fits_every_reference_and_an_object_fits_any() -> None:
+def test_null_fits_references_and_objects_fit_any() -> None:
     draft = Draft()
     draft.put(BOX_SUM, 2, "move", 4, NOTHING)
     draft.put(BOX_SUM, 6, "move", 6, 5)
@@ -497,14 +497,14 @@ def test_null_fits_every_reference_and_an_object_fits_any() -> None:
 
 
 def _holds(method: int) -> Draft:
-    """A class of the resource that has a device, and a method with a slot for one."""
+    """A draft with a device field in the class of the resource, and a slot for a device in a method."""
     draft = Draft()
     draft.change_class(TOOL, fields=(FieldRecord("grip", DEVICE),))
     draft.change_method(method, slots=(*draft.methods[method].slots, DEVICE))
     return draft
 
 
-def test_a_class_of_a_resource_may_have_a_device() -> None:
+def test_a_resource_specific_class_may_have_a_device() -> None:
     draft = _holds(TOOL_SHOW)
     draft.put(TOOL_SHOW, 3, "getf", 3, 0, 0)
     verify(draft.program())
@@ -515,7 +515,7 @@ def test_a_class_of_a_resource_may_have_a_device() -> None:
     verify(draft.program())
 
 
-def test_a_device_stays_with_its_resource() -> None:
+def test_a_device_cannot_leave_its_resource() -> None:
     for change, reason in [
         (
             lambda d: d.change_class(BOX, fields=(FieldRecord("a", DEVICE),)),
@@ -550,7 +550,7 @@ def _compares_a_proxy_with(operand: int) -> Draft:
     return draft
 
 
-def test_a_proxy_is_compared_with_proxies_only() -> None:
+def test_a_proxy_is_compared_only_with_proxies() -> None:
     for operand in (2, NOTHING):
         verify(_compares_a_proxy_with(operand).program())
     for operand in (3, 4, 6):
@@ -558,8 +558,8 @@ def test_a_proxy_is_compared_with_proxies_only() -> None:
             verify(_compares_a_proxy_with(operand).program())
 
 
-def test_the_table_is_consistent() -> None:
-    """What the rest relies on: at most three operands, known words, one number and name per row."""
+def test_the_instruction_table_is_consistent() -> None:
+    """At most three operands, known kinds, and one number and name per row."""
     kinds = {"boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""}
     assert len({row.code for row in TABLE}) == len({row.name for row in TABLE}) == len(TABLE)
     for row in TABLE:
@@ -570,7 +570,7 @@ def test_the_table_is_consistent() -> None:
     assert BUILTIN_CLASSES[EXCEPTION] == "Exception"
 
 
-def test_language_and_machine_have_the_same_exceptions() -> None:
+def test_language_and_bytecode_have_the_same_exceptions() -> None:
     assert ("Exception", *BUILTIN_EXCEPTIONS) == BUILTIN_CLASSES
     special = {name: kind for name, kind in BUILTIN_EXCEPTIONS.items() if kind != "Exception"}
     assert special == BUILTIN_PARENTS

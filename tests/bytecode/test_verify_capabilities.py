@@ -1,4 +1,4 @@
-"""The classes of capabilities, and the queries for them: sound ones, and each refusal of the verifier."""
+"""Capability classes and their queries: a sound program, and each error of the verifier."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _class(index: int, **fields: object) -> Change:
 
 @dataclass(frozen=True)
 class _Head:
-    """Another class for the head of that name, or another operand for what is pushed before it."""
+    """Changes the class of the first instruction of that name, or the operand pushed before it."""
 
     name: str
     operand: int | None = None
@@ -63,7 +63,7 @@ class _Head:
 
 
 def _in_resource(core: Core) -> Core:
-    """A query in the init of a resource, in place of what it does."""
+    """Put a query in the init of a resource, in place of its yield."""
     entry = next(m.entry for m in core.methods if (m.owner, m.kind) == (CRANE, "init"))
     quads = list(SOUND.quads)
     assert quads[entry + 1].op == BY_NAME["yield"].code
@@ -74,7 +74,7 @@ def _in_resource(core: Core) -> Core:
 _FIELDS, _FACTS = SOUND.core.classes[LIFT].fields, SOUND.core.classes[OFFER].fields
 
 
-def test_a_sound_program_is_the_same_after_writing_and_reading() -> None:
+def test_encoding_and_decoding_keep_a_program() -> None:
     again = decode(encode(SOUND))
     assert again.core == SOUND.core
     listing = disassemble(again)
@@ -102,13 +102,13 @@ def test_a_sound_program_is_the_same_after_writing_and_reading() -> None:
         (_in_resource, "only coordinators query"),
     ],
 )
-def test_what_is_refused(change: Change, reason: str) -> None:
+def test_invalid_capabilities_are_refused(change: Change, reason: str) -> None:
     verify(Program(SOUND.core, SOUND.debug, b""))
     with pytest.raises(ProgramFileError, match=reason):
         verify(Program(change(SOUND.core), SOUND.debug, b""))
 
 
-def test_a_result_of_another_type_is_refused() -> None:
+def test_a_query_result_of_another_type_is_refused() -> None:
     quads = list(SOUND.quads)
     at = next(i for i, quad in enumerate(quads) if quad.op == BY_NAME["offers"].code)
     quads[at + 1] = quads[at + 1]._replace(a=1)
@@ -117,6 +117,6 @@ def test_a_result_of_another_type_is_refused() -> None:
         verify(Program(core, SOUND.debug, b""))
 
 
-def test_null_is_a_condition() -> None:
+def test_a_condition_may_be_null() -> None:
     nothing = -1 - SOUND.core.constants.index(None)
     verify(Program(_Head("offers", pushed=nothing)(SOUND.core), SOUND.debug, b""))

@@ -1,4 +1,4 @@
-"""Refusals of the verifier about arrays that grow: a sound program, made unsound in one way."""
+"""Errors of the verifier about growable arrays: a sound program, made unsound in one way."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from lfield.bytecode.verifier import verify
 from lfield.errors import ProgramFileError
 
 Change = Callable[[Draft], object]
-#: The type of the array that grows.
+#: The type of the growable array.
 GROWING = len(Draft().types)
-#: The instructions by their place.
+#: The instructions, with their positions.
 _CODE: list[tuple[str, int, int, int]] = [
     ("frame", BOX_SUM, 0, 0),
     ("newarray", 4, GROWING, ONE),  # 1
@@ -100,16 +100,16 @@ def test_the_sound_program_is_accepted() -> None:
         (put(17, "pute", 4, 2, TRUE), "does not fit the element"),
     ],
 )
-def test_code(change: Change, reason: str) -> None:
+def test_invalid_uses_of_growable_arrays_are_refused(change: Change, reason: str) -> None:
     draft = draft_of(change)
-    if not reason:  # Null is of every type; the engines throw.
+    if not reason:  # Null is of every type; the engines throw the exception.
         verify(draft.program())
         return
     with pytest.raises(ProgramFileError, match=reason):
         verify(draft.program())
 
 
-def test_an_init_may_get_an_array_that_grows() -> None:
+def test_an_init_may_take_a_growable_array() -> None:
     def change(draft: Draft) -> None:
         draft.types.append(TypeRecord(GROWABLE, T_STRINGS))
         method = draft.methods[ARM_INIT]
@@ -119,7 +119,7 @@ def test_an_init_may_get_an_array_that_grows() -> None:
     verify(draft_of(change).program())
 
 
-def test_what_the_machine_creates_grows_if_any_array_of_its_elements_does() -> None:
+def test_an_array_from_the_machine_is_growable_if_the_program_has_that_type() -> None:
     def grown(draft: Draft) -> None:
         draft.types.append(TypeRecord(GROWABLE, T_PROXIES))
 
@@ -136,7 +136,7 @@ def test_what_the_machine_creates_grows_if_any_array_of_its_elements_does() -> N
 
 
 @pytest.mark.parametrize("name", ["map<string, int>", "map<int, map<string, Box[]>>"])
-def test_a_class_may_have_the_name_of_a_map(name: str) -> None:
+def test_a_class_may_be_named_as_a_map_type(name: str) -> None:
     draft = draft_of()
     draft.change_class(BOX, name=name)
     verify(draft.program())
@@ -145,7 +145,7 @@ def test_a_class_may_have_the_name_of_a_map(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["map<>", "map<string\x1b, int>", "list<int>", "map<a;b>", "map<int, int>\n"]
 )
-def test_other_names_of_classes_are_refused(name: str) -> None:
+def test_other_generic_class_names_are_refused(name: str) -> None:
     draft = draft_of()
     draft.change_class(BOX, name=name)
     with pytest.raises(ProgramFileError, match="not an identifier"):

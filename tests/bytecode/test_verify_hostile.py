@@ -1,4 +1,4 @@
-"""Whatever is done to a sound program, the verifier accepts it or raises ProgramFileError, nothing else."""
+"""The verifier accepts a randomly changed program or raises ProgramFileError, nothing else."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def with_code(quads: list[Quad]) -> Core:
 
 @given(st.lists(st.tuples(st.integers(0, len(_QUADS) - 1), _quad), min_size=1, max_size=4))
 @settings(deadline=None)
-def test_changed_instructions(changes: list[tuple[int, Quad]]) -> None:
+def test_changed_instructions_are_accepted_or_refused(changes: list[tuple[int, Quad]]) -> None:
     quads = [*_QUADS]
     for at, quad in changes:
         quads[at] = quad
@@ -58,7 +58,7 @@ def test_changed_instructions(changes: list[tuple[int, Quad]]) -> None:
 
 @given(st.integers(0, len(_QUADS) - 1), st.integers(0, 3), _number)
 @settings(deadline=None)
-def test_one_changed_number_of_an_instruction(at: int, position: int, number: int) -> None:
+def test_a_changed_operand_is_accepted_or_refused(at: int, position: int, number: int) -> None:
     quads = [*_QUADS]
     numbers = [*quads[at]]
     numbers[position] = number
@@ -68,24 +68,24 @@ def test_one_changed_number_of_an_instruction(at: int, position: int, number: in
 
 @given(st.permutations(range(len(_QUADS))))
 @settings(deadline=None, max_examples=50)
-def test_instructions_in_another_order(order: list[int]) -> None:
+def test_reordered_instructions_are_accepted_or_refused(order: list[int]) -> None:
     accepts_or_refuses(with_code([_QUADS[i] for i in order]))
 
 
 def _leaves(value: object, path: tuple[int, ...] = ()) -> list[tuple[int, ...]]:
-    """The paths of all numbers and texts in nested lists."""
+    """The paths of all values in nested lists."""
     if isinstance(value, list):
         return [leaf for i, part in enumerate(value) for leaf in _leaves(part, (*path, i))]
     return [path]
 
 
-#: Where the records of the core have numbers and texts; the code is changed by other tests.
+#: Paths of the values in the records of the core; other tests change the code.
 _RECORDS = _leaves(msgspec.msgpack.decode(msgspec.msgpack.encode(_CORE))[:-1])
 
 
 @given(st.lists(st.sampled_from(_RECORDS), min_size=1, max_size=3), st.data())
 @settings(deadline=None, max_examples=300)
-def test_changed_records(paths: list[tuple[int, ...]], data: st.DataObject) -> None:
+def test_changed_records_are_accepted_or_refused(paths: list[tuple[int, ...]], data: st.DataObject) -> None:
     plain = msgspec.msgpack.decode(msgspec.msgpack.encode(_CORE))
     for path in paths:
         holder = plain
@@ -95,7 +95,7 @@ def test_changed_records(paths: list[tuple[int, ...]], data: st.DataObject) -> N
     try:
         core = msgspec.msgpack.decode(msgspec.msgpack.encode(plain), type=Core)
     except msgspec.ValidationError:
-        return  # a value of another kind, which reading a file refuses before the verifier
+        return  # a value of another kind, which decoding refuses before the verifier
     accepts_or_refuses(core)
 
 
@@ -113,13 +113,13 @@ def _file() -> bytes:
     return encoding.encode(encoding.assemble(_CORE, _SOUND.program().debug))
 
 
-def test_a_file_comes_back_as_it_was() -> None:
+def test_encoding_and_decoding_keep_a_program_and_its_digest() -> None:
     program = encoding.decode(_file())
     assert program.core == _CORE
     assert program.digest == hashlib.sha256(msgspec.msgpack.encode(_CORE)).digest()
 
 
-def test_debug_information_is_no_part_of_the_identity() -> None:
+def test_the_digest_does_not_depend_on_debug_information() -> None:
     other = Draft()
     other.debug = []
     program = other.program()
@@ -128,26 +128,26 @@ def test_debug_information_is_no_part_of_the_identity() -> None:
 
 @given(st.integers(0, len(_file()) - 1), st.integers(1, 255))
 @settings(deadline=None)
-def test_a_changed_byte_is_noticed(at: int, change: int) -> None:
+def test_a_changed_byte_is_refused(at: int, change: int) -> None:
     data = bytearray(_file())
     data[at] ^= change
     if 6 <= at < 8 or (at == 4 and data[at] == encoding.OLD_VERSION):
-        return  # two bytes that mean nothing yet; an older format that is read too
+        return  # two bytes that are not used yet, or an older version, which is supported
     with pytest.raises(ProgramFileError):
         encoding.decode(bytes(data))
 
 
 @given(st.integers(0, len(_file()) - 1))
 @settings(deadline=None)
-def test_a_cut_file_is_noticed(length: int) -> None:
+def test_a_truncated_file_is_refused(length: int) -> None:
     with pytest.raises(ProgramFileError):
         encoding.decode(_file()[:length])
 
 
 @given(st.binary(max_size=200))
 @settings(deadline=None)
-def test_records_of_any_bytes_are_refused(body: bytes) -> None:
-    """With a right checksum, so that decoding is reached."""
+def test_random_bytes_are_refused(body: bytes) -> None:
+    """With a correct checksum, so that the records are decoded."""
     header = encoding._HEADER.pack(
         encoding.MAGIC, encoding.VERSION, 0, hashlib.sha256(body).digest(), len(body)
     )
@@ -156,9 +156,9 @@ def test_records_of_any_bytes_are_refused(body: bytes) -> None:
 
 
 def _seconds(count: int) -> float:
-    """Processor time to verify so many instructions, each the target of a jump, handlers and device calls.
+    """Processor time to verify `count` jumps, handlers, and device calls.
 
-    Without the garbage collector, which looks at all that other tests have left, too.
+    Without the garbage collector, which would also visit objects left by other tests.
     """
     draft = Draft()
     draft.code[1][2:2] = [("jmp", at + 3, 0, 0) for at in range(count)]
@@ -179,6 +179,6 @@ def _seconds(count: int) -> float:
         gc.enable()
 
 
-def test_the_time_is_in_proportion_to_the_size() -> None:
-    """Eight times the records take far less than the 64 times of a quadratic check."""
+def test_verification_time_is_linear() -> None:
+    """Eight times the records take far less than the 64 times that a quadratic check would take."""
     assert min(_seconds(12_000) for _ in range(3)) < 30 * _seconds(1_500)

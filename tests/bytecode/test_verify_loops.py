@@ -1,4 +1,4 @@
-"""Loops of resources: who has them, and who has their instructions."""
+"""Loops of resources: where they and their instructions are allowed."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_the_sound_program_is_accepted() -> None:
         (method(BODY, result=INT), "has a result"),
     ],
 )
-def test_code(change: Change, reason: str) -> None:
+def test_invalid_loops_are_refused(change: Change, reason: str) -> None:
     with pytest.raises(ProgramFileError, match=reason):
         verify(draft_of(change).program())
 

@@ -1,4 +1,4 @@
-"""Parallel work, time limits, reservations, `finally`: a sound program, and each refusal of the verifier."""
+"""Parallel work, time limits, reservations, `finally`: a sound program, and each error of the verifier."""
 
 from __future__ import annotations
 
@@ -64,20 +64,20 @@ INIT, ARM_INIT = (
 )
 LIFT = next(i for i, m in enumerate(SOUND.core.methods) if m.name == "lift")
 TICKETS = SOUND.core.types.index(TypeRecord(TICKET))
-UNEXPLAINED = msgspec.structs.replace(SOUND.debug, methods=())
+NO_DEBUG = msgspec.structs.replace(SOUND.debug, methods=())
 _PUSH = BY_NAME["push"].code
 
 Change = Callable[[Core], Core]
 
 
-def test_the_sound_program_is_accepted_and_is_the_same_after_a_file() -> None:
+def test_encoding_and_decoding_keep_a_program_with_together() -> None:
     assert decode(encode(SOUND)).core == SOUND.core
 
 
 def refused(change: Change, reason: str) -> None:
     core = change(SOUND.core)
     with pytest.raises(ProgramFileError, match=reason):
-        verify(Program(core, UNEXPLAINED, b""))
+        verify(Program(core, NO_DEBUG, b""))
 
 
 def _quads(change: Callable[[list[Quad]], None]) -> Change:
@@ -94,7 +94,7 @@ def _at(quads: list[Quad], name: str, which: int = 0) -> int:
 
 
 def _pushed(name: str, back: int, operand: int, which: int = 0) -> Change:
-    """The push so many before a head gets another operand."""
+    """Change the operand of the push `back` instructions before a head."""
 
     def change(quads: list[Quad]) -> None:
         pc = _at(quads, name, which) - back
@@ -122,7 +122,7 @@ def _slots(index: int, *kinds: int) -> Change:
 
 
 def _row(first: int, index: int = INIT, **fields: object) -> Change:
-    """The first row of a kind gets other fields."""
+    """Change fields of the first row of a kind."""
     rows = list(SOUND.core.methods[index].handlers)
     which = next(i for i, row in enumerate(rows) if row.kind == first)
     rows[which] = msgspec.structs.replace(rows[which], **fields)
@@ -145,7 +145,7 @@ NUMBER = _slot(INT)
         (_pushed("begin", 3, _slot(REALS)), "wrong type"),
         (_pushed("begin", 2, _slot(INTS)), "wrong type"),
         (_pushed("begin", 1, NUMBER), "wrong type"),
-        # begin of stop: there is no result to put anywhere
+        # begin of stop: it has no result
         (_pushed("begin", 3, _slot(REALS), 1), "wrong type"),
         (
             _quads(lambda q: q.__setitem__(_at(q, "begin"), Quad(BY_NAME["begin"].code, INIT, 0, 0))),
@@ -173,7 +173,7 @@ NUMBER = _slot(INT)
         ),
     ],
 )
-def test_instructions(change: Change, reason: str) -> None:
+def test_invalid_instructions_of_together_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -200,16 +200,16 @@ def test_instructions(change: Change, reason: str) -> None:
         ),
     ],
 )
-def test_what_is_reserved(change: Change, reason: str) -> None:
+def test_invalid_reservations_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
-def test_a_result_may_be_dropped() -> None:
+def test_the_result_of_a_call_may_be_discarded() -> None:
     verify(Program(_pushed("begin", 4, NOTHING)(SOUND.core), SOUND.debug, b""))
 
 
 def _settled(*operands: int, kind: int = REALS) -> Change:
-    """The begin of stop becomes a settle, with other things pushed."""
+    """Replace the begin of stop by a settle with these operands."""
 
     def change(quads: list[Quad]) -> None:
         pc = _at(quads, "begin", 1)
@@ -222,9 +222,9 @@ def _settled(*operands: int, kind: int = REALS) -> Change:
 _SENTINEL, _ARRAY, _REAL = _slot(TICKETS), _slot(REALS), _slot(REAL)
 
 
-def test_a_result_that_is_there_is_settled() -> None:
+def test_a_settle_is_accepted() -> None:
     for array in (_ARRAY, NOTHING):
-        verify(Program(_settled(_SENTINEL, array, NUMBER, _REAL)(SOUND.core), UNEXPLAINED, b""))
+        verify(Program(_settled(_SENTINEL, array, NUMBER, _REAL)(SOUND.core), NO_DEBUG, b""))
 
 
 @pytest.mark.parametrize(
@@ -242,7 +242,7 @@ def test_a_result_that_is_there_is_settled() -> None:
         ),
     ],
 )
-def test_what_is_settled_fits_its_target(change: Change, reason: str) -> None:
+def test_an_invalid_settle_is_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -266,7 +266,7 @@ def _other_fields(index: int, *fields: FieldRecord) -> Core:
     return msgspec.structs.replace(OWN.core, classes=tuple(classes))
 
 
-def test_what_may_be_thrown_has_a_place_for_other_exceptions() -> None:
+def test_exception_classes_have_a_field_for_suppressed_exceptions() -> None:
     verify(OWN)
     assert [field.name for field in OWN.core.classes[_BOOM].fields] == ["n", "parts", SUPPRESSED_FIELD]
     assert OWN.others == {**dict.fromkeys(range(len(BUILTIN_CLASSES)), 3), _BOOM: 2}
@@ -291,16 +291,16 @@ def test_what_may_be_thrown_has_a_place_for_other_exceptions() -> None:
             ),
             "has the name ''",
         ),
-        # Only the machine's own field may lead to what crosses no portal.
+        # Only the machine's own field may have a type that cannot cross a portal.
         (_other_fields(_BOOM, FieldRecord("n", INT), FieldRecord("parts", EXCEPTIONS)), "cannot cross"),
     ],
 )
-def test_that_place_is_where_the_machine_expects_it(core: Core, reason: str) -> None:
+def test_an_invalid_field_for_suppressed_exceptions_is_refused(core: Core, reason: str) -> None:
     with pytest.raises(ProgramFileError, match=reason):
         verify(Program(core, msgspec.structs.replace(OWN.debug, methods=()), b""))
 
 
-def test_a_program_of_before_has_no_such_place() -> None:
+def test_an_older_program_has_no_field_for_suppressed_exceptions() -> None:
     old = _old("R")
     record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(SUPPRESSED_FIELD, BOOLEAN),))
     refused(lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''")
@@ -329,7 +329,7 @@ def _field(core: Core) -> Core:
         ),
     ],
 )
-def test_tickets_are_in_slots_of_coordinators_only(change: Change, reason: str) -> None:
+def test_tickets_are_only_in_slots_of_coordinators(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
@@ -358,11 +358,11 @@ def test_tickets_are_in_slots_of_coordinators_only(change: Change, reason: str) 
         (_row(RESERVED, catches=1), "has a target"),
     ],
 )
-def test_rows(change: Change, reason: str) -> None:
+def test_invalid_handler_rows_are_refused(change: Change, reason: str) -> None:
     refused(change, reason)
 
 
-def test_a_listing_says_what_rows_are_for() -> None:
+def test_a_listing_shows_the_kinds_of_rows() -> None:
     text = disassemble(SOUND)
     for words in (
         r"finally \^\d+ at L\d+",
@@ -379,7 +379,7 @@ def test_a_listing_says_what_rows_are_for() -> None:
 
 
 def _old(name: str) -> Core:
-    """The core of a program with one resource of that name, as lfield 0.3 has made it."""
+    """The core of a program with one resource of that name, as lfield 0.3 compiled it."""
     classes = [
         msgspec.structs.replace(record, fields=record.fields[:3])
         for record in BUILTIN_RECORDS[:OLDEST_BUILTINS]
@@ -404,21 +404,21 @@ def _old(name: str) -> Core:
 
 
 @pytest.mark.parametrize("name", ["R", *BUILTIN_CLASSES[OLDEST_BUILTINS:]])
-def test_a_program_that_knows_fewer_exceptions_may_have_classes_of_their_names(name: str) -> None:
-    program = Program(_old(name), UNEXPLAINED, b"")
+def test_an_older_program_may_define_classes_named_as_newer_exceptions(name: str) -> None:
+    program = Program(_old(name), NO_DEBUG, b"")
     verify(program)
     assert program.builtins == OLDEST_BUILTINS
     assert program.units == {name: "resource"}
 
 
-def test_the_beginnings_of_two_versions_are_not_mixed() -> None:
+def test_built_in_classes_of_two_versions_are_not_mixed() -> None:
     old = _old("R")
     mixed = (old.classes[0], *BUILTIN_RECORDS[1:OLDEST_BUILTINS], *old.classes[OLDEST_BUILTINS:])
     refused(lambda core: msgspec.structs.replace(old, classes=mixed), "built-in exceptions")
     refused(lambda core: msgspec.structs.replace(core, types=core.types[:EXCEPTIONS]), "first types")
 
 
-def test_the_new_instructions_need_the_new_exceptions() -> None:
+def test_new_instructions_need_the_new_exceptions() -> None:
     core = _old("R")
     for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle"):
         quads = [Quad(BY_NAME[word].code, 0, 0, 0) for word in ("frame", name, "rtn")]

@@ -9,7 +9,7 @@ from lfield.bytecode.program import MethodRecord, Program
 from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 
-#: What every test may use besides its own lines.
+#: Available to every test besides its own lines.
 _PRELUDE = """
 class Pair {
     public int a; public Pair next; public string name;

@@ -1,4 +1,4 @@
-"""Chains of 2,000 links compile and mean what short ones do: sums, conditions, calls on calls, `else if`."""
+"""Chains of 2,000 links compile and have the right value: sums, conditions, chained calls, `else if`."""
 
 import pytest
 
@@ -56,7 +56,7 @@ def joined(term: str, operator: str) -> str:
     ],
     ids=lambda text: text[:24],
 )
-def test_a_long_sum_is_a_sum(value: str, result: str) -> None:
+def test_a_long_expression_has_the_right_value(value: str, result: str) -> None:
     desk, _ = run_text(PROGRAM % f'write({value}); write("\\n");')
     assert desk.output == [result]
 
@@ -78,8 +78,8 @@ def test_a_long_sum_is_a_sum(value: str, result: str) -> None:
     ],
     ids=lambda text: text[:24],
 )
-def test_a_long_condition_is_a_condition(condition: str, result: str) -> None:
-    """As a value, and in the head of an if."""
+def test_a_long_condition_has_the_right_value(condition: str, result: str) -> None:
+    """As a value and as the condition of an if."""
     as_value = f'b = {condition}; write(b); write("\\n");'
     as_branch = f'if ({condition}) write("true\\n"); else write("false\\n");'
     for text in (as_value, as_branch):
@@ -87,14 +87,14 @@ def test_a_long_condition_is_a_condition(condition: str, result: str) -> None:
         assert desk.output == result.split("\n")
 
 
-def test_a_long_ladder_takes_one_rung() -> None:
+def test_a_long_else_if_chain_runs_one_branch() -> None:
     rungs = " else ".join(f"if (x == {i}) told({i});" for i in range(2, LINKS))
     for x, result in ((2, ["2"]), (LINKS - 1, [str(LINKS - 1)]), (1, ["0"])):
         desk, _ = run_text(PROGRAM % f"x = {x}; {rungs} else told(0);")
         assert desk.output == result
 
 
-def test_a_ladder_that_always_returns_needs_no_return_behind_it() -> None:
+def test_an_else_if_chain_that_always_returns_needs_no_return_after_it() -> None:
     rungs = " else ".join(f"if (n == {i}) return {i};" for i in range(LINKS))
     method = f"private int way(int n) {{ {rungs} else return -1; }}"
     program = f"resource Arm {{ init(string[] a) {{ write(way(77)); write(way(-3)); }} {method} }}"

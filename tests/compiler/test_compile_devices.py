@@ -1,4 +1,4 @@
-"""Device fields and their instructions, from a driver's manifest to rows of the program."""
+"""Device fields and their instructions: from a driver's manifest to records of the program."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def program() -> Program:
     return compile_program(check_text(_TEXT, devices={"Gripper": _GRIPPER}).or_raise())
 
 
-def test_device_fields_keep_their_place_and_name_their_devices() -> None:
+def test_device_fields_keep_their_order_and_device_names() -> None:
     (arm,) = [record for record in program().core.classes if record.name == "Arm"]
     assert arm.fields == (
         FieldRecord("before", INT),
@@ -58,7 +58,7 @@ def test_device_fields_keep_their_place_and_name_their_devices() -> None:
     assert arm.devices == (DeviceField("left", "Gripper"), DeviceField("right", "Gripper"))
 
 
-def test_each_instruction_of_each_device_is_one_row() -> None:
+def test_each_called_device_instruction_has_one_record() -> None:
     made = program()
     arm = made.class_index["Arm"]
     (reals,) = [i for i, record in enumerate(made.core.types) if record.kind == 8 and record.of == REAL]
@@ -71,7 +71,7 @@ def test_each_instruction_of_each_device_is_one_row() -> None:
     )
 
 
-def test_device_instructions_are_groups() -> None:
+def test_device_calls_compile_to_groups() -> None:
     assert instructions(program(), "Arm.init") == [
         "push, 5.0",
         "device, left.close",

@@ -1,4 +1,4 @@
-"""Values go straight where they are wanted, in the order the source says."""
+"""Expressions write their values directly to their targets, and are evaluated in source order."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def constants(program: Program) -> list[object]:
         ("int i = 0; boolean b = i > 1 == false;", ["move, ^2, 0", "sgti, ^4, ^2, 1", "eqb, ^3, ^4, false"]),
     ],
 )
-def test_single_instructions(body: str, expected: list[str]) -> None:
+def test_expressions_compile_to_few_instructions(body: str, expected: list[str]) -> None:
     assert code(body) == expected
 
 
-def test_a_constant_that_would_overflow_is_left_to_the_machine() -> None:
+def test_a_constant_expression_that_overflows_is_not_folded() -> None:
     assert code("int i = 9223372036854775807 + 1;") == ["move, ^3, 1", "addi, ^2, ^3, 9223372036854775807"]
 
 
@@ -65,7 +65,7 @@ def test_arguments_are_evaluated_before_the_first_push() -> None:
     assert made == [*inner, "push, ^0", "push, 1", "push, ^3", "call, R.f(int, int)", "pop, ^2"]
 
 
-def test_a_dropped_result_is_popped() -> None:
+def test_a_discarded_result_is_popped() -> None:
     made = code("f();", "private int f() { return 1; }")
     assert made == ["push, ^0", "call, R.f()", "pop, ^2"]
 
@@ -76,7 +76,7 @@ def test_the_target_is_written_last() -> None:
     assert made[1:] == ["push, ^0", "push, ^2", "call, R.f(int)", "pop, ^3", "addi, ^2, ^3, ^2"]
 
 
-def test_a_new_object_is_complete_before_its_variable_changes() -> None:
+def test_a_variable_is_assigned_after_its_new_object_is_complete() -> None:
     made = code("Pair p = null; p = new Pair(p.a);")
     assert made[1:] == [
         "new, ^3, Pair",
@@ -88,7 +88,7 @@ def test_a_new_object_is_complete_before_its_variable_changes() -> None:
     ]
 
 
-def test_a_variable_that_is_assigned_in_between_is_copied_first() -> None:
+def test_a_variable_assigned_within_the_statement_is_copied_first() -> None:
     made = code("int[] a = null; int i = 0; a[i] = i = 2;")
     assert made[2:] == ["move, ^4, ^3", "move, ^3, 2", "move, ^5, ^3", "pute, ^2, ^4, ^5"]
 
@@ -98,13 +98,13 @@ def test_chained_assignments_share_the_value() -> None:
     assert made[2:] == ["putf, ^2, .a, 7", "move, ^3, 7"]
 
 
-def test_an_exception_object_takes_its_message() -> None:
+def test_the_message_of_an_exception_is_stored_in_its_field() -> None:
     made = code('Exception e = new NullException("m");')
     assert made == ["new, ^3, NullException", 'lds, ^4, "m"', "putf, ^3, .message, ^4", "move, ^2, ^3"]
     assert code("NullException e = new NullException();") == ["new, ^2, NullException"]
 
 
-def test_arrays_of_arrays_are_filled() -> None:
+def test_arrays_of_arrays_are_created() -> None:
     assert code("int[][] m = new int[2][3];") == [
         "newarray, ^2, int[][], 2",
         "move, ^3, 0",
@@ -117,12 +117,12 @@ def test_arrays_of_arrays_are_filled() -> None:
     ]
 
 
-def test_lengths_that_are_not_given_stay_null() -> None:
+def test_arrays_without_a_given_length_stay_null() -> None:
     assert code("int[][] m = new int[2][];") == ["newarray, ^2, int[][], 2"]
 
 
 def test_long_chains_need_few_slots() -> None:
-    """Temporaries are given back as soon as they are read."""
+    """Temporaries are released as soon as they are read."""
     program = compiled_body("int i = 1; i = " + " + ".join(["i * i"] * 50) + ";")
     init = program.core.methods[-1]
     assert len(init.slots) <= 6
@@ -139,7 +139,7 @@ def test_constants_are_pooled_by_kind_and_bits() -> None:
     ]
 
 
-def test_text_constants_are_shared_with_nothing_else() -> None:
+def test_string_constants_are_shared_only_with_equal_strings() -> None:
     program = compiled_body('string a = "1"; string b = "1"; int i = 1;')
     assert constants(program) == ["1", 1]
 
@@ -149,7 +149,7 @@ def test_logic_on_locals_needs_no_jump() -> None:
     assert made[2:] == ["and, ^4, ^2, ^3", "or, ^4, ^2, ^3"]
 
 
-def test_logic_as_a_value_runs_the_right_side_only_when_needed() -> None:
+def test_the_right_side_of_logic_is_evaluated_only_when_needed() -> None:
     made = code("Pair p = null; boolean b = p != null && p.a == 1;")
     assert made[1:] == [
         "eqnull, ^4, ^2",
@@ -163,7 +163,7 @@ def test_logic_as_a_value_runs_the_right_side_only_when_needed() -> None:
     ]
 
 
-def test_methods_without_statements() -> None:
+def test_methods_without_statements_compile() -> None:
     program = compiled_body("", "private void f() { } private int g() { while (true) { } }")
     assert instructions(program, "R.f") == ["rtn"]
     assert instructions(program, "R.g") == ["jmp, L1"]

@@ -1,4 +1,4 @@
-"""A long program takes as much longer to compile as it is longer, and Python's collector stays out of it."""
+"""Compile time grows linearly with the program, and Python's garbage collector does not run meanwhile."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _members(members: str) -> str:
     return f"resource Part {{ init(string[] arg) {{ }} {members} }}"
 
 
-#: Programs of so many pieces of one kind.
+#: Programs of n parts of one kind.
 SHAPES: dict[str, Callable[[int], str]] = {
     "statements": lambda n: _inside("".join(f"x = x * 3 + {i};\n" for i in range(n))),
     "one sum": lambda n: _inside("x = x" + "".join(f"\n+ {i}" for i in range(n)) + ";"),
@@ -40,14 +40,14 @@ SHAPES: dict[str, Callable[[int], str]] = {
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_ten_times_as_long_takes_ten_times_as_long(shape, steps):
+def test_compile_time_is_linear(shape, steps):
     few, many = (steps(lambda n=n: compile_text(SHAPES[shape](n))) for n in (30, 300))
     assert many < 11 * few
 
 
 @pytest.fixture
 def collections():
-    """How often Python's collector has run."""
+    """The generations of the garbage collections so far."""
     runs = []
 
     def note(phase, info):
@@ -59,7 +59,7 @@ def collections():
     gc.callbacks.remove(note)
 
 
-def test_the_collector_waits_until_a_program_is_there(tmp_path, collections):
+def test_the_garbage_collector_is_off_during_compilation(tmp_path, collections):
     path = tmp_path / "mission.L"
     path.write_text(SHAPES["statements"](2000), encoding="utf-8")
     gc.collect()
@@ -69,7 +69,7 @@ def test_the_collector_waits_until_a_program_is_there(tmp_path, collections):
     assert gc.isenabled()
 
 
-def test_it_runs_again_after_mistakes(tmp_path):
+def test_the_garbage_collector_is_on_after_a_compile_error(tmp_path):
     path = tmp_path / "mission.L"
     path.write_text("resource Part { portal }", encoding="utf-8")
     with pytest.raises(ProgramError):
@@ -77,7 +77,7 @@ def test_it_runs_again_after_mistakes(tmp_path):
     assert gc.isenabled()
 
 
-def test_who_has_turned_it_off_keeps_it_off(tmp_path):
+def test_a_disabled_garbage_collector_stays_disabled(tmp_path):
     path = tmp_path / "mission.L"
     path.write_text(SHAPES["comments"](1), encoding="utf-8")
     gc.disable()

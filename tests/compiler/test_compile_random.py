@@ -1,7 +1,7 @@
-"""Random expressions mean the same to the compiler and machine as to a few lines of Python.
+"""Random expressions give the same result compiled and run as in a small Python model.
 
-`t(n)` writes n and gives it back, so the order of evaluation is compared as well as the value; what fails
-must leave its target as it was.
+`t(n)` writes n and returns it, so the order of evaluation is compared as well as the value. An expression
+that fails must leave its target unchanged.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Trace = list[str]
 
 
 class Trap(Exception):
-    """ArithmeticException."""
+    """Stands for ArithmeticException."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """An expression as L text, and what it does."""
+    """An expression as L text, and its model."""
 
     text: str
     run: Callable[[Trace], int]
@@ -101,7 +101,7 @@ def _element(index: Term) -> Term:
 
 
 def _choice(condition: Term, left: Term, right: Term) -> Term:
-    """Through a method with an if, as L has no conditional expression; both sides are evaluated."""
+    """Through a method with an if, as L has no conditional expression; both operands are evaluated."""
 
     def run(trace: Trace) -> int:
         chosen, one, other = condition.run(trace), left.run(trace), right.run(trace)
@@ -188,14 +188,14 @@ def _outcome(term: Term) -> Trace:
 
 @given(numbers())
 @settings(deadline=None, max_examples=60)
-def test_numbers(term: Term) -> None:
+def test_a_random_number_expression_has_the_right_value(term: Term) -> None:
     desk, _ = run_text(_PROGRAM.format(statement=f"x = {term.text};"))
     assert desk.output == _outcome(term)
 
 
 @given(numbers())
 @settings(deadline=None, max_examples=25)
-def test_the_target_may_be_read_by_its_own_value(term: Term) -> None:
+def test_an_expression_may_read_its_own_target(term: Term) -> None:
     desk, _ = run_text(_PROGRAM.format(statement=f"x = sum(x, {term.text}) - x;"))
     expected = _outcome(term)
     if expected[-2:] != ["trap", "42"] and int(expected[-1]) + 42 >= 1 << 63:
@@ -205,7 +205,7 @@ def test_the_target_may_be_read_by_its_own_value(term: Term) -> None:
 
 @given(conditions(), st.booleans())
 @settings(deadline=None, max_examples=60)
-def test_conditions(term: Term, branch: bool) -> None:
+def test_a_random_condition_has_the_right_value(term: Term, branch: bool) -> None:
     """The same condition as a branch and as a value."""
     statement = (
         f"if ({term.text}) x = 1; else x = 0;"

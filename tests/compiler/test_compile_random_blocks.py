@@ -1,4 +1,4 @@
-"""What the checker lets through is compiled, and the verifier agrees: blocks in blocks, left in any way."""
+"""Programs that pass the checker compile, and the verifier accepts them: nested blocks, left in any way."""
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -35,7 +35,7 @@ STEPS = [
 
 
 def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
-    """A statement with bodies of such steps."""
+    """A statement with bodies of these steps."""
     body = st.lists(step, max_size=4).map(" ".join)
     heads = ["together", "within (i + 1)", "reserve (arm)", "while (i < 3)", "while (true)", "if (i < 3)"]
     one = st.tuples(st.sampled_from(heads), body).map(lambda parts: f"{parts[0]} {{ {parts[1]} }}")
@@ -47,7 +47,7 @@ def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
 def tried(body: str, handled: str, handler: str, last: str | None) -> str:
     """A try with a catch, a finally, or both. A catch has a block of its own, for the name it binds.
 
-    What jumps in the finally stays in it.
+    Jumps in the finally stay in it.
     """
     catch = f"catch ({handled} e) {{ {handler} }}" if handled and "catch (" not in body + handler else ""
     if last is None and catch:
@@ -59,7 +59,7 @@ def tried(body: str, handled: str, handler: str, last: str | None) -> str:
 
 
 def whole(body: str) -> str:
-    """A program with the body in a method without a result, and in one that has one."""
+    """A program with the body in a method without a result, and in one with a result."""
     return UNITS.replace("BODY", body).replace("COUNTED", body.replace("return;", "return i;"))
 
 
@@ -68,14 +68,14 @@ BODIES = st.lists(st.recursive(st.sampled_from(STEPS), blocks, max_leaves=10), m
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(BODIES)
-def test_whatever_checks_compiles_to_a_sound_program(body: str) -> None:
+def test_a_program_that_passes_the_checker_compiles_and_verifies(body: str) -> None:
     checked = check_text(whole(body))
     if checked.program is not None:
         verify(compile_program(checked.program))
 
 
-def test_bodies_of_every_kind_check() -> None:
-    """The property above speaks of something."""
+def test_bodies_of_every_kind_pass_the_checker() -> None:
+    """Otherwise the property above would test nothing."""
     for body in (
         "together { arm.go(); x = arm.lift(1); a[i] = arm.lift(2); }",
         "while (true) { together { arm.go(); try { break; } finally { sleep(1); } } }",

@@ -1,6 +1,6 @@
-"""Random nests of try, catch, finally, together, within, reserve, loops are left as a few lines of Python do.
+"""Random nests of try, catch, finally, together, within, reserve, and loops end as in a small Python model.
 
-`tick()` is true every third time, so that exits are taken now and then, on the second round of a loop too.
+`tick()` is true every third time, so that some exits are taken, also in the second round of a loop.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from lfield.testing.golden import run_text
 
-#: How a statement ends: "on", "break", "continue", "return 3", or "throw" and a class.
-Way = str
+#: How a statement ends: "on" (normally), "break", "continue", "return 3", or "throw" and a class.
+Exit = str
 
 
 @dataclass
-class Life:
-    """What a run has written, and how often it has ticked."""
+class Execution:
+    """The output of a run, and the number of its ticks."""
 
     trace: list[str]
     ticks: int = 0
@@ -32,28 +32,28 @@ class Life:
 
 @dataclass(frozen=True)
 class Step:
-    """A statement as L text, and what it does."""
+    """A statement as L text, and its model."""
 
     text: str
-    run: Callable[[Life], Way]
+    run: Callable[[Execution], Exit]
 
 
-def _leaving(text: str, way: Way) -> Step:
-    return Step(text, lambda life: way)
+def _leaving(text: str, way: Exit) -> Step:
+    return Step(text, lambda execution: way)
 
 
 def _said(number: int) -> Step:
-    def run(life: Life) -> Way:
-        life.trace.append(str(number))
+    def run(execution: Execution) -> Exit:
+        execution.trace.append(str(number))
         return "on"
 
     return Step(f"say({number});", run)
 
 
 def _block(steps: list[Step]) -> Step:
-    def run(life: Life) -> Way:
+    def run(execution: Execution) -> Exit:
         for step in steps:
-            if (way := step.run(life)) != "on":
+            if (way := step.run(execution)) != "on":
                 return way
         return "on"
 
@@ -61,13 +61,15 @@ def _block(steps: list[Step]) -> Step:
 
 
 def _maybe(body: Step) -> Step:
-    return Step(f"if (tick()) {{ {body.text} }}", lambda life: body.run(life) if life.tick() else "on")
+    return Step(
+        f"if (tick()) {{ {body.text} }}", lambda execution: body.run(execution) if execution.tick() else "on"
+    )
 
 
 def _loop(name: str, body: Step) -> Step:
-    def run(life: Life) -> Way:
+    def run(execution: Execution) -> Exit:
         for _ in range(3):
-            way = body.run(life)
+            way = body.run(execution)
             if way == "break":
                 break
             if way not in ("on", "continue"):
@@ -78,11 +80,11 @@ def _loop(name: str, body: Step) -> Step:
 
 
 def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | None) -> Step:
-    def run(life: Life) -> Way:
-        way = body.run(life)
+    def run(execution: Execution) -> Exit:
+        way = body.run(execution)
         if catch is not None and way.startswith("throw") and (caught == "Exception" or way.endswith(caught)):
-            way = catch.run(life)
-        end = last.run(life) if last is not None else "on"
+            way = catch.run(execution)
+        end = last.run(execution) if last is not None else "on"
         return way if end == "on" else end
 
     text = f"try {{ {body.text} }}"
@@ -94,22 +96,22 @@ def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | No
 
 
 def _parallel(level: int, body: Step) -> Step:
-    """A call is begun beside what the body does; whatever way leads out, it has come to its end then."""
+    """A call that is begun beside the body; it has ended whichever way the body is left."""
 
-    def run(life: Life) -> Way:
-        way = body.run(life)
-        life.trace.append("0")
+    def run(execution: Execution) -> Exit:
+        way = body.run(execution)
+        execution.trace.append("0")
         return way
 
     return Step(f"try together {{ arm.work({level}); {body.text} }} finally {{ told({level}); }}", run)
 
 
-def _reserved(body: Step) -> Callable[[Life], Way]:
-    """What it keeps is called by its number, and says that nothing works."""
+def _reserved(body: Step) -> Callable[[Execution], Exit]:
+    """The body of a reserve, which first prints that no call is running."""
 
-    def run(life: Life) -> Way:
-        life.trace.append("0")
-        return body.run(life)
+    def run(execution: Execution) -> Exit:
+        execution.trace.append("0")
+        return body.run(execution)
 
     return run
 
@@ -121,9 +123,9 @@ _CLASSES = ("NullException", "IndexException")
 def steps(
     draw: st.DrawFn, depth: int, loops: int = 0, last: int | None = None, parallel: bool = False
 ) -> Step:
-    """A statement of at most `depth` levels, in so many loops: `last` around the innermost finally.
+    """A statement of at most `depth` levels, in `loops` loops, `last` of them around the innermost finally.
 
-    `parallel`: it stands in a together.
+    `parallel`: it is in a together.
     """
     kinds = ["said", "throw", "own", *(["return"] if last is None else [])]
     kinds += ["break", "continue"] if loops > (last or 0) else []
@@ -189,11 +191,11 @@ coordinator R {{
 
 @given(steps(5))
 @settings(deadline=None, max_examples=60)
-def test_every_way_out(step: Step) -> None:
-    life = Life([])
+def test_random_nests_end_as_in_the_model(step: Step) -> None:
+    execution = Execution([])
     for _ in range(4):
-        way = step.run(life)
-        life.trace.append("return -1" if way == "on" else way)
+        way = step.run(execution)
+        execution.trace.append("return -1" if way == "on" else way)
     desk, _ = run_text(_PROGRAM.format(body=step.text))
-    assert desk.output == life.trace
+    assert desk.output == execution.trace
     assert [holder for _, holder in desk.reserved.values()] in ([], [""])

@@ -1,4 +1,4 @@
-"""Statements: jumps, loops, handlers, scopes, and nothing that control cannot come to."""
+"""Statements: jumps, loops, handlers, scopes, and unreachable code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lfield.lang.frontend import check_text
 
 
 def handlers(program: Program, name: str = "R.init") -> list[tuple[int, int, int, str]]:
-    """Start, end, target from the frame of the method, and the class caught."""
+    """Start, end, target relative to the frame of the method, and the class caught."""
     record = method(program, name)
 
     def row(handler: Handler) -> tuple[int, int, int, str]:
@@ -31,7 +31,7 @@ def handlers(program: Program, name: str = "R.init") -> list[tuple[int, int, int
         ("while (!false) { yield(); }", ["yield", "jmp, L1"]),
     ],
 )
-def test_waiting_for_ever_is_a_yield_and_a_jump(body: str, expected: list[str]) -> None:
+def test_an_endless_wait_is_a_yield_and_a_jump(body: str, expected: list[str]) -> None:
     assert instructions(compiled_body(body)) == expected
 
 
@@ -45,7 +45,7 @@ def test_a_loop_is_tested_at_its_end() -> None:
     ]
 
 
-def test_a_for_has_its_step_where_continue_goes() -> None:
+def test_continue_jumps_to_the_step_of_a_for() -> None:
     assert code("for (int i = 0; i < 9; i = i + 1) { if (i == 4) continue; yield(); }") == [
         "move, ^2, 0",
         "jmp, L7",
@@ -79,24 +79,24 @@ def test_break_leaves_the_innermost_loop() -> None:
         ("while (a && b) yield();", ["jmp, L5", "yield", "bz, L7, ^2", "bnz, L4, ^3"]),
     ],
 )
-def test_conditions_are_jumps(body: str, expected: list[str]) -> None:
+def test_conditions_compile_to_jumps(body: str, expected: list[str]) -> None:
     made = code(f"boolean a = arg == null; boolean b = a; {body}")
     assert made[2:] == expected
 
 
-def test_code_that_cannot_be_reached_is_not_made() -> None:
+def test_unreachable_code_is_not_compiled() -> None:
     members = "private int f(int a) { if (a == 1) return 1; else return 2; }"
     program = compiled_body("", members)
     assert instructions(program, "R.f") == ["eqi, ^2, ^1, 1", "bz, L4, ^2", "return, 1", "return, 2"]
 
 
-def test_a_result_that_may_be_missing_ends_with_noreturn() -> None:
+def test_a_method_that_may_miss_its_return_ends_with_noreturn() -> None:
     """As in `CacheTree.find` of appendix D, which has no return after its loop."""
     program = compiled_body("", "private int f(int a) { while (a > 0) { return 1; } }")
     assert instructions(program, "R.f")[-1] == "noreturn"
 
 
-def test_handlers_are_innermost_first_and_do_not_serve_their_own_catches() -> None:
+def test_inner_handlers_come_first_and_do_not_protect_catches() -> None:
     program = compiled_body(
         """
         try {
@@ -121,22 +121,22 @@ def test_handlers_are_innermost_first_and_do_not_serve_their_own_catches() -> No
     ]
 
 
-def test_a_try_around_nothing_is_nothing() -> None:
+def test_an_empty_try_compiles_to_nothing() -> None:
     program = compiled_body("try { } catch (Exception e) { yield(); }")
     assert instructions(program) == ["rtn"]
     assert handlers(program) == []
 
 
-def test_locals_in_loops_start_anew() -> None:
+def test_locals_in_loops_are_initialized_in_every_round() -> None:
     made = code("while (arg != null) { int i; Pair p; i = i + 1; }")
     assert made[1:3] == ["move, ^2, 0", "move, ^3, null"]
 
 
-def test_locals_of_a_body_need_no_start() -> None:
+def test_locals_outside_loops_need_no_initialization() -> None:
     assert code("int i; i = i + 1;") == ["addi, ^2, ^2, 1"]
 
 
-def test_a_slot_is_used_again_for_the_same_name_and_type_only() -> None:
+def test_a_slot_is_reused_only_for_the_same_name_and_type() -> None:
     program = compiled_body("{ int i = 1; } { int i; i = 2; } { real i = 1.0; } { int j = 3; }")
     assert instructions(program)[:-1] == [
         "move, ^2, 1",
@@ -167,7 +167,7 @@ coordinator Guide {
 """
 
 
-def test_portals_and_finds() -> None:
+def test_portal_calls_and_finds_compile() -> None:
     program = compiled(_TEAM, "/somewhere/team.L")
     assert instructions(program, "Guide.init") == [
         "gete, ^2, ^1, 1",
@@ -193,7 +193,7 @@ def test_portals_and_finds() -> None:
     assert not method(program, "Guide.init").synchronized
 
 
-def test_debug_information() -> None:
+def test_debug_information_has_sources_lines_and_signatures() -> None:
     program = compiled(_TEAM, "/somewhere/team.L")
     assert [source.name for source in program.debug.sources] == ["team.L"]
     assert program.debug.sources[0].text == _TEAM
@@ -208,11 +208,11 @@ def test_debug_information() -> None:
     ]
 
 
-def test_where_the_source_lay_does_not_change_the_identity() -> None:
+def test_the_digest_does_not_depend_on_the_source_path() -> None:
     assert compiled(_TEAM, "/a/team.L").digest == compiled("// moved\n" + _TEAM, "/b/other.L").digest
 
 
-def test_too_many_variables_are_an_error_at_their_method() -> None:
+def test_too_many_variables_are_an_error_of_their_method() -> None:
     variables = "".join(f"int v{i} = {i};" for i in range(4200))
     with pytest.raises(ProgramError) as caught:
         compiled_body("", f"private void f() {{ {variables} }} private void g() {{ {variables} }}")
@@ -234,8 +234,8 @@ def test_too_many_variables_are_an_error_at_their_method() -> None:
         ("int i = ", "f(", ")"),
     ],
 )
-def test_the_deepest_that_the_front_end_lets_through_compiles(before: str, inside: str, after: str) -> None:
-    """The parser bounds nesting (L211), so no program runs the compiler out of its stack."""
+def test_the_deepest_nesting_the_parser_accepts_compiles(before: str, inside: str, after: str) -> None:
+    """The parser bounds nesting (L211), so no program overflows the stack of the compiler."""
     innermost = {"": "yield();", "boolean b = ": "true"}.get(before, "1")
     members = "private int f(int i) { return i; }"
     for depth in range(10, 200, 10):
@@ -245,10 +245,10 @@ def test_the_deepest_that_the_front_end_lets_through_compiles(before: str, insid
             assert {d.code for d in checked.errors} == {"L211"}
             return
         assert compile_program(checked.program)
-    pytest.fail("the front end let 200 levels through")
+    pytest.fail("the parser accepted 200 levels")
 
 
-def test_the_debug_information_has_each_statement_also_of_one_line():
+def test_debug_information_has_each_statement_of_a_line():
     program = compiled_body("int a = 1; a = a + 1; while (a < 9) a = a * 2;\nprint(i2s(a));")
     index = next(n for n in range(len(program.core.methods)) if program.method_name(n) == "R.init")
     lines = [line for _, line in program.debug.methods[index].lines]

@@ -1,4 +1,4 @@
-"""What `together`, `within`, `reserve` and `finally` become."""
+"""The code of `together`, `within`, `reserve`, and `finally`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def boss(body: str, members: str = "") -> str:
 
 
 def heads(body: str) -> list[str]:
-    """The instructions of `work` that leave the engine or the method."""
+    """The instructions of `work` that leave the engine or the method, by name."""
     words = ("gather", "begin", "start", "fetch", "leave", "limit", "hold", "take", "drop", "pcall", "call")
     words += ("print_int", "sleep")
     found = (line.split(",")[0] for line in instructions(compile_text(boss(body)), "Boss.work"))
     return [word for word in found if word in words]
 
 
-def test_a_together_is_gathered_collected_and_fetched() -> None:
+def test_a_together_gathers_begins_and_fetches() -> None:
     assert instructions(compile_text(boss("int n = 5; together { n = arm.lift(3); }")), "Boss.work") == [
         "move, ^3, 5",
         "newarray, ^4, int[], 1",
@@ -69,12 +69,12 @@ def test_a_together_is_gathered_collected_and_fetched() -> None:
     ("body", "expected"),
     [
         ("together { arm.stop(); arm.stop(); }", "gather begin begin fetch leave"),
-        # What only computes does not wait for anybody.
+        # Pure computation does not start the collected calls.
         ("together { arm.lift(sum.get()); arm.lift(new Sum(2).a); }",
          "gather call begin call begin fetch leave"),
         ("together { int k = sum.get(); arm.lift(k); if (k > sum.get()) arm.stop(); }",
          "gather call begin call begin fetch leave"),
-        # What does more begins what is collected.
+        # Anything else starts them first.
         ("together { arm.stop(); print(1); arm.stop(); }",
          "gather begin start print_int begin fetch leave"),
         ("together { arm.stop(); sleep(1); }", "gather begin start sleep fetch leave"),
@@ -92,16 +92,16 @@ def test_a_together_is_gathered_collected_and_fetched() -> None:
          "gather begin start limit print_int fetch leave"),
         ("together { arm.stop(); try { print(1); } finally { print(2); } }",
          "gather begin start print_int print_int fetch leave"),
-        # A loop of its own is no way out.
+        # Jumps within an inner loop do not leave the together.
         ("together { for (int i = 0; i < 3; i = i + 1) { if (i == 1) continue; arm.stop(); } }",
          "gather begin fetch leave"),
     ],
 )  # fmt: skip
-def test_what_is_collected_begins_before_what_takes_time(body: str, expected: str) -> None:
+def test_collected_calls_start_before_code_that_takes_time(body: str, expected: str) -> None:
     assert heads(body) == expected.split()
 
 
-def test_a_time_limit_is_a_row() -> None:
+def test_a_time_limit_is_a_handler_row() -> None:
     text = boss("within (2) { arm.stop(); }")
     assert instructions(compile_text(text), "Boss.work") == [
         "push, 2.0",
@@ -114,11 +114,11 @@ def test_a_time_limit_is_a_row() -> None:
     assert "limit ^3\n" in disassemble(compile_text(text))
 
 
-def test_an_empty_time_limit_is_no_row() -> None:
+def test_an_empty_time_limit_has_no_row() -> None:
     assert "limit ^" not in disassemble(compile_text(boss("within (2) { }")))
 
 
-def test_a_reserve_takes_inside_and_drops_on_every_way() -> None:
+def test_a_reserve_takes_at_its_start_and_drops_on_every_exit() -> None:
     text = boss("reserve (arm) { arm.stop(); }")
     assert instructions(compile_text(text), "Boss.work") == [
         "push, ^1",
@@ -142,7 +142,7 @@ def test_a_reserve_takes_inside_and_drops_on_every_way() -> None:
     assert (first, reserved) == (second, ["reserved", "^3"])
 
 
-def test_what_is_collected_begins_before_a_method_that_reserves() -> None:
+def test_collected_calls_start_before_a_method_that_reserves() -> None:
     text = boss("together { arm.stop(); kept(arm); }", "private void kept(Arm arm) { reserve (arm) { } }")
     words = [line.split(",")[0] for line in instructions(compile_text(text), "Boss.work")]
     assert [word for word in words if word in ("begin", "start", "call", "fetch")] == [
@@ -153,17 +153,17 @@ def test_what_is_collected_begins_before_a_method_that_reserves() -> None:
     ]
 
 
-def test_one_drop_serves_all_ways_out() -> None:
+def test_all_exits_share_one_drop() -> None:
     ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
     assert heads(f"while (true) {{ reserve (arm) {{ {ways} }} }}") == ["hold", "take", "drop"]
 
 
-def test_the_code_of_a_finally_is_there_once() -> None:
+def test_the_code_of_a_finally_occurs_once() -> None:
     ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
     assert heads(f"while (true) {{ try {{ {ways} }} finally {{ print(7); }} }}") == ["print_int"]
 
 
-def test_nests_of_finally_are_no_longer_than_their_text() -> None:
+def test_nested_finally_code_grows_linearly() -> None:
     def size(depth: int) -> int:
         nest = "print(1);"
         for _ in range(depth):
@@ -173,7 +173,7 @@ def test_nests_of_finally_are_no_longer_than_their_text() -> None:
     assert size(12) - size(8) == size(8) - size(4)
 
 
-def test_a_program_without_the_new_words_has_none_of_their_code() -> None:
+def test_a_program_without_these_statements_has_none_of_their_code() -> None:
     program = compile_text(boss("try { arm.stop(); } catch (Exception e) { print(1); }"))
     assert {row.kind for method in program.core.methods for row in method.handlers} == {0}
     assert not {quad.op for quad in program.quads} & set(range(1600, 1700))

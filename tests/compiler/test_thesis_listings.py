@@ -75,7 +75,7 @@ NUMBERS = {
     "find": 1300,
 }
 
-#: Printed instructions that are absent here, each with the instruction that does its work.
+#: Printed instructions that are absent here, each with the instruction that replaces it.
 REPLACED = {
     "assignment": {"move": "addi"},
     "if": {"bnz": "bz", "move": "addi"},
@@ -98,12 +98,12 @@ def listing(construct: str) -> list[str]:
 
 
 @pytest.mark.parametrize("construct", LISTINGS)
-def test_construct(construct: str) -> None:
+def test_a_construct_compiles_to_these_instructions(construct: str) -> None:
     assert listing(construct) == LISTINGS[construct][3]
 
 
 @pytest.mark.parametrize("construct", LISTINGS)
-def test_each_printed_instruction_is_there_or_has_a_replacement(construct: str) -> None:
+def test_each_printed_instruction_occurs_or_has_a_replacement(construct: str) -> None:
     printed = set(LISTINGS[construct][1].split())
     here = {line.partition(",")[0] for line in listing(construct)}
     assert printed - here == REPLACED[construct].keys()

@@ -1,4 +1,4 @@
-"""A fleet in one process: hosts on one event loop whose time jumps, joined by the in-memory network."""
+"""A fleet in one process: hosts on one event loop in virtual time, joined by the in-memory network."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from lfield.mission.mission import ON_GROUND, Mission
 from lfield.simulate.journal_disk import JournalDisk
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
 
-#: Seconds of the jumping clock in which anything must have happened.
+#: Seconds of virtual time until a test fails.
 PATIENCE = 60.0
 
 
 class Running:
-    """A host that was started, and what it has said."""
+    """A host that was started, with its output and log."""
 
     def __init__(self, host: Host, out: io.StringIO, err: io.StringIO) -> None:
         self.host, self._out, self._err = host, out, err
@@ -47,15 +47,15 @@ class Running:
 
 
 class Fleet:
-    """The hosts of missions in a folder. `max_block` is what links let through."""
+    """The hosts of missions in a folder. `max_block` is the largest block of a link."""
 
     def __init__(self, folder: Path, max_block: int = 1 << 20) -> None:
         self.folder = folder
         self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
         self.running: list[Running] = []
-        # One run of a test is like any other; two starts of one host draw different numbers.
+        # Each run of a test draws the same numbers; two starts of one host draw different ones.
         self._rng = random.Random(0)
-        #: Of each host that keeps a journal; see `make`.
+        #: The disk of each host that keeps a journal; see `make`.
         self.disks: dict[str, JournalDisk] = {}
 
     def mission(
@@ -102,7 +102,7 @@ class Fleet:
         return running
 
     def on_the_ground(self, running: Running) -> None:
-        """Each vehicle of a host is on the ground, as others hear too: a start waits until it says so."""
+        """Each vehicle of a host reports that it is on the ground, as a start requires."""
         host, guards = running.host, running.host.guards
         landed = {device.name: {ON_GROUND: True} for device in host.mission.devices_of(host.name)}
         guards.__class__ = type("OnTheGround", (type(guards),), {"telemetry": landed})
@@ -112,19 +112,19 @@ class Fleet:
         )
 
     async def up(self, mission: Mission, *names: str, **options: Any) -> list[Running]:
-        """Start hosts at the same time; all of the deployment unless they are named."""
+        """Start hosts at the same time; all hosts of the deployment by default."""
         started = [self.make(mission, name, **options) for name in names or mission.team.hosts]
         await asyncio.gather(*(running.host.start() for running in started))
         return started
 
     async def until(self, condition: Callable[[], Any]) -> None:
-        """Let time jump on until something is so."""
+        """Let virtual time pass until the condition is true."""
         async with asyncio.timeout(PATIENCE):
             while not condition():
                 await asyncio.sleep(0.01)
 
     async def ended(self, agent: str) -> str:
-        """How a coordinator ended, as soon as any host knows."""
+        """The outcome of a coordinator, as soon as any host knows it."""
         outcomes: list[str] = []
 
         def known() -> bool:
@@ -152,7 +152,7 @@ class Fleet:
 
 @pytest.fixture
 def fleet(tmp_path: Path):
-    """`fleet(story)` runs a coroutine function with a Fleet in jumping time, then stops its hosts."""
+    """`fleet(story)` runs a coroutine function with a Fleet in virtual time, then stops its hosts."""
 
     def run(story: Callable[[Fleet], Awaitable[None]], **options: Any) -> Fleet:
         async def main() -> Fleet:

@@ -1,4 +1,4 @@
-"""Exceptions planted where there are none: in an agent's turn they end that agent, elsewhere the host."""
+"""Planted exceptions: in the turn of an agent they end that agent, elsewhere the host."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from lfield.vm.reference import ReferenceEngine
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.turns.run_queue import RunQueue
 
-# Everything that leaves the engine, by one coordinator and its resource, and by another pair.
+# All features of the engine, used by one coordinator and its resource, and by another pair.
 PROGRAM = """
 class Trouble { private int why; public Trouble() { why = 7; } }
 resource Post {
@@ -91,12 +91,12 @@ def names(places):
 
 
 def plant(monkeypatch, owner, name, after=0, only=()):
-    """Raise in the call number `after` that is about an agent of `only` (in any, if that is empty)."""
+    """Raise in call number `after` that concerns an agent of `only` (any agent, if that is empty)."""
     original = getattr(owner, name)
     seen = []
 
     def planted(*given, **named):
-        if not only or any(whose(value) in only for value in given):
+        if not only or any(agent_of(value) in only for value in given):
             seen.append(name)
             if len(seen) == after + 1:
                 raise ZeroDivisionError("planted")
@@ -106,8 +106,8 @@ def plant(monkeypatch, owner, name, after=0, only=()):
     return seen
 
 
-def whose(value):
-    """The agent that an argument is, or whose block it is."""
+def agent_of(value):
+    """The agent of an argument, or of its block."""
     if isinstance(value, Agent):
         return value.id
     return value.string(value.w[W_ID]) if isinstance(value, Block) and value.w[W_ID] else None
@@ -116,7 +116,7 @@ def whose(value):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("after", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), IN_A_TURN, ids=names(IN_A_TURN))
-async def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(team, /, monkeypatch, owner, name, after):
+async def test_a_bug_in_the_turn_of_an_agent_ends_only_that_agent(team, /, monkeypatch, owner, name, after):
     seen = plant(monkeypatch, owner, name, after, MINE)
 
     alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
@@ -126,7 +126,7 @@ async def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(team, /, monke
     assert len(seen) > after, "the planted bug was never reached"
     assert "bug in lfield: ZeroDivisionError: planted" in logs
     assert "died of an uncaught bug in lfield" in logs
-    # The coordinator learns of either: it died itself, or its portal call did.
+    # The coordinator fails in either case: itself, or its portal call.
     assert await team.ended("victim") == "died"
     assert alpha.host.failure is None
     assert bravo.host.failure is None
@@ -146,12 +146,12 @@ OF_THE_HOST = [
 
 
 def lines_of_core(running):
-    """The log without that of the links: until its process ends, a failed host dials others at any time."""
+    """The log without lines of the links: until its process ends, a failed host dials others at any time."""
     return [line for line in running.log.splitlines() if " unreachable at " not in line]
 
 
 @pytest.mark.parametrize(("owner", "name"), OF_THE_HOST, ids=names(OF_THE_HOST))
-async def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(team, /, monkeypatch, owner, name):
+async def test_a_bug_of_the_host_ends_the_host_without_a_further_beat(team, /, monkeypatch, owner, name):
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: unhandled(loop, context))
     mission = team.mission(PROGRAM, DEPLOYMENT)
     alpha, bravo = (team.make(mission, host, unreachable_after=3.0) for host in mission.team.hosts)
@@ -172,12 +172,12 @@ async def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(team, /, mo
     for running in failed:
         assert isinstance(running.host.failure.cause, ZeroDivisionError)
         assert running.host.failed.is_set()
-        assert not running.host.step(), "a beat would be given"
+        assert not running.host.step(), "a heartbeat would be sent"
         assert f"{running.host.name} stopped: bug in lfield: ZeroDivisionError" in running.log
         assert running.log.count("stopped: bug in lfield") == 1
         said = lines_of_core(running)
         await asyncio.sleep(5.0)
-        assert lines_of_core(running) == said, "nothing more is done"
+        assert lines_of_core(running) == said, "the host still acts"
 
 
 async def test_a_bug_in_a_task_of_the_links_ends_the_host(team, /, monkeypatch):
@@ -185,14 +185,14 @@ async def test_a_bug_in_a_task_of_the_links_ends_the_host(team, /, monkeypatch):
     alpha = team.make(mission, "alpha")
     asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
     await alpha.host.start()
-    # What the task that keeps links alive sleeps for is no time at all.
+    # The interval of the heartbeats is no number.
     monkeypatch.setattr("lfield.net.link_manager.PING_EVERY", "a second")
     await asyncio.sleep(5.0)
     assert alpha.host.failure is not None
 
 
 @pytest.mark.parametrize("name", ["note", "flush", "write"])
-async def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(team, /, monkeypatch, name):
+async def test_a_bug_in_the_log_does_not_prevent_the_end_of_the_host(team, /, monkeypatch, name):
     alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
 
     def planted(*given):
@@ -211,8 +211,10 @@ async def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(team, /, monk
 
 @pytest.mark.parametrize("error", [ConnectionResetError, OSError, ZeroDivisionError])
 @pytest.mark.parametrize("place", ["on_message", "on_transfer", "_on_accepted"])
-async def test_what_a_callback_of_a_link_raises_is_no_lost_connection(team, /, monkeypatch, place, error):
-    """The loops take an OSError there for the end of the connection, and say nothing."""
+async def test_an_exception_in_a_link_callback_is_not_reported_as_a_lost_connection(
+    team, /, monkeypatch, place, error
+):
+    """The event loops treat an OSError there as the end of the connection, without a report."""
     alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
 
     def unhandled(loop, context):
@@ -242,7 +244,9 @@ coordinator Walker { init(string[] arg) { sleep(0.1); %s } }
         ("print(1);", True, exit_status.SOFTWARE),
     ],
 )
-async def test_until_done_ends_with_what_a_coordinator_died_of(team, /, monkeypatch, does, planted, status):
+async def test_the_exit_status_of_until_done_tells_how_a_coordinator_ended(
+    team, /, monkeypatch, does, planted, status
+):
     if planted:
         plant(monkeypatch, HostCallDispatcher, "_sleep")
 

@@ -1,4 +1,4 @@
-"""A coordinator that waits for a resource whose init is busy: the log and `lfield ps` say so."""
+"""A coordinator that waits for a resource with a busy init is reported in the log and by `lfield ps`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ resource Axis {
 resource Ready { init(string[] arg) { while (true) yield(); } portal move() emit int { return 2; } }
 coordinator Boss { init(string[] arg) { print(findReady("ready").move()); print(findAxis("axis").move()); } }
 """
-TOLD = "boss waiting: the init of axis has neither returned nor yielded yet"
+WAITING = "boss waiting: the init of axis has neither returned nor yielded yet"
 
 
-class Homing(GoldenWorld):
-    """A device that is never done by itself."""
+class EndlessDevice(GoldenWorld):
+    """A device whose call never ends by itself."""
 
     def call_device(
         self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
@@ -40,9 +40,9 @@ class Homing(GoldenWorld):
         return PENDING
 
 
-def test_who_waits_for_an_init_is_told_of_after_a_second_and_once() -> None:
+def test_a_wait_for_an_init_is_reported_once_after_a_second() -> None:
     program = compile_program(check_text(PROGRAM, devices={"Motor": MOTOR}).or_raise())
-    desk, clock, log = Homing(), ManualClock(), []
+    desk, clock, log = EndlessDevice(), ManualClock(), []
     team = team_for(program, [])
     machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     inits = InitBarrier(machine.opening, log.append)
@@ -51,13 +51,13 @@ def test_who_waits_for_an_init_is_told_of_after_a_second_and_once() -> None:
     run_until_idle(machine, clock)
     boss = machine.agents["boss"]
     assert (desk.output, inits.wait_reason(boss)) == (["2"], "waits for the init of axis")
-    for now, due, told in [(5.0, 6.0, []), (5.9, 6.0, []), (6.0, None, [TOLD]), (9.0, None, [TOLD])]:
+    for now, due, lines in [(5.0, 6.0, []), (5.9, 6.0, []), (6.0, None, [WAITING]), (9.0, None, [WAITING])]:
         inits.on_tick(now)
-        assert (inits.due, log) == (due, told)
+        assert (inits.due, log) == (due, lines)
     assert inits.wait_reason(machine.agents["axis"]) == ""
 
     agent, thread = desk.asked
     machine.answer(agent, thread, None, 0, "motor")
     run_until_idle(machine, clock)
     inits.on_tick(10.0)
-    assert (desk.output, inits.due, log) == (["2", "1"], None, [TOLD])
+    assert (desk.output, inits.due, log) == (["2", "1"], None, [WAITING])

@@ -1,4 +1,4 @@
-"""Hosts that lose one link, several, or one another: whoever can know how it ends says so, nobody guesses."""
+"""Hosts that lose some or all links: a loss is reported only with proof."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEPLOYMENT = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n//Guest:guest@brav
 
 
 async def fates_of(running, lost_after: float):
-    """The fates that each host tells; as in a process, it stops then."""
+    """The outcome that each host reports; it stops then, as in a process."""
     (fate,) = await wait_until_done(running.host, lost_after)
     await running.host.stop()
     return fate
@@ -42,19 +42,19 @@ async def all_fates(hosts, lost_after: float = 5.0):
 @pytest.mark.few(5)
 @pytest.mark.parametrize("way", ["c", "a&c", "c&a", "b", "a&c&b"])
 @pytest.mark.parametrize("edge", list(combinations(HOSTS, 2)), ids="-".join)
-async def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(team, /, edge, way):
+async def test_one_cut_link_with_a_live_coordinator_is_no_loss(team, /, edge, way):
     hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)), unreachable_after=60.0)
     await team.until(lambda: any(running.output for running in hosts))
     team.network.partition(*edge)
     if "&" in way:
-        # No host can be called over the edge that is cut; the link returns in time.
+        # Hosts cannot be called over the cut link; it returns in time.
         asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
     fates = await all_fates(hosts)
     assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]
 
 
-@pytest.mark.parametrize("way", ["c", "b"], ids=["on the far side", "on the neighbour"])
-async def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(team, /, way):
+@pytest.mark.parametrize("way", ["c", "b"], ids=["behind the cut", "at the neighbour"])
+async def test_an_unreachable_host_is_named_with_the_seconds(team, /, way):
     hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)))
     await team.until(lambda: any(running.output for running in hosts))
     for other in ("bravo", "carol"):
@@ -65,7 +65,7 @@ async def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(team,
     assert [fate.outcome for fate in others] == ["done", "done"]
 
 
-async def test_a_host_that_was_reaped_is_proof_at_once(team, /):
+async def test_the_exit_of_a_host_process_is_proof_at_once(team, /):
     alpha, bravo, carol = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
     await team.until(lambda: carol.output)
     await carol.host.stop()
@@ -78,8 +78,8 @@ async def test_a_host_that_was_reaped_is_proof_at_once(team, /):
 
 
 @pytest.mark.parametrize("moment", [0.0, 0.2, 0.4, 0.6, 0.8, 1.1])
-async def test_proof_of_a_loss_is_told_to_all_before_its_finder_goes(team, /, moment):
-    """Carol comes back without the guest. Alpha looks a moment later than bravo does."""
+async def test_proof_of_a_loss_reaches_all_hosts_before_its_finder_stops(team, /, moment):
+    """Carol restarts without the guest. Alpha checks a moment later than bravo."""
     mission = team.mission(PROGRAM, DEPLOYMENT.format(way="c"))
     hosts = await team.up(mission)
     await team.until(lambda: hosts[2].output)
@@ -105,29 +105,29 @@ async def test_a_host_that_is_silent_for_a_moment_is_waited_for(team, /):
 # The pipe from the parent process
 
 
-class Heard:
+class PipeLog:
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.let_go = asyncio.Event()
+        self.closed = asyncio.Event()
 
 
-def on_parent_pipe(story) -> Heard:
-    async def main() -> Heard:
-        heard = Heard()
+def on_parent_pipe(story) -> PipeLog:
+    async def main() -> PipeLog:
+        log = PipeLog()
         near, far = os.pipe()
         try:
-            ParentPipe(near, heard.lines.append, heard.let_go.set)
+            ParentPipe(near, log.lines.append, log.closed.set)
             await story(far)
             async with asyncio.timeout(30.0):
-                await heard.let_go.wait()
+                await log.closed.wait()
         finally:
             os.close(near)
-        return heard
+        return log
 
     return asyncio.run(main())
 
 
-def test_lines_are_news_and_the_end_means_stop():
+def test_exit_lines_are_reported_and_the_end_of_the_pipe_stops():
     async def story(far: int) -> None:
         data = parent_pipe.exit_line("bravo") + b"something else\n" + parent_pipe.exit_line("cärol")
         for at in range(len(data)):

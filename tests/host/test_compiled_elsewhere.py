@@ -1,4 +1,4 @@
-"""The process that compiles a host's program: what it costs and dies of is not the host's."""
+"""The process that compiles a host's program: its cost and its failures do not affect the host."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
-    """Lets the process do this instead."""
+    """Replaces the compiler process by a script."""
 
     def ends(script: str) -> None:
         (tmp_path / "python").write_text(f"#!/bin/sh\n{script}\n")
@@ -51,15 +51,15 @@ def ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ends:
 
 
 def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Which commands are started from now on."""
+    """The commands that are started from now on."""
     commands: list[str] = []
     run = subprocess.run
 
-    def told(command, **options):
+    def run_recorded(command, **options):
         commands.append(command)
         return run(command, **options)
 
-    monkeypatch.setattr(subprocess, "run", told)
+    monkeypatch.setattr(subprocess, "run", run_recorded)
     return commands
 
 
@@ -67,7 +67,7 @@ def engine_of(notes: list[str], choice: str = "auto") -> object:
     return select_engine(choice, notes.append)(PROGRAM, float)
 
 
-def test_one_process_compiles_program_and_runtime_and_none_what_is_kept(
+def test_one_process_compiles_program_and_runtime_and_none_cached_code(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from lfield.vm.wasm import machine_code
@@ -81,7 +81,7 @@ def test_one_process_compiles_program_and_runtime_and_none_what_is_kept(
     assert notes == []
 
 
-def test_without_a_folder_it_goes_by_the_pipe_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_cache_folder_the_code_comes_over_the_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "")
     monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer
@@ -102,7 +102,9 @@ def test_without_a_folder_it_goes_by_the_pipe_alone(monkeypatch: pytest.MonkeyPa
         ("echo five; printf words", "gave no machine code"),
     ],
 )
-def test_where_it_dies_the_reference_engine_serves_with_one_line(ends: Ends, script: str, why: str) -> None:
+def test_a_dead_compiler_selects_the_reference_engine_with_one_line(
+    ends: Ends, script: str, why: str
+) -> None:
     ends(script)
     notes: list[str] = []
     assert isinstance(engine_of(notes), Reference)
@@ -113,7 +115,7 @@ def test_where_it_dies_the_reference_engine_serves_with_one_line(ends: Ends, scr
         engine_of(notes, "wasm")
 
 
-def test_where_it_cannot_begin_the_reference_engine_serves(
+def test_a_compiler_that_cannot_start_selects_the_reference_engine(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "nothing"))
@@ -123,27 +125,27 @@ def test_where_it_cannot_begin_the_reference_engine_serves(
     assert "its process that compiles could not start: " in notes[0]
 
 
-def test_a_start_does_not_hang_on_it(ends: Ends) -> None:
+def test_a_start_does_not_wait_without_limit_for_the_compiler(ends: Ends) -> None:
     ends("exec sleep 600")
     with pytest.raises(EngineUnavailable, match=r"its process that compiles took longer than 0\.1 s"):
         compile_in_process(["(module)"], WHOLE, 0.1)
 
 
-def test_what_no_compiler_takes_is_told_with_its_reason() -> None:
+def test_a_compiler_error_is_reported_with_its_reason() -> None:
     with pytest.raises(EngineUnavailable, match="ended with status 1: "):
         compile_in_process(["(module (nonsense))"], WHOLE)
 
 
-def test_what_lies_in_the_working_folder_compiles_nothing(
+def test_modules_in_the_working_folder_are_not_imported_by_the_compiler(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    (tmp_path / "wasmtime.py").write_text("raise SystemExit('a stranger')")
+    (tmp_path / "wasmtime.py").write_text("raise SystemExit('foreign module')")
     monkeypatch.chdir(tmp_path)
     (code,) = compile_in_process(["(module)"], WHOLE)
     assert code.startswith(b"\x7fELF")
 
 
-#: A host that starts its process, with the streams it has itself, says which it is, and does nothing more.
+#: A host that starts its compiler, with its own streams, and then sleeps.
 _HOST = """
 import os, subprocess, sys, time
 command = [sys.executable, "-P", "-m", sys.argv[1], str(1 << 32), str(os.getpid())]
@@ -152,13 +154,13 @@ time.sleep(600)
 """
 
 
-def test_it_ends_with_its_host() -> None:
-    """However that ends. Its input stays open, so it is not that which tells it."""
+def test_the_compiler_ends_with_its_host() -> None:
+    """With any kind of end. Its input stays open, so the end of the input does not end it."""
     command = [sys.executable, "-c", _HOST, engine_provider._COMPILER]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as host:
         assert host.stdout is not None
         while not Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text():
             os.sched_yield()
         host.send_signal(signal.SIGKILL)
-        # The other end is with both of them.
+        # Both processes have the other end.
         assert host.stdout.read() == b""

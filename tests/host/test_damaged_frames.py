@@ -1,4 +1,4 @@
-"""A bit that flips on the way: the link closes, the hop is asked for again, the mission's sum is right."""
+"""A bit that flips in transit: the link closes, the hop is requested again, the mission's sum is right."""
 
 from __future__ import annotations
 
@@ -49,17 +49,14 @@ def is_answer(link: MemoryLink, data: bytes) -> bool:
     return (link.machine, link.other.machine) == ("bravo", "alpha") and data[HEADER_SIZE - 1] == COMPRESSED
 
 
-#: Every bit of the header and the first words is tried, and then one of each byte, in turn.
+#: Every bit of the header and the first fields is tried, and then one of each byte, in turn.
 CLOSE, THEN = 8 * 16, 9
-#: So many frames after a damage the link is known to go on.
+#: A link that carries so many frames after a damage continues.
 PASSED = 4
 
 
-class Damage:
-    """Flips a bit of the frames that `wanted` picks, at a later place each time.
-
-    It is one frame of a link, and none of the next link.
-    """
+class FrameDamage:
+    """Flips a bit of the frames that `wanted` selects, at a later place each time: one frame of each link."""
 
     def __init__(self, wanted: Callable[[MemoryLink, bytes], bool]) -> None:
         self.wanted = wanted
@@ -74,7 +71,7 @@ class Damage:
         if not self.wanted(link, data):
             return data
         self.last = 8 * len(data)
-        # A length that has grown is found out when nothing more is heard: one damage to a link.
+        # A length that was increased is noticed when no more data comes: one damage per link.
         if link is self._link:
             self._passed += 1
             if self.wanted is is_delta and self._passed == PASSED:
@@ -94,7 +91,7 @@ class Damage:
         return bytes(damaged)
 
     def on_repaired(self) -> None:
-        """The link goes on although a frame was damaged."""
+        """The link continues although a frame was damaged."""
         self._link = None
 
 
@@ -102,10 +99,10 @@ class Damage:
 @pytest.mark.parametrize(
     ("wanted", "rounds"), [(is_hop, 900), (is_delta, 1000), (is_answer, 500)], ids=["hop", "delta", "answer"]
 )
-async def test_a_bit_of_any_byte_of_a_hop_may_flip(team, /, monkeypatch, wanted, rounds):
+async def test_a_flipped_bit_in_any_byte_of_a_hop_is_repaired(team, /, monkeypatch, wanted, rounds):
     if wanted is is_hop:
         monkeypatch.setattr(TransferHistory, "keep", lambda self, agent, payload, is_sent: None)
-    damage, write = Damage(wanted), MemoryLink.write
+    damage, write = FrameDamage(wanted), MemoryLink.write
     monkeypatch.setattr(MemoryLink, "write", lambda link, data: write(link, damage(link, bytes(data))))
     finished, ended = MemoryLink.on_eof, []
 
@@ -118,7 +115,7 @@ async def test_a_bit_of_any_byte_of_a_hop_may_flip(team, /, monkeypatch, wanted,
     resend, repeated = MemoryLink._resend, []
 
     def note_repetition(link: MemoryLink, agent: str) -> None:
-        """A damaged digest of the reference: the transfer is sent again, whole."""
+        """A damaged digest of the reference: the transfer is repeated whole."""
         resend(link, agent)
         repeated.append(agent)
         damage.on_repaired()
@@ -133,7 +130,8 @@ async def test_a_bit_of_any_byte_of_a_hop_may_flip(team, /, monkeypatch, wanted,
         logs.update((running.host.name, running.log) for running in hosts)
     print(f"{wanted.__name__}, a bit flipped in every byte: {len(ended)} / {damage.flipped} refused")
     assert set(ended) == {"bravo:8181"}
-    # A flip in a delta may change nothing: a copy from elsewhere has the same bytes, bits are not used.
+    # A flip in a delta may have no effect: a copy from another place has the same bytes, or the bit is
+    # unused.
     assert damage.harmless <= 5 * (wanted is is_delta)
     assert len(ended) + len(repeated) + damage.harmless == damage.flipped
     assert damage.place >= damage.last > 0

@@ -1,4 +1,4 @@
-"""What a host says of itself when it is asked."""
+"""The status that a host reports on request."""
 
 from __future__ import annotations
 
@@ -62,10 +62,14 @@ async def test_the_status_shows_agents_hops_portals_and_heap(team, /):
     assert (post.served, post.state) == (1, "parked")
 
 
-async def test_whatever_devices_tell_the_status_can_be_read(team, /, monkeypatch):
-    told = {"one.fc": {"mode": "x" * 9999, "scan": (0.5,) * 9999, "n": 1, "on": True}, "two.fc": {}}
-    heard = {"one.fc": -1e12}
-    for name, value in {"telemetry": told, "last_contact": heard, "latched": {"two.fc": "y" * 9999}}.items():
+async def test_the_status_is_valid_for_any_telemetry(team, /, monkeypatch):
+    telemetry = {"one.fc": {"mode": "x" * 9999, "scan": (0.5,) * 9999, "n": 1, "on": True}, "two.fc": {}}
+    contact = {"one.fc": -1e12}
+    for name, value in {
+        "telemetry": telemetry,
+        "last_contact": contact,
+        "latched": {"two.fc": "y" * 9999},
+    }.items():
         monkeypatch.setattr(DeviceGuards, name, property(lambda self, value=value: value))
 
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
@@ -77,7 +81,7 @@ async def test_whatever_devices_tell_the_status_can_be_read(team, /, monkeypatch
     assert one.telemetry == {"scan": [0.5] * MAX_NUMBERS, "n": 1, "on": True}
 
 
-async def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(team, /):
+async def test_an_unreachable_host_is_shown(team, /):
     home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), unreachable_after=5.0)
     await team.until(lambda: away.holds("guest"))
     await away.host.stop()
@@ -88,10 +92,10 @@ async def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(team, /):
     assert link.away >= 3.0
 
 
-async def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(team, /):
+async def test_a_coordinator_in_doubt_stays_frozen_and_is_reported(team, /):
     home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home"), None
     away = team.make(home[0].host.mission, "away")
-    # The transfer is taken from the link, and no answer ever leaves.
+    # The transfer is received, and no answer is sent.
     away.host.on_transfer = lambda host, header, block: None
     await away.host.start()
     await team.until(lambda: team.network.sent["Transfer"] == 1)
@@ -100,12 +104,12 @@ async def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(team
     assert (record.state, record.where) == ("IN DOUBT", "away")
     await away.host.stop()
     (fate,) = await wait_until_done(home[0].host, 15.0)
-    # It may have taken the transfer, and it may come back: silence is no proof.
+    # It may have accepted the transfer, and may return: silence is no proof.
     assert fate.outcome == "unheard"
     assert fate.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
 
 
-async def test_a_host_that_does_not_answer_is_an_error_among_the_answers(team, /):
+async def test_a_host_that_does_not_answer_gives_an_error_among_the_answers(team, /):
     await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
     transport = team.network.transport("desk")
     answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, SNAPSHOT)
@@ -113,7 +117,7 @@ async def test_a_host_that_does_not_answer_is_an_error_among_the_answers(team, /
     assert isinstance(answers["away"], AddressError)
 
 
-async def test_hosts_locate_coordinators_of_each_other_and_send_no_snapshot_to_a_host(team, /):
+async def test_hosts_locate_coordinators_of_each_other_and_exchange_no_snapshots(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(mission, "home", "away")
     await team.until(lambda: away.holds("guest"))
@@ -128,7 +132,7 @@ async def test_hosts_locate_coordinators_of_each_other_and_send_no_snapshot_to_a
     assert away.host.core.locator.answers["home"] != []
 
 
-async def test_whoever_asks_again_and_again_gets_one_answer_for_many(team, /):
+async def test_many_requests_of_one_client_get_few_answers(team, /):
     (home,) = await team.up(team.mission("resource R { init(string[] arg) { } }", "//R:r@home\n"))
     answers = []
 
@@ -150,7 +154,7 @@ async def test_whoever_asks_again_and_again_gets_one_answer_for_many(team, /):
     assert home.host.status().host == "home"
 
 
-async def test_a_question_that_nobody_answers_ends(team, /):
+async def test_a_request_without_an_answer_ends_with_an_error(team, /):
     class Silent:
         def on_message(self, link, message):
             pass
@@ -158,21 +162,21 @@ async def test_a_question_that_nobody_answers_ends(team, /):
         def on_closed(self, link, error):
             pass
 
-    class Rude(Silent):
+    class Closing(Silent):
         def on_message(self, link, message):
             link.close()
 
     transport = team.network.transport("desk")
     await transport.listen("silent:1", lambda link: Silent())
-    await transport.listen("rude:1", lambda link: Rude())
+    await transport.listen("closing:1", lambda link: Closing())
     with pytest.raises(AddressError, match="no answer within 2 s"):
         await send_request(transport, "silent:1", SNAPSHOT)
     with pytest.raises(AddressError, match="without an answer"):
-        await send_request(transport, "rude:1", SNAPSHOT)
+        await send_request(transport, "closing:1", SNAPSHOT)
 
 
-async def test_whoever_looks_goes_without_a_line_in_the_log(team, /):
-    heard = []
+async def test_an_observer_that_disconnects_leaves_no_log_line(team, /):
+    contact = []
 
     class Watching:
         def on_message(self, link, message):
@@ -180,23 +184,23 @@ async def test_whoever_looks_goes_without_a_line_in_the_log(team, /):
                 link.accept_role(message.role)
                 link.send(Subscribe())
             else:
-                heard.append(message)
+                contact.append(message)
 
         def on_closed(self, link, error):
-            heard.append(error)
+            contact.append(error)
 
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
     link = await team.network.transport("desk").connect("home:8181", Watching())
     link.send(Hello("observer", "observer", 0))
-    await team.until(lambda: heard)
-    assert isinstance(heard[0], EventBatch)
+    await team.until(lambda: contact)
+    assert isinstance(contact[0], EventBatch)
     team.network.cut("desk", "home")
-    await team.until(lambda: len(heard) > 1)
+    await team.until(lambda: len(contact) > 1)
     await asyncio.sleep(3.0)
     assert "link from " not in home.log
 
 
-async def test_whoever_never_greets_is_shown_out(team, /):
+async def test_a_client_without_a_hello_is_disconnected(team, /):
     closed = []
 
     class Idle:
@@ -213,7 +217,7 @@ async def test_whoever_never_greets_is_shown_out(team, /):
 
 
 @pytest.mark.parametrize("lost_after", [1.0, 15.0])
-async def test_a_host_that_has_not_come_up_yet_is_not_given_up_before_portal_calls_to_it(team, /, lost_after):
+async def test_a_host_that_has_not_started_yet_is_waited_for_like_in_portal_calls(team, /, lost_after):
     (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
     started = asyncio.get_running_loop().time()
     (fate,) = await wait_until_done(away.host, lost_after)

@@ -1,4 +1,4 @@
-"""Coordinators between hosts: what the program sees, and how many messages it takes."""
+"""Coordinators between hosts: the behaviour of the program, and the number of messages."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ coordinator Visitor {
 TWO_HOSTS = "//Echo:near@alpha\n//Echo:far@bravo\n//Visitor:visitor@alpha?near&far\n"
 
 
-async def test_a_coordinator_goes_there_and_comes_back(team, /):
+async def test_a_coordinator_hops_to_another_host_and_returns(team, /):
     alpha, bravo = await team.up(team.mission(THERE_AND_BACK, TWO_HOSTS))
     assert await team.ended("visitor") == "done"
     assert bravo.output == ["far hears a", "far hears b"]
@@ -44,7 +44,7 @@ async def test_a_coordinator_goes_there_and_comes_back(team, /):
     assert team.network.sent["Transfer"] == 2
 
 
-async def test_what_waits_for_a_link_is_older_when_it_leaves(team, /):
+async def test_lived_includes_the_time_of_waiting_for_a_link(team, /):
     program = (
         ECHO
         + """
@@ -75,7 +75,7 @@ async def test_agents_on_one_host_need_no_messages(team, /):
     assert alpha.output == ["far hears a", "far hears b", "near hears a!b!"]
 
 
-async def test_a_proxy_says_where_its_resource_lives_from_any_host(team, /):
+async def test_a_proxy_names_the_host_of_its_resource_from_any_host(team, /):
     program = (
         ECHO
         + """
@@ -116,7 +116,7 @@ coordinator Agreement {
 
 @pytest.mark.parametrize("hosts", [2, 5, 16])
 async def test_n_resources_agree_in_2n_hops(team, /, hosts):
-    # The coordinator begins away from them all: N hops to collect, N to inform (chapter IV).
+    # The coordinator starts on another host: N hops to collect, N to inform (chapter IV).
     lines = [f"//Echo:e{n}@host{n}" for n in range(hosts)]
 
     mission = team.mission(AGREE, "\n".join([*lines, "//Agreement:agreement@home"]))
@@ -127,7 +127,7 @@ async def test_n_resources_agree_in_2n_hops(team, /, hosts):
         assert [line.split(" hears ")[1] for line in running.output] == ["what", "agreed"]
 
 
-async def test_a_portal_call_waits_for_a_host_that_is_not_up_yet(team, /):
+async def test_a_portal_call_waits_for_a_host_that_has_not_started(team, /):
     mission = team.mission(THERE_AND_BACK, TWO_HOSTS, without=("bravo",))
     (alpha,) = await team.up(mission, "alpha")
     await asyncio.sleep(5.0)
@@ -138,7 +138,7 @@ async def test_a_portal_call_waits_for_a_host_that_is_not_up_yet(team, /):
     assert bravo.output == ["far hears a", "far hears b"]
 
 
-async def test_the_hosts_come_up_in_the_other_order(team, /):
+async def test_hosts_may_start_in_the_other_order(team, /):
     mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
     await team.up(mission, "bravo")
     await asyncio.sleep(5.0)
@@ -147,7 +147,7 @@ async def test_the_hosts_come_up_in_the_other_order(team, /):
     assert alpha.output == ["near hears a!b!"]
 
 
-async def test_a_coordinator_that_comes_while_a_host_starts_finds_its_resources(team, /):
+async def test_a_coordinator_that_arrives_while_a_host_starts_finds_its_resources(team, /):
     mission = team.mission(THERE_AND_BACK, TWO_HOSTS)
     bravo = team.make(mission, "bravo")
     opened = asyncio.Event()
@@ -188,7 +188,7 @@ coordinator Cautious {
 
 
 @pytest.mark.parametrize("bound", [2.0, 30.0])
-async def test_a_host_that_stays_away_is_an_exception_after_the_bound(team, /, bound):
+async def test_an_unreachable_host_raises_an_exception_after_the_bound(team, /, bound):
     mission = team.mission(CAUTIOUS, TWO_HOSTS.replace("Visitor", "Cautious"), without=("bravo",))
     (alpha,) = await team.up(mission, "alpha", unreachable_after=bound)
     assert await team.ended("visitor") == "done"
@@ -231,7 +231,7 @@ coordinator Shuttle {
 )
 
 
-async def test_a_link_that_breaks_comes_back(team, /):
+async def test_a_broken_link_is_restored(team, /):
     alpha, bravo = await team.up(
         team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle")), unreachable_after=20.0
     )
@@ -243,10 +243,10 @@ async def test_a_link_that_breaks_comes_back(team, /):
     team.network.heal("alpha", "bravo")
     assert await team.ended("visitor") == "done"
     assert bravo.output == [f"far hears {i}" for i in range(6)]
-    assert team.network.sent["Transfer"] == 12, "six times there, six times back"
+    assert team.network.sent["Transfer"] == 12, "six hops in each direction"
 
 
-async def test_a_host_that_was_restarted_is_reached_again(team, /):
+async def test_a_restarted_host_is_reached_again(team, /):
     mission = team.mission(SHUTTLE, TWO_HOSTS.replace("Visitor", "Shuttle"))
     alpha, bravo = await team.up(mission, unreachable_after=20.0)
     await team.until(lambda: len(alpha.output) == 2)
@@ -254,7 +254,7 @@ async def test_a_host_that_was_restarted_is_reached_again(team, /):
     await asyncio.sleep(12.0)
     (again,) = await team.up(mission, "bravo")
     assert await team.ended("visitor") == "done"
-    # The call that told of it has not begun.
+    # The call that reported it has not begun.
     assert again.log.count("visitor: far has restarted since this proxy last called it") == 1
     assert again.output == [f"far hears {i}" for i in range(2, 6)]
 
@@ -281,7 +281,7 @@ coordinator Loaded {
 )
 
 
-async def test_a_block_that_the_other_host_does_not_take_is_not_even_sent(team, /):
+async def test_a_block_over_the_heap_limit_of_the_other_host_is_not_sent(team, /):
     deployment = TWO_HOSTS.replace("Visitor", "Loaded")
     small = "agents: {visitor: {heap: 64 KiB}}\n"
     (bravo,) = await team.up(team.mission(LOADED, deployment, small), "bravo")
@@ -292,7 +292,7 @@ async def test_a_block_that_the_other_host_does_not_take_is_not_even_sent(team, 
     assert team.network.sent["Transfer"] == 2
 
 
-def test_a_block_over_the_size_of_frames_is_refused_before_it_is_read(fleet):
+def test_a_block_over_the_frame_limit_is_refused_before_it_is_read(fleet):
     async def story(team):
         alpha, bravo = await team.up(team.mission(LOADED, TWO_HOSTS.replace("Visitor", "Loaded")))
         admitted = []
@@ -329,7 +329,7 @@ coordinator Careless {
 """
 
 
-async def test_an_uncaught_exception_shows_the_lines_of_both_sides_and_the_way(team, /):
+async def test_an_uncaught_exception_shows_the_stack_of_both_agents_and_the_hosts_visited(team, /):
     deployment = "//Careless:tom@alpha?divider\n//Divider:divider@bravo\n"
     alpha, bravo = await team.up(team.mission(FAULTY, deployment))
     assert await team.ended("tom") == "died"
@@ -346,5 +346,5 @@ async def test_an_uncaught_exception_shows_the_lines_of_both_sides_and_the_way(t
     places = [shown.index(line) for line in stack]
     assert places == sorted(places)
     assert "    hosts visited: alpha → bravo" in shown
-    assert bravo.holds("divider"), "the resource goes on"
+    assert bravo.holds("divider"), "the resource continues"
     await team.until(lambda: alpha.host.mobility.known_states()[0].outcome == "died")

@@ -51,7 +51,7 @@ def codes(caught: pytest.ExceptionInfo[ProgramError]) -> list[str]:
     return [d.code for d in caught.value.diagnostics]
 
 
-def test_a_mission_joins_its_own_file_to_what_we_ship(folder: Path) -> None:
+def test_a_mission_joins_its_own_registry_with_the_packaged_one(folder: Path) -> None:
     registry = load_mission(folder / "mission.dL").registry
     assert registry is not None
     assert registry.agents["small"] == {"payload": 1.5}
@@ -64,14 +64,14 @@ def test_without_a_capability_in_the_program_the_mission_has_no_registry(folder:
     assert check_file(folder / "mission.L") == []
 
 
-def test_a_wrong_registry_beside_a_mission_is_told_though_nothing_asks_it(folder: Path) -> None:
+def test_a_wrong_registry_is_reported_even_if_it_is_not_used(folder: Path) -> None:
     write(folder, ".L", PLAIN)
     write(folder, ".capabilities.yaml", "no registry: at all")
     with pytest.raises(ProgramError):
         load_mission(folder / "mission.dL")
 
 
-def test_a_program_file_has_the_registry_too(folder: Path) -> None:
+def test_a_compiled_program_has_the_registry_too(folder: Path) -> None:
     compiled = folder / "mission.lb"
     compiled.write_bytes(encode(compile_file(folder / "mission.L")[0]))
     (folder / "mission.L").unlink()
@@ -80,7 +80,7 @@ def test_a_program_file_has_the_registry_too(folder: Path) -> None:
     assert mission.registry.agents.keys() == {"small"}
 
 
-def test_another_file_may_be_given(folder: Path) -> None:
+def test_another_registry_file_may_be_given(folder: Path) -> None:
     other = folder / "other.yaml"
     other.write_text(CAPABILITIES.replace("payload: 1.5", "payload: 2.5"))
     here, there = load_mission(folder / "mission.dL"), load_mission(folder / "mission.dL", capabilities=other)
@@ -91,7 +91,7 @@ def test_another_file_may_be_given(folder: Path) -> None:
     assert here.program.digest == there.program.digest
 
 
-def test_mistakes_in_the_registry_are_those_of_the_mission(folder: Path) -> None:
+def test_errors_of_the_registry_are_errors_of_the_mission(folder: Path) -> None:
     write(folder, ".capabilities.yaml", CAPABILITIES.replace("  small:", "  smal:").replace("50.0", "heavy"))
     with pytest.raises(ProgramError) as caught:
         load_mission(folder / "mission.dL")
@@ -100,7 +100,7 @@ def test_mistakes_in_the_registry_are_those_of_the_mission(folder: Path) -> None
     assert [d.code for d in check_file(folder / "mission.L")] == codes(caught)
 
 
-def test_a_portal_that_the_resource_does_not_have_is_told_where_it_is_promised(folder: Path) -> None:
+def test_a_missing_portal_is_reported_where_the_registry_names_it(folder: Path) -> None:
     write(folder, ".capabilities.yaml", CAPABILITIES.replace("lift: hoist", "lift: raise"))
     with pytest.raises(ProgramError) as caught:
         load_mission(folder / "mission.dL")
@@ -109,15 +109,15 @@ def test_a_portal_that_the_resource_does_not_have_is_told_where_it_is_promised(f
     assert "Crane" in found.message
 
 
-async def test_a_host_greets_with_its_registry(team, /) -> None:
+async def test_a_hello_has_the_digest_of_the_registry(team, /) -> None:
     asking = team.mission(ASKING, DEPLOYMENT, capabilities=CAPABILITIES)
     plain = team.mission(PLAIN, DEPLOYMENT, name="plain")
     assert team.make(asking, "a").host.hello().registry == asking.registry.digest
     assert team.make(plain, "a").host.hello().registry == b""
 
 
-def test_live_attributes_come_in_their_own_units(folder: Path) -> None:
-    """A servo tells radians; the attribute of this mission is in degrees."""
+def test_live_attributes_are_converted_to_their_units(folder: Path) -> None:
+    """A servo reports radians; the attribute of this mission is in degrees."""
     turning = (CRANE + "coordinator").replace("resource Crane {", "resource Crane { Dynamixel boom;", 1)
     write(folder, ".L", ASKING.replace(CRANE + "coordinator", turning))
     write(folder, ".devices.yaml", DEVICES)
@@ -129,7 +129,7 @@ def test_live_attributes_come_in_their_own_units(folder: Path) -> None:
     assert registry.providers["Crane"].live["boom"].factor == pytest.approx(57.29578)
 
 
-def test_a_mission_that_names_no_device_of_its_program_is_refused(folder: Path) -> None:
+def test_a_live_attribute_of_an_unknown_device_is_refused(folder: Path) -> None:
     write(
         folder,
         ".capabilities.yaml",

@@ -1,4 +1,4 @@
-"""What a host offers its programs: of all hosts, without a message, and what becomes of stale offers."""
+"""The offers of a host to its programs: of all hosts, without a message, and stale offers."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TWO_HOSTS = "//Crane:near@alpha\n//Foreman:foreman@alpha\n//Crane:small@bravo\n/
 
 
 class Devices:
-    """The devices of one host, by hand: what they last said, and what is wrong with them."""
+    """The devices of one host, set by the test: their last values and troubles."""
 
     def __init__(self, running):
         self.values, self.troubles = {}, {}
@@ -85,7 +85,7 @@ def offered(running, constraint=None):
     return [offer.agent for offer in found]
 
 
-async def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(team, /):
+async def test_live_values_come_from_their_hosts_and_are_sent_only_if_they_change(team, /):
     alpha, bravo, _, devices = await two_hosts(team)
     assert known(alpha, "far").unknown == {
         "battery": "fc has not reported battery", "armed": "fc has not reported armed",
@@ -97,7 +97,7 @@ async def test_live_values_come_from_their_hosts_and_are_told_only_when_they_cha
     sent = team.network.sent["DirectoryUpdate"]
     await asyncio.sleep(20.0)
     assert team.network.sent["DirectoryUpdate"] == sent
-    # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
+    # It has not changed for 20 s, and is still fresh: its host is linked and would have sent a change.
     assert known(alpha, "far").facts["battery"].age <= 1.2
     devices.values["far.fc", "battery"] = (0.752, 0.1)
     await asyncio.sleep(3.0)
@@ -109,7 +109,7 @@ async def test_live_values_come_from_their_hosts_and_are_told_only_when_they_cha
     assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
 
 
-async def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(team, /):
+async def test_changes_are_sent_at_a_bounded_rate(team, /):
     _, bravo, _, devices = await two_hosts(team)
     before = team.network.sent["DirectoryUpdate"]
     for step in range(500):
@@ -154,7 +154,7 @@ coordinator Foreman {
     assert not (sent.keys() - {"Ping", "Pong"})
 
 
-async def test_why_an_agent_is_not_offered(team, /):
+async def test_an_unavailable_agent_is_not_offered_and_is_explained(team, /):
     alpha, bravo, near, far = await two_hosts(team)
     near.troubles["near.fc"] = Unavailability("fc: in its safe state hold: the host was silent")
     far.troubles["far.fc"] = Unavailability("fc: no message", asyncio.get_running_loop().time() - 3.0)
@@ -177,7 +177,7 @@ async def test_why_an_agent_is_not_offered(team, /):
     assert sorted(offered(alpha)) == ["far", "small"]
 
 
-async def test_a_resource_that_died_is_not_offered(team, /):
+async def test_a_dead_resource_is_not_offered(team, /):
     program = IDLE.replace(
         "id = arg[0];", 'id = arg[0]; sleep(3.0); int[] no; if (id == "far") no = new int[-1];'
     )
@@ -190,7 +190,7 @@ async def test_a_resource_that_died_is_not_offered(team, /):
     assert "far: died of " in alpha.host.core.services.explain(ASKER, "Lift", None)
 
 
-async def test_a_host_that_was_away_knows_all_after_one_exchange(team, /):
+async def test_a_reconnected_host_is_up_to_date_after_one_exchange(team, /):
     alpha, bravo, near, far = await two_hosts(team)
     team.network.partition("alpha", "bravo")
     await asyncio.sleep(5.0)
@@ -206,8 +206,8 @@ async def test_a_host_that_was_away_knows_all_after_one_exchange(team, /):
     assert known(bravo, "near").facts["battery"].value == 0.25
 
 
-async def test_a_snapshot_has_attributes_of_agents_elsewhere_only_on_request(team, /):
-    """Each host knows those of all agents, so a large team would send them for each pair of hosts."""
+async def test_a_snapshot_has_attributes_of_agents_on_other_hosts_only_on_request(team, /):
+    """Each host has those of all agents, so a large team would send them for each pair of hosts."""
     alpha, _, near, far = await two_hosts(team)
     near.values["near.fc", "battery"] = far.values["far.fc", "battery"] = (0.75, 0.1)
     await team.until(lambda: "battery" in known(alpha, "far").facts)
@@ -220,7 +220,7 @@ async def test_a_snapshot_has_attributes_of_agents_elsewhere_only_on_request(tea
     assert (found["far"].refusal, found["far"].facts, found["far"].unknown) == ("", {}, {})
 
 
-async def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(team, /):
+async def test_a_program_without_capabilities_causes_no_queries_and_messages(team, /):
     program = CRANES + "coordinator Foreman { init(string[] arg) { sleep(1000.0); } }"
 
     alpha, _, near, far = await two_hosts(team, program)
@@ -228,7 +228,7 @@ async def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(t
     await asyncio.sleep(10.0)
     assert team.network.sent["DirectoryUpdate"] == 0
     assert near.asked == far.asked == 0
-    # Whether they can be called is known all the same.
+    # Whether they can be called is still known.
     assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
         ("near", "", {}),
         ("small", "", {}),
@@ -278,7 +278,7 @@ def far_report(*facts, agent=3, unknown=()):
         ),
     ],
 )
-async def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(team, /, agents, why):
+async def test_an_invalid_report_is_ignored_and_logged_once(team, /, agents, why):
     alpha, bravo, _, far = await two_hosts(team)
     far.values["far.fc", "battery"] = (0.5, 0.0)
     await asyncio.sleep(2.0)
@@ -316,7 +316,7 @@ coordinator Foreman {
 )
 
 
-async def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_one_is_tried(team, /):
+async def test_a_stale_offer_raises_an_exception_and_the_next_one_is_tried(team, /):
     deployment = "//Foreman:foreman@alpha\n//Crane:far@bravo\n//Crane:near@alpha\n//Crane:small@alpha\n"
     capabilities = CAPABILITIES + "  near: {payload: 2.0}\nranking: {weights: {hop: 0.0}}\n"
 
@@ -335,7 +335,7 @@ async def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_o
     assert bravo.output == []
 
 
-async def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(team, /):
+async def test_an_invalid_condition_is_an_error(team, /):
     alpha, *_ = await two_hosts(team)
     with pytest.raises(ConstraintError):
         alpha.host.core.services.offers(ASKER, "Lift", "paylod >= 2.0")

@@ -1,4 +1,4 @@
-"""Devices whose coordinators are not heard of any more: the core alone, on time that is given."""
+"""The dead-man's monitor of devices, in virtual time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def at(
 class Rig:
     """A host `here` with a copter and a winch that depend on their users, and a lamp that does not.
 
-    `links` are the hosts that it can ask, `hearsay` those that only others hear, `own` its own records.
+    `links` are the hosts that it can ask, `hearsay` those that only others can reach, `own` its own records.
     `has` are the hosts that answer, each with its records.
     """
 
@@ -54,7 +54,7 @@ class Rig:
         return UnavailableHosts(reachable_by_others=[*self.links, *self.hearsay])
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; who is asked and is well answers at once."""
+        """Let time pass; reachable hosts answer at once."""
         end = self.now + seconds
         while self.core.due is not None and self.core.due <= end:
             self.now = max(self.now, self.core.due)
@@ -73,20 +73,20 @@ class Rig:
         self.core.on_used(device, coordinator, self.now)
 
 
-def test_a_device_that_nobody_has_used_or_whose_binding_says_nothing_depends_on_nobody():
+def test_an_unused_device_or_one_without_a_policy_has_no_deadline():
     rig = Rig()
     rig.use("a.lamp")
     assert rig.core.due is None
 
 
-def test_a_coordinator_that_is_here_is_alive_however_long_it_does_not_use_the_device():
+def test_a_local_coordinator_counts_as_alive_without_using_the_device():
     rig = Rig(own=[at("", 0, "RUN")])
     rig.use()
     rig.wait(1000.0)
     assert (rig.asked, rig.gone) == ([], [])
 
 
-def test_one_that_ended_here_leaves_its_devices_the_time_of_each():
+def test_after_a_local_end_each_device_is_made_safe_at_its_own_time():
     rig = Rig(own=[at("", 0, "RUN")])
     rig.use("a.fc")
     rig.use("a.winch")
@@ -101,7 +101,7 @@ def test_one_that_ended_here_leaves_its_devices_the_time_of_each():
     assert rig.core.due is None
 
 
-def test_the_host_that_it_went_to_is_asked_and_the_next_one_after_that():
+def test_the_host_that_the_coordinator_left_for_is_asked_then_the_next():
     rig = Rig(["b", "c", "d"], own=[at("b", 1)], has={"b": [at("", 1, "RUN")], "c": []})
     rig.use()
     rig.wait(60.0)
@@ -114,7 +114,7 @@ def test_the_host_that_it_went_to_is_asked_and_the_next_one_after_that():
     assert [host for _, host in rig.asked[-3:]] == ["c"] * 3
 
 
-def test_when_the_host_that_has_it_is_restarted_without_it_the_device_does_not_wait_for_ever():
+def test_a_device_is_made_safe_when_the_host_of_its_user_restarts_without_it():
     rig = Rig(["b"], own=[at("b", 1)], has={"b": [at("", 1, "RUN")]})
     rig.use()
     rig.wait(60.0)
@@ -124,7 +124,7 @@ def test_when_the_host_that_has_it_is_restarted_without_it_the_device_does_not_w
     assert "(pilot, last known at b) has been confirmed alive for 20 s" in gone.reason
 
 
-def test_a_cut_link_changes_nothing_while_others_hear_the_host_behind_it():
+def test_a_cut_link_has_no_effect_while_other_hosts_reach_the_peer():
     rig = Rig(["c"], hearsay=["b"], own=[at("b", 1)], has={"c": []})
     rig.use()
     rig.wait(500.0)
@@ -134,7 +134,7 @@ def test_a_cut_link_changes_nothing_while_others_hear_the_host_behind_it():
     assert len(rig.gone) == 1
 
 
-def test_who_went_on_behind_a_cut_link_is_found_by_asking_others():
+def test_a_coordinator_behind_a_cut_link_is_found_through_others():
     rig = Rig(["c", "d"], own=[at("b", 1)], has={"d": [at("", 2, "RUN")], "c": []})
     rig.use()
     rig.wait(500.0)
@@ -142,7 +142,7 @@ def test_who_went_on_behind_a_cut_link_is_found_by_asking_others():
     assert {host for _, host in rig.asked[-20:]} == {"d"}
 
 
-def test_an_end_behind_a_cut_link_is_heard_of_from_others():
+def test_an_end_behind_a_cut_link_is_learned_from_others():
     rig = Rig(["c"], hearsay=["b"], own=[at("b", 5)], has={"c": []})
     rig.use()
     rig.wait(500.0)
@@ -152,7 +152,7 @@ def test_an_end_behind_a_cut_link_is_heard_of_from_others():
     assert "(pilot, died)" in rig.gone[0][1].reason
 
 
-def test_of_many_hosts_some_are_asked_at_a_time_and_all_in_turn():
+def test_many_hosts_are_asked_in_turn_a_few_at_a_time():
     hosts = [f"h{n:02d}" for n in range(50)]
     rig = Rig(hosts, own=[at("lost", 1)])
     rig.use()
@@ -162,7 +162,7 @@ def test_of_many_hosts_some_are_asked_at_a_time_and_all_in_turn():
     assert {host for _, host in rig.asked} == set(hosts)
 
 
-def test_one_user_that_is_alive_is_enough_and_only_users_count():
+def test_one_live_user_is_enough_and_only_users_count():
     rig = Rig(own=[at("", 0, "RUN", "second"), at("", 0, "RUN", "stranger")])
     rig.use(coordinator="pilot")
     rig.use(coordinator="second")
@@ -173,7 +173,7 @@ def test_one_user_that_is_alive_is_enough_and_only_users_count():
     assert len(rig.gone) == 1
 
 
-def test_it_is_told_once_until_the_device_is_used_again():
+def test_a_device_is_made_safe_once_until_it_is_used_again():
     rig = Rig()
     rig.use()
     rig.wait(500.0)

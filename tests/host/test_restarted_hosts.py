@@ -1,4 +1,4 @@
-"""A host that is started again while its coordinator lives elsewhere does not start a second one."""
+"""A host that restarts while its coordinator is alive elsewhere does not start a second one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ coordinator Guest {
     }
 }
 """
-# In the second, the guest's home is called by the other host; in the first it calls.
+# In the second, the other host dials the guest's home; in the first the home dials.
 FIRST_HOME = "//Guest:guest@home?post\n//Post:post@away\n"
 LAST_HOME = "//Post:post@away\n//Guest:guest@home?post\n"
 
@@ -48,7 +48,7 @@ async def test_a_coordinator_that_is_alive_elsewhere_is_not_started_again(team, 
     assert "guest: goes on after 1 hop(s)" in away.log
 
 
-async def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(team, /):
+async def test_a_coordinator_that_was_lost_with_its_host_is_started_again(team, /):
     mission = team.mission(PROGRAM, FIRST_HOME)
     home, away = await team.up(mission)
     await team.until(lambda: away.output == ["arrived"])
@@ -59,7 +59,7 @@ async def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(team, /
     assert again.output == ["arrived", "done"]
 
 
-async def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(team, /):
+async def test_a_coordinator_is_lost_with_a_host_that_restarts_at_once(team, /):
     mission = team.mission(PROGRAM, FIRST_HOME)
     home, away = await team.up(mission)
     await team.until(lambda: away.output == ["arrived"])
@@ -97,13 +97,13 @@ coordinator Guest {
 THREE_HOSTS = "//Post:h@home\n//Post:a@away\n//Post:c@carol\n//Guest:guest@home?h&a&c\n"
 
 
-async def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(team, /):
+async def test_an_arriving_start_ends_before_it_runs_beside_a_later_one(team, /):
     """Two starts of one coordinator never both run on a host."""
     mission = team.mission(TWICE, THREE_HOSTS, without=("carol",))
     home, _, carol = await team.up(mission, keeps=True)
     await team.until(lambda: carol.output)
     first = carol.output[0].split()[0]
-    # No reachable host knows of it, and its record on disk is damaged: a second one is started.
+    # No reachable host knows it, and its record on disk is damaged: a second one is started.
     team.network.partition("home", "carol")
     await home.host.stop()
     await asyncio.sleep(10.0)
@@ -135,15 +135,15 @@ ONE_VISIT = "//Post:post@away\n//Guest:guest@home?post\n"
 
 
 async def life(running, lost_after: float = 15.0) -> str:
-    """A host with --until-done, from its start to its end; how the guests ended."""
+    """Run a host with --until-done from its start to its end; return how the guests ended."""
     await running.host.start()
     fates = await wait_until_done(running.host, lost_after)
     await running.host.stop()
     return ", ".join(fate.outcome for fate in fates)
 
 
-async def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(team, /):
-    """Journals, its own or that of others, say that the coordinator has ended; its home begins it anew."""
+async def test_a_host_with_records_of_an_earlier_run_waits_for_the_next(team, /):
+    """Journals, its own or those of others, have the end of the coordinator; its home starts it again."""
     mission = team.mission(VISIT, ONE_VISIT)
     for run in range(3):
         away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
@@ -161,8 +161,8 @@ TWO_HOMES = "//Guest:first@home\n//Guest:second@away\n//Post:post@carol\n"
 
 
 @pytest.mark.parametrize("lost_after", [3.0, 300.0])
-async def test_hosts_end_with_coordinators_that_they_have_never_had(team, /, lost_after):
-    """All hosts, as soon as the last coordinator ends; in a second run not before."""
+async def test_hosts_end_with_coordinators_that_they_have_never_held(team, /, lost_after):
+    """All hosts end with the last coordinator; in a second run not before."""
     mission = team.mission(NEVER_AWAY, TWO_HOMES)
     for _ in range(2):
         hosts = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
@@ -171,7 +171,7 @@ async def test_hosts_end_with_coordinators_that_they_have_never_had(team, /, los
         assert 12.0 <= hosts[0].host.clock.monotonic() - begin < 16.0
 
 
-async def test_hosts_that_restart_after_the_last_end_all_end(team, /):
+async def test_hosts_restarted_after_the_last_end_all_end(team, /):
     """Each home has the end of the other's coordinator only in its journal."""
     mission = team.mission(NEVER_AWAY, TWO_HOMES)
     before = await team.up(mission, keeps=True)
@@ -189,15 +189,15 @@ async def test_hosts_that_restart_after_the_last_end_all_end(team, /):
     assert "first not started again: it has ended (done) in the current run" in log
 
 
-async def test_a_host_that_remembers_an_end_does_not_wait_for_a_home_that_has_gone(team, /):
+async def test_a_host_with_a_stored_end_does_not_wait_for_a_stopped_home(team, /):
     mission = team.mission(VISIT, ONE_VISIT)
     away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
     await asyncio.gather(life(home), life(away))
     assert await life(team.make(mission, "away", keeps=True)) == "done"
 
 
-async def test_a_start_that_fails_leaves_the_run_as_it_was(team, /):
-    """The host was killed when all was over. One that tries again by itself begins no mission anew."""
+async def test_a_start_that_fails_leaves_the_run_unchanged(team, /):
+    """The host was killed at the end of the run. A start that a service repeats begins no new run."""
     mission = team.mission(VISIT, ONE_VISIT)
     away, home = await team.up(mission, keeps=True)
     await team.until(lambda: _ended(home))
@@ -213,7 +213,7 @@ async def test_a_start_that_fails_leaves_the_run_as_it_was(team, /):
     assert away.output == ["visited"]
 
 
-async def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_mission_again(team, /):
+async def test_a_host_killed_while_its_vehicles_land_does_not_repeat_the_mission(team, /):
     """All coordinators have ended, and a service or unit restarts the host."""
     mission = team.mission(VISIT, ONE_VISIT)
     away, home = await team.up(mission, keeps=True)
@@ -229,7 +229,7 @@ async def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_
     assert away.output == ["visited"]
 
 
-async def test_the_result_is_written_before_the_journal_says_that_the_run_has_ended(team, /):
+async def test_the_result_is_written_before_the_journal_ends_the_run(team, /):
     """A service begins a new run after a host that was killed without a result."""
     mission = team.mission(VISIT, "//Post:post@home\n//Guest:guest@home?post\n")
     running = team.make(mission, "home", keeps=True)
@@ -246,8 +246,8 @@ async def test_the_result_is_written_before_the_journal_says_that_the_run_has_en
     assert (found, is_open()) == ([(0, [True])], [False])
 
 
-async def test_the_loader_of_the_language_document_goes_on_after_a_restart(team, /):
-    """Its host is stopped while its call is under way."""
+async def test_the_loader_of_the_language_document_continues_after_a_restart(team, /):
+    """Its host is stopped during its call."""
     text = (Path(__file__).parents[2] / "lfield/docs/language.md").read_text(encoding="utf-8")
     (program,) = (block for block in text.split("```") if block.startswith("java\nresource Winch"))
     program = program.removeprefix("java\n").replace("return out;", "sleep(9.0); return out;")
@@ -264,7 +264,7 @@ async def test_the_loader_of_the_language_document_goes_on_after_a_restart(team,
     assert not home.holds("loader")
 
 
-async def test_the_exception_of_a_restart_names_what_was_called(team, /):
+async def test_the_exception_of_a_restart_names_the_call(team, /):
     program = """
 resource Post {
     int n;

@@ -1,4 +1,4 @@
-"""From telemetry to live attributes, and what keeps an agent from being called."""
+"""From telemetry to live attributes, and the troubles that prevent calls of an agent."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def live(name, quantity="", **how):
 
 
 class Guards:
-    """Telemetry and troubles, by hand."""
+    """Telemetry and troubles, set by the test."""
 
     def __init__(self):
         self.values, self.troubles = {}, {}
@@ -64,7 +64,7 @@ def sampler(guards):
 
 
 @pytest.mark.parametrize(
-    ("source", "told", "value"),
+    ("source", "reported", "value"),
     [
         (live("battery"), 0.5, 0.5),
         (live("battery"), 1, 1.0),
@@ -78,21 +78,21 @@ def sampler(guards):
         (live("mode"), "hold", "hold"),
     ],
 )
-def test_telemetry_becomes_a_value_of_its_attribute(sampler, guards, source, told, value):
-    guards.values["arm.fc", source.quantity] = (told, 0.25)
+def test_telemetry_is_converted_to_a_value_of_its_attribute(sampler, guards, source, reported, value):
+    guards.values["arm.fc", source.quantity] = (reported, 0.25)
     sample = sampler.condition("arm", {source.attribute: source}).samples[source.attribute]
     assert sample.value == pytest.approx(value) if isinstance(value, float) else sample.value == value
     assert type(sample.value) is type(value)
     assert (sample.at, sample.at - sample.when) == (guards.clock.now, 0.25)
 
 
-def test_of_whom_nothing_is_told_nothing_ever_changes(sampler):
-    """The very same object: a directory goes by that, and looks at nobody again of a team that is still."""
+def test_an_agent_without_live_attributes_is_unchanged(sampler):
+    """The same object is returned: a directory compares it by identity, and skips a team without changes."""
     assert sampler.condition("arm", {}) is UNCHANGED
 
 
 @pytest.mark.parametrize(
-    ("source", "told", "why"),
+    ("source", "reported", "why"),
     [
         (live("battery", "charge"), None, "fc has not reported charge"),
         (live("battery"), (math.nan, 0.0), "fc reports battery as nan"),
@@ -106,14 +106,14 @@ def test_of_whom_nothing_is_told_nothing_ever_changes(sampler):
         (live("north", "position", index=0), (3.0, 0.0), "fc reports no element 0 of position"),
     ],
 )
-def test_what_is_no_value_is_unknown_with_the_reason(sampler, guards, source, told, why):
-    if told is not None:
-        guards.values["arm.fc", source.quantity] = told
+def test_an_invalid_value_is_unknown_with_the_reason(sampler, guards, source, reported, why):
+    if reported is not None:
+        guards.values["arm.fc", source.quantity] = reported
     condition = sampler.condition("arm", {source.attribute: source})
     assert (condition.samples, condition.unknown) == ({}, {source.attribute: why})
 
 
-def test_an_agent_has_the_trouble_of_its_devices_and_its_own(sampler, guards):
+def test_an_agent_has_the_troubles_of_its_devices_and_its_own(sampler, guards):
     assert sampler.condition("arm", {}).trouble is None
     guards.troubles["other.hand"] = Unavailability("not ours")
     assert sampler.condition("arm", {}).trouble is None
@@ -124,7 +124,7 @@ def test_an_agent_has_the_trouble_of_its_devices_and_its_own(sampler, guards):
     assert sampler.condition("gone", {}).trouble == Unavailability("its host does not run it")
 
 
-# --- what guards know ------------------------------------------------------------------------------------
+# --- guards ----------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -139,18 +139,20 @@ def bound(installed):
     return read_bindings(None, {"sky": {"fc": "Mavlink"}}, installed, simulate=True).devices["sky"]["fc"]
 
 
-def test_the_last_value_is_told_however_old(installed, bound):
+def test_the_last_value_is_returned_at_any_age(installed, bound):
     clock = ManualClock()
     snapshots = Snapshots(installed.by_driver["mavlink"], [bound], clock)
     assert snapshots.last("sky.fc", "battery") is snapshots.last("sky.fc", "age") is None
-    told = clock.now
-    snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {"battery": Observation(0.5, told - 0.5)}, told - 0.25))
+    reported = clock.now
+    snapshots.on_snapshot(
+        TelemetrySnapshot("sky.fc", {"battery": Observation(0.5, reported - 0.5)}, reported - 0.25)
+    )
     clock.advance(1000.0)
-    assert snapshots.last("sky.fc", "battery") == Observation(0.5, told - 0.5)
+    assert snapshots.last("sky.fc", "battery") == Observation(0.5, reported - 0.5)
     assert snapshots.last("sky.fc", "age") == Observation(pytest.approx(1000.25), clock.now)
 
 
-def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_may_be_old(installed, bound):
+def test_a_device_is_silent_after_the_shortest_maximum_age_of_its_values(installed, bound):
     clock = ManualClock()
     kind = installed.by_driver["mavlink"]
     snapshots = Snapshots(kind, [bound], clock)

@@ -1,4 +1,4 @@
-"""Starts are counted: by what is on record here and what the others know, by no clock, and on disk first."""
+"""Starts are counted by the records here and on other hosts, without a clock, and on disk first."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def start_of(running, agent: str = "guest") -> int:
     return max(known.generation for known in running.host.mobility.known_states() if known.agent == agent)
 
 
-async def test_a_start_that_is_away_is_not_made_again(team, /):
+async def test_a_start_that_is_away_is_not_repeated(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(mission, keeps=True)
     await team.until(lambda: away.output)
-    # No reachable host knows of it; only the disk does.
+    # Only the disk knows it; the other host is unreachable.
     team.network.partition("home", "away")
     await home.host.stop()
     (again,) = await team.up(mission, "home", keeps=True)
@@ -43,7 +43,7 @@ async def test_a_start_that_is_away_is_not_made_again(team, /):
     assert start_of(again) == start_of(away) == 1
 
 
-async def test_what_another_host_knows_counts_when_the_disk_was_replaced(team, /):
+async def test_records_of_other_hosts_count_after_the_disk_was_replaced(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(mission, keeps=True)
     await team.until(lambda: away.output)
@@ -57,7 +57,7 @@ async def test_what_another_host_knows_counts_when_the_disk_was_replaced(team, /
     assert start_of(home) == 2
 
 
-async def test_without_a_record_a_host_waits_until_it_has_heard_all(team, /):
+async def test_without_records_a_host_waits_until_all_hosts_have_answered(team, /):
     mission = team.mission(PROGRAM, TWO_GUESTS)
     (home,) = await team.up(mission, "home", keeps=True, first_start=False)
     await asyncio.sleep(30.0)
@@ -72,14 +72,14 @@ async def test_without_a_record_a_host_waits_until_it_has_heard_all(team, /):
     assert start_of(home) == start_of(home, "other") == 1
 
 
-async def test_somebody_may_say_that_there_was_no_earlier_start(team, /):
+async def test_first_start_states_that_there_was_no_earlier_start(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT, without=("away",))
     (home,) = await team.up(mission, "home", keeps=True, first_start=True)
     assert start_of(home) == 1
 
 
-async def test_where_no_record_is_kept_all_hosts_are_heard_first(team, /):
-    """Fakes, and `up --all`."""
+async def test_without_a_journal_all_hosts_are_asked_first(team, /):
+    """Simulated devices, and `up --all`."""
     mission = team.mission(PROGRAM, DEPLOYMENT)
     (home,) = await team.up(mission, "home", first_start=False)
     await asyncio.sleep(5.0)
@@ -89,24 +89,24 @@ async def test_where_no_record_is_kept_all_hosts_are_heard_first(team, /):
     assert start_of(home) == 1
 
 
-async def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(team, /):
+async def test_a_start_that_needs_an_exited_host_is_not_made(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     (home,) = await team.up(mission, "home", first_start=False)
     await asyncio.sleep(5.0)
-    home.host.dispatch(HostExited("nobody we know"))
+    home.host.dispatch(HostExited("unknown"))
     assert home.host.core.startup.unstartable(home.host.core.membership.ended) == {}
     home.host.dispatch(HostExited("away"))
     await asyncio.sleep(5.0)
     assert not home.holds("guest")
-    # Who waits for the end of the mission does not wait for ever.
+    # A host that waits for the end of the mission does not wait without end.
     (fate,) = await wait_until_done(home.host, 3.0)
     assert (fate.agent, fate.outcome) == ("guest", "lost")
     assert fate.detail == "it was not started, since away has ended"
 
 
 @pytest.mark.parametrize("keeps", [False, True])
-async def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(team, /, keeps):
-    """Its home has forgotten it, and nobody else has had it yet."""
+async def test_a_start_that_waits_for_devices_elsewhere_is_known_to_its_home(team, /, keeps):
+    """Its home has lost its records, and it has run on no other host yet."""
     mission = team.mission(PROGRAM, DEPLOYMENT)
     away, opened = team.make(mission, "away", keeps=keeps), asyncio.Event()
     _opens_later(away, opened)
@@ -126,17 +126,17 @@ async def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(te
 
 
 def _opens_later(running, opened: asyncio.Event) -> None:
-    """A host that listens already, and whose devices take their time."""
+    """A host that listens already, and opens its devices later."""
     opens = running.host.guards.open
 
-    async def later(devices, recording) -> None:
+    async def open_later(devices, recording) -> None:
         await opened.wait()
         await opens(devices, recording)
 
-    running.host.guards.open = later
+    running.host.guards.open = open_later
 
 
-async def test_a_start_that_cannot_be_kept_is_not_made(team, /):
+async def test_a_start_that_cannot_be_stored_is_not_made(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n", without=("away",))
     home = team.make(mission, "home", keeps=True)
     team.disks["home"].broken = True
@@ -145,15 +145,15 @@ async def test_a_start_that_cannot_be_kept_is_not_made(team, /):
     assert "coordinators blocked: journal write failed: " in home.log
     assert home.log.count("coordinators blocked") == 1
     assert not home.holds("guest")
-    # The resources are served all the same.
+    # The resources are still served.
     assert home.holds("here")
     team.disks["home"].broken = False
     await starting
     assert home.holds("guest")
 
 
-async def test_a_mission_may_be_run_again_and_again(team, /):
-    """A host remembers how the last starts ended, and no more."""
+async def test_a_host_keeps_a_bounded_number_of_starts(team, /):
+    """A mission may run again and again; a host keeps how the last starts ended."""
     mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
     await team.up(mission, "away", keeps=True)
     for number in range(1, 71):
@@ -166,7 +166,7 @@ async def test_a_mission_may_be_run_again_and_again(team, /):
     assert len(kept) <= MAX_STARTS + 4
 
 
-async def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(team, /):
+async def test_an_ended_coordinator_is_not_started_again_in_an_interrupted_run(team, /):
     mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
     home, _ = await team.up(mission, keeps=True)
     assert await team.ended("guest") == "done"
@@ -179,7 +179,7 @@ async def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(
     assert start_of(next_run) == 2
 
 
-async def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(team, /):
+async def test_a_counted_start_that_was_not_made_is_made_the_next_time(team, /):
     mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
     home, _ = await team.up(mission, keeps=True)
     assert await team.ended("guest") == "done"
@@ -192,20 +192,18 @@ async def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(team,
 
 
 def crash(running) -> None:
-    """As by SIGKILL: nothing that it does from now on comes anywhere."""
+    """As by SIGKILL: none of its later actions has an effect."""
     running.host.peers.close()
     running.host.options.journal.close()
     running.host.fail(RuntimeError("killed"))
 
 
-async def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(
-    team, /
-):
+async def test_after_a_reset_the_coordinator_starts_again_and_the_old_start_is_known_as_lost(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     home, away = await team.up(mission, keeps=True)
     await team.until(lambda: away.output)
     await away.host.stop()
-    # The holder throws away what it has, then the home begins again.
+    # The holder discards its copy, then the home starts again.
     disk = team.disks["away"].open(LoopClock(), print)
     await disk.persist(plan_reset("away", disk.records(), {}).pages)
     (again,) = await team.up(mission, "away", keeps=True)

@@ -1,4 +1,4 @@
-"""What journals are tried on: a real disk, and that of a simulation."""
+"""The disks of the journal tests: a real one, and a simulated one."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ OWNER = JournalOwner("harvest", "barn", "this computer")
 
 
 class Bench(Protocol):
-    """A disk, and processes that have its journal one after the other."""
+    """A disk, and successive processes that open its journal."""
 
     clock: Clock
-    told: list[str]
+    reports: list[str]
 
     def open(self) -> Journal:
-        """A process begins; the one before was killed, unless it closed the journal."""
+        """Start a process; the one before was killed, unless it closed the journal."""
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
-        """Do something in the process."""
+        """Run work in the process."""
 
     def fill(self, full: bool) -> None:
-        """The disk has no room for another large page, and none was kept in advance; or has room again."""
+        """The disk has no space for another large record, and none in reserve; or has space again."""
 
     def damage(self, key: RecordKey) -> None:
-        """Spoil a page, while no process has the journal."""
+        """Damage a record, while no process has the journal open."""
 
 
 class FileBench:
-    """A folder for each life: what a killed process leaves is what its files say at that moment."""
+    """A folder for each life: a killed process leaves the contents of its files at that moment."""
 
     def __init__(self, folder: Path) -> None:
-        self.clock, self.told = ManualClock(), list[str]()
+        self.clock, self.reports = ManualClock(), list[str]()
         self._folder, self._life = folder, 0
         self.journal: FileJournal | None = None
 
@@ -62,7 +62,7 @@ class FileBench:
             self._life += 1
             shutil.copytree(before, self.path.parent)
             killed.close()
-        self.journal = FileJournal(self.path, owner, self.told.append, self.clock)
+        self.journal = FileJournal(self.path, owner, self.reports.append, self.clock)
         return self.journal
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
@@ -86,12 +86,12 @@ class FileBench:
 
 
 class SimulatedBench:
-    """A disk of the simulation. Each life has a loop of its own, and is killed as others are."""
+    """A simulated disk. Each life has its own loop, and is killed like a process."""
 
     def __init__(self) -> None:
         self.timeline = EventQueue()
         self.machine = SimulatedMachine("barn", self.timeline, random.Random(1))
-        self.clock, self.told = self.machine.clock, list[str]()
+        self.clock, self.reports = self.machine.clock, list[str]()
         self.disk = JournalDisk(random.Random(2), sync=0.05)
         self.disk.reserve = 0
         self.loop = ProcessLoop(self.machine)
@@ -100,7 +100,7 @@ class SimulatedBench:
         self.loop.die()
         self.loop.close()
         self.loop = ProcessLoop(self.machine)
-        return self.disk.open(self.clock, self.told.append)
+        return self.disk.open(self.clock, self.reports.append)
 
     def run(self, work: Coroutine[Any, Any, T]) -> T:
         tasks: list[asyncio.Task[T]] = []

@@ -1,4 +1,5 @@
-"""Keeps pages until it is killed: `python journal_writer.py FOLDER`; says which are kept, a line for each."""
+"""Writes records until it is killed: `python journal_writer.py FOLDER`; prints a line for each durable
+one."""
 
 from __future__ import annotations
 

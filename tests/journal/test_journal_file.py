@@ -1,4 +1,4 @@
-"""The journal of a real disk: whose it is, a slow disk, a full one, a damaged file, a killed process."""
+"""The journal on a real disk: its owner, a slow disk, a full one, a damaged file, a killed process."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ def bench(tmp_path: Path) -> Iterator[FileBench]:
 
 
 def filled(bench: FileBench) -> bytes:
-    """The bytes of a journal with PAGES in it, of a process that ended in order."""
+    """The bytes of a journal with PAGES, of a process that ended regularly."""
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
     return bench.path.read_bytes()
 
 
-# --- whose it is --------------------------------------------------------------------------------------
+# --- its owner ----------------------------------------------------------------------------------------
 
 
-def test_its_place_is_named_after_deployment_and_host(tmp_path: Path) -> None:
+def test_the_file_is_named_after_deployment_and_host(tmp_path: Path) -> None:
     path = journal_file(tmp_path, "a/b?c#", "h@1")
     assert path == tmp_path / "a%2Fb%3Fc%23@h%401" / "host.journal"
-    # SQLite opens it by an address in which all of these mean something.
+    # SQLite opens it by an address in which all of these characters have a meaning.
     FileJournal(path, OWNER, print, ManualClock()).close()
     assert path.exists()
 
 
-def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench) -> None:
+def test_a_second_process_is_refused_with_the_number_of_the_first(bench: FileBench) -> None:
     journal = bench.open()
     with pytest.raises(JournalInUse, match=f"process {os.getpid()} has it open; stop that process") as found:
         FileJournal(bench.path, OWNER, print, bench.clock)
@@ -71,9 +71,7 @@ def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench
         (OWNER._replace(machine="another"), "it was written on another computer"),
     ],
 )
-def test_a_journal_of_others_is_refused_and_stays_as_it_is(
-    bench: FileBench, owner: object, says: str
-) -> None:
+def test_a_foreign_journal_is_refused_and_not_changed(bench: FileBench, owner: object, says: str) -> None:
     data = filled(bench)
     with pytest.raises(ForeignJournal, match=says) as found:
         FileJournal(bench.path, owner, print, bench.clock)  # type: ignore[arg-type]
@@ -82,7 +80,7 @@ def test_a_journal_of_others_is_refused_and_stays_as_it_is(
 
 
 @pytest.mark.parametrize("statement", ["PRAGMA user_version = 2", None])
-def test_a_newer_version_is_refused_and_stays_as_it_is(
+def test_a_newer_version_is_refused_and_not_changed(
     bench: FileBench, statement: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     filled(bench)
@@ -101,14 +99,14 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
         with pytest.raises(ForeignJournal):
             open_read_only(bench.path)
     else:
-        # Whoever only looks sees all the rest.
+        # A read-only process sees all other records.
         seen = open_read_only(bench.path)
         assert len(seen.records) == len(PAGES)
         assert [one.why for one in seen.damaged] == ["it is of version 3: install the lfield that wrote it"]
     assert bench.path.read_bytes() == data
 
 
-def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
+def test_a_pipe_in_place_of_a_journal_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "host.journal")
     with pytest.raises(InputFileError, match="not a file"):
         open_read_only(tmp_path / "host.journal")
@@ -123,7 +121,7 @@ def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
         (lambda path: path.symlink_to(path), "it is a link that leads nowhere"),
     ],
 )
-def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
+def test_a_path_that_is_no_journal_is_refused_and_not_replaced(
     tmp_path: Path, made: Callable[[Path], None], says: str
 ) -> None:
     path = tmp_path / "host.journal"
@@ -140,7 +138,7 @@ def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
         open_read_only(path)
 
 
-def test_a_journal_may_be_elsewhere_behind_a_link(tmp_path: Path) -> None:
+def test_a_journal_may_be_behind_a_symbolic_link(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     first = FileJournal(tmp_path / "disk" / "host.journal", OWNER, print, ManualClock())
     first.close()
@@ -151,7 +149,7 @@ def test_a_journal_may_be_elsewhere_behind_a_link(tmp_path: Path) -> None:
     second.close()
 
 
-def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
+def test_a_board_is_distinguished_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
     assert machine_id(tmp_path) == ""
     (tmp_path / "etc").mkdir()
     (tmp_path / "etc/machine-id").write_text("uninitialized\n")
@@ -167,7 +165,7 @@ def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> N
     assert machine_id(tmp_path) not in ("", copied)
 
 
-def test_nobody_else_may_read_it(bench: FileBench) -> None:
+def test_other_users_may_not_read_the_journal(bench: FileBench) -> None:
     bench.run(bench.open().persist([StartCounter(1)]))
     assert {path.stat().st_mode & 0o077 for path in bench.path.parent.iterdir()} == {0}
 
@@ -175,21 +173,21 @@ def test_nobody_else_may_read_it(bench: FileBench) -> None:
 # --- its disk -----------------------------------------------------------------------------------------
 
 
-def test_sqlite_is_told_to_force_each_commit_to_the_disk(bench: FileBench) -> None:
-    """What the power takes along no test can find out."""
+def test_sqlite_forces_each_commit_to_the_disk(bench: FileBench) -> None:
+    """A test cannot cut the power."""
     connection = bench.open()._store._connection
     assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
     assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
 
 
-def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(bench: FileBench) -> None:
+def test_a_slow_disk_does_not_block_the_loop_and_calls_are_joined_to_one_commit(bench: FileBench) -> None:
     journal = bench.open()
-    store, begun, done = journal._store, threading.Event(), threading.Event()
+    store, started, done = journal._store, threading.Event(), threading.Event()
     write = store.commit
 
     def slow(groups: object) -> None:
-        begun.set()
-        # If anybody waited for this on the loop, it would never end.
+        started.set()
+        # A wait for this on the loop would never end.
         assert done.wait(60.0)
         write(groups)  # type: ignore[arg-type]
 
@@ -197,7 +195,7 @@ def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(ben
 
     async def calls() -> None:
         first = asyncio.ensure_future(journal.persist([StartCounter(0)]))
-        while not begun.is_set():
+        while not started.is_set():
             await asyncio.sleep(0)
         more = [asyncio.ensure_future(journal.persist([StartCounter(count)])) for count in range(1, 100)]
         await asyncio.sleep(0)
@@ -225,9 +223,7 @@ def failing(code: int, times: int, write: Callable[[object], None]) -> Callable[
     return commit
 
 
-def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
-    bench: FileBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reserve_is_used_when_the_disk_is_full(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = bench.open()
     reserve = bench.path.with_name("host.reserve")
     assert reserve.stat().st_size == MIN_BYTES
@@ -241,7 +237,7 @@ def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
         bench.run(journal.persist([StartCounter(5)]))
         assert not reserve.exists()
         assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
-        # The log is written over, or it would take the room that is left.
+        # The log is overwritten; otherwise it would use the remaining space.
         for count in range(20):
             bench.run(
                 journal.persist([CoordinatorRecord("scout", 1, "RUN", count, block=bytes(3 * STEP_BYTES))])
@@ -253,7 +249,7 @@ def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
     assert StartCounter(5) in bench.open().records()
 
 
-def test_the_space_that_it_gave_up_is_not_taken_for_room(
+def test_the_released_reserve_does_not_count_as_free_space(
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = bench.open()
@@ -275,22 +271,22 @@ def test_the_space_that_it_gave_up_is_not_taken_for_room(
     assert bench.path.with_name("host.reserve").exists()
 
 
-def test_a_disk_that_has_room_for_what_is_here_and_no_more_says_so_once(
+def test_a_disk_without_space_for_more_records_is_reported_once(
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Coordinators come and go, and nothing is given up; what goes makes no room for what comes."""
+    """Coordinators arrive and leave, and nothing is released; departures make no space for arrivals."""
     journal = bench.open()
     reserve = bench.path.with_name("host.reserve")
     free = [0]
     monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=free[0] // 512, f_frsize=512))
-    told = []
+    reports = []
     for hop in range(6):
         for state in ("RUN", "MOVED"):
             bench.run(
                 journal.persist([CoordinatorRecord("scout", 1, state, hop, block=bytes(3 * STEP_BYTES))])
             )
-            told.append(journal.trouble)
-    assert set(told) == {"its disk has room for what is here, and for no more"}
+            reports.append(journal.trouble)
+    assert set(reports) == {"its disk has room for what is here, and for no more"}
     assert reserve.stat().st_size == MIN_BYTES
     free[0] = 6 * STEP_BYTES - 512
     bench.run(journal.persist([]))
@@ -303,8 +299,8 @@ def test_a_disk_that_has_room_for_what_is_here_and_no_more_says_so_once(
     assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 6 * STEP_BYTES)
 
 
-def test_what_cannot_grow_keeps_what_it_has(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The file system said that there was room, and another one took it."""
+def test_a_reserve_that_cannot_grow_keeps_its_size(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file system reported free space, and another process used it."""
     journal = bench.open()
     reserve = bench.path.with_name("host.reserve")
     monkeypatch.setattr(os, "posix_fallocate", failing_fallocate)
@@ -316,7 +312,7 @@ def test_what_cannot_grow_keeps_what_it_has(bench: FileBench, monkeypatch: pytes
     assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 2 * STEP_BYTES)
 
 
-def test_a_disk_that_is_full_from_the_beginning_has_kept_no_space(
+def test_a_disk_that_is_full_from_the_beginning_has_no_reserve(
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "statvfs", lambda path: SimpleNamespace(f_bavail=0, f_frsize=512, f_namemax=255))
@@ -329,7 +325,7 @@ def failing_fallocate(descriptor: int, offset: int, size: int) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_a_disk_that_fails_is_told_and_tried_again(bench: FileBench) -> None:
+def test_a_failing_disk_is_reported_and_retried(bench: FileBench) -> None:
     journal = bench.open()
     journal._store.commit = failing(sqlite3.SQLITE_IOERR, 2, journal._store.commit)  # type: ignore
     with pytest.raises(JournalError, match=r"its disk fails; see the kernel log \(dmesg\)") as found:
@@ -340,7 +336,7 @@ def test_a_disk_that_fails_is_told_and_tried_again(bench: FileBench) -> None:
     assert bench.open().records() == [StartCounter(2)]
 
 
-def test_what_was_removed_while_it_is_in_use_takes_nothing(bench: FileBench) -> None:
+def test_a_journal_removed_while_in_use_accepts_no_records(bench: FileBench) -> None:
     journal = bench.open()
     bench.run(journal.persist([StartCounter(1)]))
     bench.path.rename(bench.path.with_name("elsewhere"))
@@ -351,7 +347,7 @@ def test_what_was_removed_while_it_is_in_use_takes_nothing(bench: FileBench) -> 
         bench.run(journal.persist([StartCounter(2)]))
 
 
-def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(JournalError, match="it is not a folder") as found:
         FileJournal(tmp_path / "file" / "host.journal", OWNER, print, ManualClock())
@@ -361,7 +357,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
 # --- damage -------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBench) -> None:
+def test_no_record_is_lost_without_a_report_for_any_damage(bench: FileBench) -> None:
     data, dice = filled(bench), random.Random(0)
     identity = bench.open().identity
     bench.end()
@@ -373,12 +369,12 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         else:
             wrong[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
         bench.path.write_bytes(wrong)
-        bench.told.clear()
-        journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+        bench.reports.clear()
+        journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
         journal.close()
         assert all(page in PAGES for page in journal.records())
         if len(journal.records()) < len(PAGES):
-            assert bench.told
+            assert bench.reports
             assert journal.identity != identity
 
 
@@ -393,9 +389,9 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         (lambda data: bytes(4096) + data[4096:], 20),
         (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
     ],
-    ids=["empty", "other", "truncated", "a hole", "no words", "no first page", "no tables"],
+    ids=["empty", "other", "truncated", "hole", "no schema", "no first page", "no tables"],
 )
-def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
+def test_a_damaged_file_is_moved_aside_and_readable_records_are_kept(
     bench: FileBench, wrong: Callable[[bytes], bytes], left: int
 ) -> None:
     data = wrong(filled(bench))
@@ -404,15 +400,15 @@ def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
         assert len(open_read_only(bench.path).records) >= left
     journal = bench.open()
     assert len(journal.records()) >= left
-    assert "is damaged" in bench.told[0]
-    assert "is now host.journal.damaged-1" in bench.told[0]
+    assert "is damaged" in bench.reports[0]
+    assert "is now host.journal.damaged-1" in bench.reports[0]
     assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50] == data[:50]
-    told = len(bench.told)
+    reports = len(bench.reports)
     bench.open()
-    assert len(bench.told) == told
+    assert len(bench.reports) == reports
 
 
-def test_a_process_that_ended_while_it_replaced_the_file_is_followed_by_one_that_goes_on(
+def test_an_interrupted_replacement_of_the_file_is_completed_by_the_next_process(
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = filled(bench)[:50_000]
@@ -432,14 +428,14 @@ def test_a_process_that_ended_while_it_replaced_the_file_is_followed_by_one_that
         with monkeypatch.context() as patch:
             patch.setattr(Path, "rename", killed)
             with pytest.raises(KeyboardInterrupt):
-                FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
-        journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+                FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
+        journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
         journal.close()
         assert len(journal.records()) >= 5
         assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50_000] == data
 
 
-def test_a_damaged_page_waits_to_be_looked_at(bench: FileBench) -> None:
+def test_a_damaged_record_is_kept_for_inspection(bench: FileBench) -> None:
     filled(bench)
     bench.sql("UPDATE pages SET body = x'00' WHERE name = 'agent3'")
     assert [one.entry.key.name for one in open_read_only(bench.path).damaged] == ["agent3"]
@@ -455,7 +451,7 @@ def test_a_damaged_page_waits_to_be_looked_at(bench: FileBench) -> None:
 
 
 @pytest.mark.process
-def test_a_killed_process_has_kept_all_that_it_said_and_no_half_of_anything(bench: FileBench) -> None:
+def test_a_killed_process_has_stored_all_reported_records_and_no_partial_one(bench: FileBench) -> None:
     writer = [sys.executable, str(Path(__file__).with_name("journal_writer.py")), str(bench.path.parent)]
     for _ in range(2):
         with subprocess.Popen(writer, stdout=subprocess.PIPE, text=True) as child:
@@ -464,7 +460,7 @@ def test_a_killed_process_has_kept_all_that_it_said_and_no_half_of_anything(benc
                 said = int(child.stdout.readline())
             child.kill()
             said = int((child.stdout.read().split() or [said])[-1])
-    journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+    journal = FileJournal(bench.path, OWNER, bench.reports.append, bench.clock)
     journal.close()
     starts, copy = journal.records()
     assert isinstance(starts, StartCounter)
@@ -472,5 +468,5 @@ def test_a_killed_process_has_kept_all_that_it_said_and_no_half_of_anything(benc
     assert starts.count in (said, said + 1)
     assert copy.sequence == starts.count
     assert copy.block == starts.count.to_bytes(8, "big") * 1000
-    assert bench.told == []
+    assert bench.reports == []
     assert RunMarker(True) not in journal.records()

@@ -1,4 +1,4 @@
-"""What every journal promises, tried on that of a real disk and on that of the simulation."""
+"""The promises of every journal, checked on a real disk and on a simulated one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from lfield.journal.records import (
 )
 
 KINDS = ("file", "simulated")
-#: One page of each kind.
+#: One record of each kind.
 PAGES: tuple[Record, ...] = (
     CoordinatorRecord("scout", 3, "RUN", sequence=7, hops=5, program=b"\1" * 32, block=bytes(5000)),
     PendingCallRecord("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
@@ -45,7 +45,7 @@ PAGES: tuple[Record, ...] = (
     ReservationRecord("arm", 41, "scout", 3),
     ProgramRecord(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
 )
-#: Larger than what is free in the files of a new journal.
+#: Larger than the free space in the files of a new journal.
 LARGE = CoordinatorRecord("scout", 4, "RUN", block=bytes(200_000))
 
 
@@ -71,17 +71,17 @@ def by_key(pages: Sequence[Record]) -> dict[RecordKey, Record]:
     return found
 
 
-def test_what_is_kept_is_there_in_the_next_life(bench: Bench) -> None:
+def test_stored_records_are_there_in_the_next_life(bench: Bench) -> None:
     journal = bench.open()
     assert journal.records() == []
     bench.run(journal.persist(PAGES))
     again = bench.open()
     assert by_key(again.records()) == by_key(PAGES)
     assert again.identity == journal.identity
-    assert bench.told == []
+    assert bench.reports == []
 
 
-def test_a_closed_journal_is_read_as_it_was_and_takes_nothing(bench: Bench) -> None:
+def test_a_closed_journal_is_readable_and_accepts_no_records(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
@@ -106,10 +106,10 @@ CHANGES = st.builds(
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=12)
 @given(changes=st.lists(CHANGES, max_size=6), waits=st.booleans())
-def test_after_any_changes_the_next_life_finds_what_they_lead_to(
+def test_after_any_changes_the_next_life_finds_their_result(
     kind: str, changes: list[Change], waits: bool
 ) -> None:
-    """Those that are made one after the other, and those that are made at once, in the order of the calls."""
+    """Changes one after the other, and at once in the order of the calls."""
     expected: dict[RecordKey, Record] = {}
     for pages, keys in changes:
         expected |= {key_of(page): page for page in pages}
@@ -140,7 +140,7 @@ def test_calls_of_one_turn_are_one_commit(bench: Bench) -> None:
     assert bench.open().records() == [StartCounter(49)]
 
 
-def test_what_is_written_and_what_is_removed_are_one_change(bench: Bench) -> None:
+def test_written_and_deleted_records_are_one_change(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     new = CoordinatorRecord("scout", 3, "PREPARED", sequence=8, block=b"with all results")
@@ -150,7 +150,7 @@ def test_what_is_written_and_what_is_removed_are_one_change(bench: Bench) -> Non
     assert left == by_key([new, *PAGES[2:]])
 
 
-def test_a_page_says_when_it_was_kept(bench: Bench) -> None:
+def test_a_record_has_the_time_of_its_storage(bench: Bench) -> None:
     before = bench.clock.time()
     journal = bench.open()
     assert not journal.times
@@ -160,7 +160,7 @@ def test_a_page_says_when_it_was_kept(bench: Bench) -> None:
     assert all(before <= kept <= bench.clock.time() for kept in times.values())
 
 
-def test_a_full_disk_is_told_and_the_journal_recovers(bench: Bench) -> None:
+def test_a_full_disk_is_reported_and_the_journal_recovers(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist([StartCounter(1)]))
     bench.fill(True)
@@ -174,17 +174,17 @@ def test_a_full_disk_is_told_and_the_journal_recovers(bench: Bench) -> None:
     bench.fill(False)
     bench.run(journal.persist([]))
     assert journal.trouble == ""
-    # Of what failed nothing is there.
+    # Nothing of the failed change is there.
     assert bench.open().records() == [StartCounter(1)]
 
 
-def test_what_was_called_before_a_failure_is_told_fails_too(bench: Bench) -> None:
+def test_calls_before_the_report_of_a_failure_fail_too(bench: Bench) -> None:
     journal = bench.open()
     bench.fill(True)
 
     async def calls() -> list[BaseException | None]:
         first = asyncio.ensure_future(journal.persist([LARGE]))
-        # The first commit begins; what comes now waits for it.
+        # The first commit begins; later calls wait for it.
         for _ in range(2):
             await asyncio.sleep(0)
         later = asyncio.ensure_future(journal.persist([StartCounter(1)]))
@@ -194,44 +194,44 @@ def test_what_was_called_before_a_failure_is_told_fails_too(bench: Bench) -> Non
     assert bench.open().records() == []
 
 
-def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
+def test_a_damaged_record_is_reported_and_changes_the_identity(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
     bench.damage(RecordKey("copy", "scout", 3))
     again = bench.open()
-    (told,) = bench.told
-    assert told.startswith("the copy of scout, start 3, stored ")
-    assert "is damaged in the journal" in told
+    (report,) = bench.reports
+    assert report.startswith("the copy of scout, start 3, stored ")
+    assert "is damaged in the journal" in report
     assert by_key(again.records()) == by_key(PAGES[1:])
     assert again.identity != journal.identity
     last = bench.open()
-    assert (last.identity, len(bench.told)) == (again.identity, 1)
+    assert (last.identity, len(bench.reports)) == (again.identity, 1)
 
 
-def test_with_a_promise_the_record_of_starts_is_lost(bench: Bench) -> None:
-    """So a host counts as one that may have promised what it does not know."""
+def test_the_start_counter_is_lost_with_a_damaged_fence(bench: Bench) -> None:
+    """The host then counts as one that may have lost its promises."""
     journal = bench.open()
     bench.run(journal.persist(PAGES))
     journal.close()
     bench.damage(RecordKey("fence", "scout"))
     left = [page for page in PAGES if not isinstance(page, FenceRecord | StartCounter)]
     assert by_key(bench.open().records()) == by_key(left)
-    (told,) = bench.told
-    assert told.startswith("the fence of scout, stored ")
+    (report,) = bench.reports
+    assert report.startswith("the fence of scout, stored ")
     assert by_key(bench.open().records()) == by_key(left)
 
 
-def test_a_stop_that_cannot_be_read_is_named_and_no_start_is_lost_with_it(bench: Bench) -> None:
+def test_an_unreadable_stop_is_reported_and_no_start_is_lost_with_it(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.persist([StartCounter(4), PauseFlag(True), EmergencyStopFlag("fog")]))
     journal.close()
     bench.damage(RecordKey("stopped"))
     assert by_key(bench.open().records()) == by_key([StartCounter(4), PauseFlag(True)])
-    assert bench.told[0].startswith("whether an emergency stop holds here, stored ")
+    assert bench.reports[0].startswith("whether an emergency stop holds here, stored ")
 
 
-def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:
+def test_the_commits_of_a_minute_are_counted(bench: Bench) -> None:
     journal = bench.open()
 
     async def some() -> None:

@@ -1,4 +1,4 @@
-"""The write-ahead log of a journal: what of it a power cut may take, and what is damage."""
+"""The write-ahead log of a journal: the parts that a power cut may remove, and damage."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield.journal.readonly_view import open_read_only
 from lfield.journal.records import CoordinatorRecord, StartCounter
 from lfield.journal.wal import read_wal, wal_file
 
-#: In a log: what stands before the frames, before an image, and one frame as a whole.
+#: In a log: the header of the file, the header of a frame, and a whole frame.
 HEAD, FRAME, WHOLE = 32, 24, 24 + 4096
 
 
@@ -27,7 +27,7 @@ def bench(tmp_path: Path) -> Iterator[FileBench]:
 
 
 def killed(bench: FileBench, place: Path, counts: int = 30) -> Path:
-    """The journal of a process that was killed when it had counted so far; the last word was `counts`."""
+    """The journal of a process that was killed after `counts` records."""
     journal = bench.open()
     bench.run(journal.persist([CoordinatorRecord("pilot", 1, "RUN", block=bytes(9000))]))
     for count in range(1, counts + 1):
@@ -44,8 +44,8 @@ def spoil(path: Path, at: int) -> None:
 
 
 def again(bench: FileBench, path: Path) -> FileJournal:
-    """The next process."""
-    journal = FileJournal(path, OWNER, bench.told.append, bench.clock)
+    """Open the journal in the next process."""
+    journal = FileJournal(path, OWNER, bench.reports.append, bench.clock)
     journal.close()
     return journal
 
@@ -54,15 +54,13 @@ def count_of(journal: FileJournal) -> int | None:
     return next((page.count for page in journal.records() if isinstance(page, StartCounter)), None)
 
 
-def test_a_log_that_is_whole_is_as_sqlite_reads_it(bench: FileBench, tmp_path: Path) -> None:
+def test_a_complete_log_is_read_as_by_sqlite(bench: FileBench, tmp_path: Path) -> None:
     log = read_wal(killed(bench, tmp_path / "left"))
     assert (log.valid_prefix, log.fault) == (len(log.frames), "")
     assert log.valid_prefix > 30
 
 
-def test_a_wrong_bit_in_an_older_commit_takes_nothing_of_what_came_later(
-    bench: FileBench, tmp_path: Path
-) -> None:
+def test_a_wrong_bit_in_an_older_commit_loses_no_later_record(bench: FileBench, tmp_path: Path) -> None:
     path = killed(bench, tmp_path / "left")
     spoil(path, HEAD + 20 * WHOLE + FRAME + 2000)
     assert read_wal(path).fault.startswith("frame 21 of the ")
@@ -71,13 +69,13 @@ def test_a_wrong_bit_in_an_older_commit_takes_nothing_of_what_came_later(
     assert count_of(journal) == 30
     assert bench.journal is not None
     assert journal.identity == bench.journal.identity
-    assert "frame 21 of the " in bench.told[0]
-    assert bench.told[0].endswith("nothing is lost")
+    assert "frame 21 of the " in bench.reports[0]
+    assert bench.reports[0].endswith("nothing is lost")
     again(bench, path)
-    assert len(bench.told) == 1
+    assert len(bench.reports) == 1
 
 
-def test_where_the_newest_page_is_damaged_no_older_one_goes_on(bench: FileBench, tmp_path: Path) -> None:
+def test_no_older_record_is_used_when_the_newest_is_damaged(bench: FileBench, tmp_path: Path) -> None:
     path = killed(bench, tmp_path / "left")
     log = read_wal(path)
     # The frames of the copy's block are the newest of their pages: nothing replaces them.
@@ -88,28 +86,28 @@ def test_where_the_newest_page_is_damaged_no_older_one_goes_on(bench: FileBench,
     assert journal.records() == []
     assert bench.journal is not None
     assert journal.identity != bench.journal.identity
-    assert "stay in doubt" in bench.told[0]
-    assert any("a later one may have been lost with the log" in line for line in bench.told)
+    assert "stay in doubt" in bench.reports[0]
+    assert any("a later one may have been lost with the log" in line for line in bench.reports)
     assert again(bench, path).identity == journal.identity
 
 
-@pytest.mark.parametrize("at", [8, 20], ids=["which log", "checksum"])
-def test_every_older_frame_may_be_damaged_in_its_header(bench: FileBench, tmp_path: Path, at: int) -> None:
+@pytest.mark.parametrize("at", [8, 20], ids=["salt", "checksum"])
+def test_a_damaged_header_of_an_older_frame_is_detected(bench: FileBench, tmp_path: Path, at: int) -> None:
     path = killed(bench, tmp_path / "left")
     spoil(path, HEAD + 20 * WHOLE + at)
     assert read_wal(path).valid_prefix == 20
     assert count_of(again(bench, path)) in (30, None)
-    assert bench.told
+    assert bench.reports
 
 
-def test_a_log_whose_beginning_is_damaged_is_read_all_the_same(bench: FileBench, tmp_path: Path) -> None:
+def test_a_log_with_a_damaged_header_is_still_read(bench: FileBench, tmp_path: Path) -> None:
     path = killed(bench, tmp_path / "left")
     spoil(path, 17)
     assert count_of(again(bench, path)) in (30, None)
-    assert "frame 1 of the " in bench.told[0]
+    assert "frame 1 of the " in bench.reports[0]
 
 
-def test_a_last_commit_that_is_not_whole_is_what_a_power_cut_leaves(bench: FileBench, tmp_path: Path) -> None:
+def test_an_incomplete_last_commit_counts_as_a_power_cut(bench: FileBench, tmp_path: Path) -> None:
     path = killed(bench, tmp_path / "left")
     frames = read_wal(path).frames
     for cut in (1, WHOLE // 2, WHOLE - 1):
@@ -120,12 +118,10 @@ def test_a_last_commit_that_is_not_whole_is_what_a_power_cut_leaves(bench: FileB
     spoil(path, HEAD + (len(frames) - 1) * WHOLE + FRAME)
     assert read_wal(path).fault == ""
     assert count_of(again(bench, path)) == 29
-    assert bench.told == []
+    assert bench.reports == []
 
 
-def test_what_is_left_of_an_earlier_log_behind_this_one_is_no_damage(
-    bench: FileBench, tmp_path: Path
-) -> None:
+def test_the_rest_of_an_earlier_log_is_no_damage(bench: FileBench, tmp_path: Path) -> None:
     journal = bench.open()
     bench.run(journal.persist([CoordinatorRecord("pilot", 1, "RUN", block=bytes(90_000))]))
     journal._restart_log()
@@ -135,25 +131,23 @@ def test_what_is_left_of_an_earlier_log_behind_this_one_is_no_damage(
     assert log.fault == ""
 
 
-def test_a_log_that_is_missing_is_told_and_what_is_older_does_not_go_on(
-    bench: FileBench, tmp_path: Path
-) -> None:
+def test_a_missing_log_is_reported_and_older_records_are_not_used(bench: FileBench, tmp_path: Path) -> None:
     for spoilt in (Path.unlink, lambda log: log.write_bytes(b"")):
-        path = killed(bench, tmp_path / f"left{bool(bench.told)}")
-        bench.told.clear()
+        path = killed(bench, tmp_path / f"left{bool(bench.reports)}")
+        bench.reports.clear()
         spoilt(wal_file(path))
         assert open_read_only(path).fault == "its log is missing"
         journal = again(bench, path)
         assert journal.records() == []
-        assert "its log is missing" in bench.told[0]
+        assert "its log is missing" in bench.reports[0]
         assert bench.journal is not None
         assert journal.identity != bench.journal.identity
-        told = len(bench.told)
+        count = len(bench.reports)
         again(bench, path)
-        assert len(bench.told) == told
+        assert len(bench.reports) == count
 
 
-def test_a_log_that_is_removed_while_it_is_in_use_loses_nothing(bench: FileBench) -> None:
+def test_a_log_removed_while_in_use_loses_nothing(bench: FileBench) -> None:
     journal = bench.open()
     bench.run(journal.persist([StartCounter(1)]))
     wal_file(bench.path).unlink()
@@ -161,10 +155,10 @@ def test_a_log_that_is_removed_while_it_is_in_use_loses_nothing(bench: FileBench
     assert wal_file(bench.path).exists()
     bench.run(journal.persist([CoordinatorRecord("pilot", 2, "RUN")]))
     assert len(bench.open().records()) == 3
-    assert bench.told == []
+    assert bench.reports == []
 
 
-def test_an_orderly_end_leaves_no_log_to_be_missed(bench: FileBench) -> None:
+def test_a_regular_end_leaves_no_log(bench: FileBench) -> None:
     for count in (1, 2):
         journal = bench.open()
         bench.run(journal.persist([StartCounter(count)]))
@@ -172,10 +166,10 @@ def test_an_orderly_end_leaves_no_log_to_be_missed(bench: FileBench) -> None:
         bench.journal = None
         assert not wal_file(bench.path).exists()
     assert count_of(bench.open()) == 2
-    assert bench.told == []
+    assert bench.reports == []
 
 
-def test_the_lock_stays_when_its_file_is_removed(bench: FileBench) -> None:
+def test_the_lock_remains_when_its_file_is_removed(bench: FileBench) -> None:
     bench.open()
     bench.path.with_name("host.lock").unlink()
     with pytest.raises(JournalInUse, match="another process has it open"):

@@ -1,4 +1,4 @@
-"""The bytes of pages: what is written is read, and what was changed on the way is not believed."""
+"""The bytes of records: they are restored, and changed bytes are rejected."""
 
 from __future__ import annotations
 
@@ -64,16 +64,14 @@ TIMES = st.floats(0, 4e9)
 
 
 @given(page=PAGES, kept=TIMES)
-def test_a_page_is_read_as_it_was_written(page: Record, kept: float) -> None:
+def test_a_record_is_restored(page: Record, kept: float) -> None:
     made = encode_record(page, kept)
     assert decode_record(made) == page
     assert made.key == key_of(page)
 
 
 @given(page=PAGES, kept=TIMES, data=st.data())
-def test_a_page_with_one_bit_that_is_wrong_is_not_believed(
-    page: Record, kept: float, data: st.DataObject
-) -> None:
+def test_a_record_with_one_wrong_bit_is_rejected(page: Record, kept: float, data: st.DataObject) -> None:
     made = encode_record(page, kept)
     at = data.draw(st.integers(0, 8 * len(made.body) - 1))
     body = bytearray(made.body)
@@ -94,7 +92,7 @@ ANYTHING = st.sampled_from([None, 0, -1, 2**63, 1.5, float("nan"), 1e300, "copy"
 
 
 @given(key=st.builds(RecordKey, ANYTHING, ANYTHING, ANYTHING), rest=st.tuples(*[ANYTHING] * 4))
-def test_anything_in_the_place_of_a_page_is_a_damaged_one_and_can_be_told(
+def test_any_row_in_place_of_a_record_is_rejected_and_described(
     key: RecordKey, rest: tuple[object, ...]
 ) -> None:
     made = encode_record(StartCounter(1), 0.0)
@@ -104,7 +102,7 @@ def test_anything_in_the_place_of_a_page_is_a_damaged_one_and_can_be_told(
     assert describe_loss(found)
 
 
-def test_a_sound_page_in_the_place_of_another_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_valid_record_under_another_key_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.journal.records.key_of", lambda page: RecordKey("copy", "scout", 1))
     made = encode_record(StartCounter(1), 0.0)
     monkeypatch.undo()
@@ -112,7 +110,9 @@ def test_a_sound_page_in_the_place_of_another_is_not_believed(monkeypatch: pytes
         decode_record(made)
 
 
-def test_a_page_of_a_newer_version_is_told_from_a_damaged_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_of_a_newer_version_is_distinguished_from_a_damaged_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("lfield.journal.records.VERSION", VERSION + 1)
     made = encode_record(StartCounter(1), 0.0)
     monkeypatch.undo()

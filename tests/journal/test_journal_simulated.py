@@ -1,4 +1,4 @@
-"""The disk of a simulation is no kinder than a real one, when it breaks, is replaced, or its process dies."""
+"""The simulated disk is as strict as a real one, when it fails, is replaced, or its process is killed."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ def bench() -> Iterator[SimulatedBench]:
     made.end()
 
 
-def test_a_commit_under_way_at_a_death_is_there_as_a_whole_or_not_at_all(bench: SimulatedBench) -> None:
+def test_a_commit_during_a_kill_is_stored_completely_or_not_at_all(bench: SimulatedBench) -> None:
     dice, found = random.Random(0), []
     for _ in range(40):
         bench.run(bench.open().persist(BEFORE))
-        journal, told = bench.open(), list[None]()
+        journal, reported = bench.open(), list[None]()
 
-        async def keep(journal=journal, told=told) -> None:  # type: ignore[no-untyped-def]
+        async def keep(journal=journal, reported=reported) -> None:  # type: ignore[no-untyped-def]
             await journal.persist(AFTER)
-            told.append(None)
+            reported.append(None)
 
         bench.loop.enter(lambda keep=keep: bench.loop.create_task(keep()))  # type: ignore[misc]
         bench.timeline.run(dice.uniform(0.0, 1.2 * bench.disk.sync))
         left = bench.open().records()
         assert left in (BEFORE, AFTER)
-        assert left == AFTER or not told
-        found.append((left == AFTER, bool(told)))
-    # Not kept; kept and told to nobody; kept and told.
+        assert left == AFTER or not reported
+        found.append((left == AFTER, bool(reported)))
+    # Not stored; stored and not reported; stored and reported.
     assert set(found) == {(False, False), (True, False), (True, True)}
 
 
-def test_a_broken_disk_refuses_and_may_have_kept_it_all_the_same(bench: SimulatedBench) -> None:
+def test_a_broken_disk_refuses_and_may_still_have_stored_the_records(bench: SimulatedBench) -> None:
     found = []
     for _ in range(20):
         bench.run(bench.open().persist(BEFORE))
@@ -60,7 +60,7 @@ def test_a_broken_disk_refuses_and_may_have_kept_it_all_the_same(bench: Simulate
     assert [pages for pages in (BEFORE, AFTER) if pages not in found] == []
 
 
-def test_a_full_disk_has_some_room_that_was_kept(bench: SimulatedBench) -> None:
+def test_a_full_disk_has_some_reserve(bench: SimulatedBench) -> None:
     bench.disk.replace()
     journal = bench.open()
     bench.disk.full = True
@@ -71,7 +71,7 @@ def test_a_full_disk_has_some_room_that_was_kept(bench: SimulatedBench) -> None:
         bench.run(journal.persist([StartCounter(99)]))
 
 
-def test_a_disk_that_was_replaced_is_empty_and_another_memory(bench: SimulatedBench) -> None:
+def test_a_replaced_disk_is_empty_and_has_another_identity(bench: SimulatedBench) -> None:
     journal = bench.open()
     bench.run(journal.persist(BEFORE))
     bench.disk.replace()
@@ -80,14 +80,14 @@ def test_a_disk_that_was_replaced_is_empty_and_another_memory(bench: SimulatedBe
     assert again.identity != journal.identity
 
 
-def test_identities_come_from_the_dice() -> None:
+def test_identities_come_from_the_random_generator() -> None:
     clock = ManualClock()
     drawn = [JournalDisk(random.Random(seed)).open(clock, print).identity for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2]
 
 
-def test_only_what_is_on_it_can_be_damaged(bench: SimulatedBench) -> None:
+def test_a_damaged_record_is_reported_and_the_others_are_kept(bench: SimulatedBench) -> None:
     bench.run(bench.open().persist(BEFORE))
     bench.damage(RecordKey("run"))
     assert bench.open().records() == [StartCounter(1)]
-    assert bench.told[0].startswith("whether the last run continues, stored ")
+    assert bench.reports[0].startswith("whether the last run continues, stored ")

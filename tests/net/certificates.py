@@ -1,4 +1,4 @@
-"""Certificates for tests of links, good ones and others."""
+"""Valid and invalid certificates for tests of links."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOT_BEFORE, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year i
 
 
 @dataclass(frozen=True)
-class Shown:
+class CertificateWithKey:
     """A certificate and its key."""
 
     certificate: x509.Certificate
@@ -43,9 +43,9 @@ def made(
     name: str,
     uris: Iterable[str] = (),
     *,
-    signer: Shown | None = None,
-) -> Shown:
-    """A certificate, signed by itself where nobody else signs it."""
+    signer: CertificateWithKey | None = None,
+) -> CertificateWithKey:
+    """A certificate, self-signed if there is no signer."""
     key = Ed25519PrivateKey.generate()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     builder = (
@@ -61,11 +61,11 @@ def made(
     alternatives = [x509.UniformResourceIdentifier(uri) for uri in uris]
     if alternatives:
         builder = builder.add_extension(x509.SubjectAlternativeName(alternatives), critical=False)
-    return Shown(builder.sign(signer.key if signer else key, None), key)
+    return CertificateWithKey(builder.sign(signer.key if signer else key, None), key)
 
 
 class Team:
-    """An authority and what it signs."""
+    """A certificate authority and what it signs."""
 
     def __init__(self) -> None:
         self.authority = new_authority(NOT_BEFORE.timestamp(), END.timestamp())
@@ -79,25 +79,27 @@ class Team:
         issued = self.authority.issue("person", name, may=may, at=NOT_BEFORE.timestamp(), ends=end)
         return Keys("person", self.authority.certificate, issued.certificate, issued.key)
 
-    def odd(self, *uris: str) -> Keys:
-        """Keys that the authority would not make, with these names."""
-        signer = Shown(certificate_in(self.authority.certificate), private_in(self.authority.key))
+    def unusual(self, *uris: str) -> Keys:
+        """Keys with these names, which the authority would not issue."""
+        signer = CertificateWithKey(
+            certificate_in(self.authority.certificate), private_in(self.authority.key)
+        )
         return self.with_(made("odd", uris, signer=signer))
 
-    def with_(self, shown: Shown) -> Keys:
-        """Any keys, of whoever believes this authority."""
+    def with_(self, shown: CertificateWithKey) -> Keys:
+        """Any certificate and key, of an owner that trusts this authority."""
         return Keys("host", self.authority.certificate, shown.pem, shown.key_pem)
 
     def page(self) -> Keys:
-        """The keys of a page, which browsers believe, of whoever believes this authority."""
+        """The keys of a web page, which browsers trust; the owner trusts this authority."""
         issued = self._root.issue(["10.0.0.1"], at=NOT_BEFORE.timestamp(), ends=END.timestamp())
         return Keys("host", self.authority.certificate, issued.certificate, issued.key)
 
     def browsers(self) -> Keys:
-        """The root that makes those, in the same way."""
+        """The root CA of the pages, in the same form."""
         return Keys("host", self.authority.certificate, self._root.certificate, self._root.key)
 
     def revoked(self, number: int, *keys: Keys) -> bytes:
-        """The list of those keys."""
+        """The revocation list with those keys."""
         serials = frozenset(f"{certificate_in(one.certificate).serial_number:x}" for one in keys)
         return self.authority.revocation_list(RevocationList(number, serials, NOT_BEFORE.timestamp()))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-#: Seconds for what is only a matter of time on a busy computer.
+#: Seconds until a test fails; a busy computer may be slow.
 PATIENCE = 60.0
 PEER = Path(__file__).with_name("peer.py")
 
@@ -39,7 +39,7 @@ def can_be_made() -> bool:
 
 
 class Process:
-    """A `peer.py` on one of the computers; its lines as they come, with their times."""
+    """A `peer.py` on one of the computers; its lines with their times."""
 
     def __init__(self, words: list[str], stderr: int | None = None) -> None:
         self._popen = subprocess.Popen(
@@ -61,7 +61,7 @@ class Process:
         return line
 
     def wait_for(self, pattern: str, since: int = 0) -> float:
-        """When the first line with this came, on the monotonic clock; of those after the first `since`."""
+        """The time of the first line after the first `since` that matches, on the monotonic clock."""
 
         def found() -> str | None:
             return next((line for line in self.lines[since:] if re.search(pattern, line)), None)
@@ -69,7 +69,7 @@ class Process:
         with self._changed:
             self._changed.wait_for(found, PATIENCE)
             line = found()
-        assert line, "\n".join([f"nothing like {pattern!r} in", *self.lines])
+        assert line, "\n".join([f"no line matches {pattern!r}:", *self.lines])
         return float(line.split()[0])
 
     def kill(self) -> None:
@@ -87,7 +87,7 @@ class Process:
 
 
 class Network:
-    """Two computers, `a` and `b`, at a switch. Interfaces are called `eth0`; nothing has an address yet."""
+    """Two computers, `a` and `b`, at a switch. Interfaces are called `eth0`; they have no address yet."""
 
     def __init__(self, keys: Path) -> None:
         self._tag, self._keys = uuid.uuid4().hex[:6], keys
@@ -103,7 +103,7 @@ class Network:
             folder = self._etc(host)
             folder.mkdir(parents=True)
             (folder / "hosts").write_text("127.0.0.1 localhost\n", encoding="ascii")
-            # Nobody is asked for a name that is not in there.
+            # Other names are not resolved: no server answers at this address.
             (folder / "resolv.conf").write_text("nameserver 127.0.0.1\n", encoding="ascii")
 
     def _named(self, host: str) -> str:
@@ -116,46 +116,46 @@ class Network:
         command("ip", "-n", namespace, *words)
 
     def plug_in(self, host: str) -> None:
-        """Give a computer an interface, at the switch."""
+        """Give a computer an interface at the switch."""
         there = ["type", "veth", "peer", "name", f"p{host}", "netns", self.switch]
         self._ip(self._named(host), "link", "add", "name", "eth0", *there)
         self._ip(self.switch, "link", "set", "dev", f"p{host}", "master", "switch0", "up")
         self._ip(self._named(host), "link", "set", "dev", "eth0", "up")
 
     def pull_out(self, host: str) -> None:
-        """Take the interface away; its addresses go with it."""
+        """Remove the interface with its addresses."""
         self._ip(self._named(host), "link", "del", "dev", "eth0")
 
     def address(self, host: str, *addresses: str) -> None:
-        """Let a computer have these addresses, and no other."""
+        """Give a computer these addresses, and no other."""
         self._ip(self._named(host), "addr", "flush", "dev", "eth0", "scope", "global")
         for address in addresses:
             extra = ["nodad"] if ":" in address else []
             self._ip(self._named(host), "addr", "add", address, "dev", "eth0", *extra)
 
     def silence(self) -> None:
-        """Nothing comes through, and nobody is told."""
+        """Drop all packets without an error."""
         self._ip(self.switch, "link", "set", "dev", "pb", "nomaster")
 
     def heal(self) -> None:
-        """It comes through again."""
+        """Deliver packets again."""
         self._ip(self.switch, "link", "set", "dev", "pb", "master", "switch0")
 
     def name(self, host: str, *lines: str) -> None:
-        """What a computer finds for names: `ADDRESS NAME`."""
+        """Set the host names of a computer: `ADDRESS NAME`."""
         text = "\n".join(["127.0.0.1 localhost", *lines, ""])
-        # In its place: the file is mounted where programs look for it.
+        # The file is mounted: it is overwritten, not replaced.
         with (self._etc(host) / "hosts").open("r+", encoding="ascii") as file:
             file.write(text)
             file.truncate()
 
     def start(self, host: str, *places: str) -> Process:
-        """The links of a host; `places` are NAME=ADDRESS."""
+        """Start the links of a host; `places` are NAME=ADDRESS."""
         words = [sys.executable, str(PEER), host, str(self._keys), *places]
         return self.run(host, *words)
 
     def run(self, host: str, *words: str) -> Process:
-        """A program on a computer."""
+        """Run a program on a computer."""
         process = Process(["ip", "netns", "exec", self._named(host), *words])
         self._processes.append(process)
         return process

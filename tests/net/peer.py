@@ -1,6 +1,6 @@
 """The links of one host, as a process: `python peer.py HERE KEYS HOST=ADDRESS ...`.
 
-Prints `linked HOST` and `unlinked HOST` with the time, and what the log would say. Ends with its input.
+Prints `linked HOST` and `unlinked HOST` with the time, and the lines of the log. Ends with its input.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def say(text: str) -> None:
 
 
 class Owner:
-    """Wants links with all others, and has nothing to do with them."""
+    """Needs links with all other hosts and ignores their messages."""
 
     def __init__(self, name: str, others: Collection[str]) -> None:
         self._name, self._others, self._life = name, others, random.getrandbits(62) + 1

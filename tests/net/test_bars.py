@@ -1,9 +1,9 @@
-"""For how long a member that sent too much is not accepted again."""
+"""For how long a member that sent too much is banned."""
 
 from lfield.net.scheduling.temporary_bans import FIRST_BAN, LONGEST_BAN, RESET_AFTER, TemporaryBans
 
 
-def test_each_time_it_is_twice_as_long_and_never_over_the_longest():
+def test_each_ban_is_twice_as_long_up_to_the_longest():
     bars, now, found = TemporaryBans(), 100.0, []
     for _ in range(6):
         found.append(bars.ban("bravo", now))
@@ -12,7 +12,7 @@ def test_each_time_it_is_twice_as_long_and_never_over_the_longest():
     assert LONGEST_BAN < 10.0
 
 
-def test_it_is_over_by_itself_and_forgotten_later():
+def test_a_ban_ends_and_is_reset_after_a_while():
     bars = TemporaryBans()
     assert bars.remaining("bravo", 0.0) == 0.0
     bars.ban("bravo", 0.0)

@@ -1,4 +1,4 @@
-"""Who is let in before anything is known of him, and who must go."""
+"""Connections that are not authenticated: which are accepted, and which are closed to make room."""
 
 import random
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from lfield.net.scheduling.handshake_scheduler import (
 )
 
 
-def test_all_stay_while_there_is_room():
+def test_all_connections_are_kept_below_the_limit():
     guests = ConnectionLimiter(3, random.Random(1))
     assert [guests.admit(n, "here") for n in range(3)] == [None] * 3
     guests.release(1)
@@ -29,7 +29,7 @@ def test_all_stay_while_there_is_room():
     assert guests.admit(4, "here") in (0, 2, 3)
 
 
-def test_a_flood_from_one_address_pushes_out_its_own():
+def test_a_flood_from_one_address_displaces_only_its_own_connections():
     guests = ConnectionLimiter(64, random.Random(1))
     guests.admit("peer", "there")
     pushed = [guests.admit(n, "here") for n in range(10_000)]
@@ -38,8 +38,8 @@ def test_a_flood_from_one_address_pushes_out_its_own():
     assert guests.admit("next peer", "elsewhere") not in (None, "peer")
 
 
-def test_at_the_address_of_a_flood_whoever_calls_again_gets_time_to_greet():
-    """Thirty more come before the greeting of a peer is read: two in three get through each time."""
+def test_retries_at_the_address_of_a_flood_get_time_to_authenticate():
+    """Thirty connections follow before the Hello of a peer is read: two of three attempts succeed."""
     guests, through = ConnectionLimiter(64, random.Random(1)), 0
     for attempt in range(300):
         peer = f"peer {attempt}"
@@ -50,7 +50,7 @@ def test_at_the_address_of_a_flood_whoever_calls_again_gets_time_to_greet():
     assert 150 < through < 250
 
 
-def test_the_last_that_there_is_room_for_pushes_one_out_and_the_only_one_stays():
+def test_the_last_free_place_displaces_one_connection_of_the_same_address():
     guests = ConnectionLimiter(3, random.Random(1))
     assert guests.admit("a", "field", last=True) is None
     assert guests.admit("b", "field", last=True) == "a"
@@ -58,14 +58,14 @@ def test_the_last_that_there_is_room_for_pushes_one_out_and_the_only_one_stays()
     assert guests.admit("d", "elsewhere", last=True) in ("b", "c")
 
 
-# Handshakes: a flood, and one caller who proves who it is, on virtual time
+# Handshakes: a flood, and one peer that authenticates, in virtual time
 
-#: What a part of a handshake costs, and the time between two parts of one: 50 ms over a network.
+#: Processing time of a part of a handshake, and the time between its two parts: 50 ms over a network.
 COST, TRIP = 7e-4, 0.05
 
 
-class Door:
-    """A host whose processor is at work for nothing but handshakes. Two parts prove who a caller is."""
+class HandshakeHost:
+    """A host that processes only handshakes. Two parts authenticate a peer."""
 
     def __init__(self, addresses: Callable[[], str], rate: float) -> None:
         self._next_address, self._rate = addresses, rate
@@ -77,7 +77,7 @@ class Door:
         self.handshakes: HandshakeScheduler[object] = HandshakeScheduler()
         self.now, self._came, self.busy = 0.0, 0, 0.0
         self.proven: list[object] = []
-        #: When the second part of a caller comes.
+        #: When the second part of a peer's handshake arrives.
         self._coming: list[tuple[float, str]] = []
 
     def call(self, guest: object, address: str) -> None:
@@ -87,7 +87,7 @@ class Door:
             self._close(pushed)
         self.handshakes.add(guest, address, is_answered=False)
 
-    def is_there(self, guest: object) -> bool:
+    def is_connected(self, guest: object) -> bool:
         return guest in self._addresses
 
     def run(self, until: float) -> None:
@@ -97,7 +97,7 @@ class Door:
                 self.call(self._came, self._next_address())
             for due in [due for due in self._coming if due[0] <= self.now]:
                 self._coming.remove(due)
-                if self.is_there(due[1]):
+                if self.is_connected(due[1]):
                     self.handshakes.add(due[1], self._addresses[due[1]], is_answered=True)
             guest = self.handshakes.next(self.now)
             if guest is None:
@@ -124,16 +124,16 @@ class Door:
         self.handshakes.sources.on_failed(self._addresses.pop(guest))
 
 
-def takes(door: Door, name: str, address: str) -> float:
-    """How long a caller needs that calls again at once when it is shown out, at most every 0.1 s."""
-    began, attempt = door.now, 0
-    while not any(isinstance(guest, str) and guest.startswith(name) for guest in door.proven):
+def seconds_to_authenticate(server: HandshakeHost, name: str, address: str) -> float:
+    """The time that a peer needs that reconnects when it is closed, at most every 0.1 s."""
+    began, attempt = server.now, 0
+    while not any(isinstance(guest, str) and guest.startswith(name) for guest in server.proven):
         attempt += 1
-        door.call(f"{name} {attempt}", address)
-        while door.is_there(f"{name} {attempt}") and door.now < began + 60.0:
-            door.run(door.now + 0.1)
-        assert door.now < began + 60.0
-    return door.now - began
+        server.call(f"{name} {attempt}", address)
+        while server.is_connected(f"{name} {attempt}") and server.now < began + 60.0:
+            server.run(server.now + 0.1)
+        assert server.now < began + 60.0
+    return server.now - began
 
 
 FLOODS = {
@@ -146,24 +146,24 @@ FLOODS = {
 @pytest.mark.few(3)
 @pytest.mark.parametrize("flood", FLOODS)
 @pytest.mark.parametrize("rate", [500, 3000])
-def test_a_flood_of_handshakes_takes_its_share_and_delays_nobody_at_another_address(flood, rate):
-    door = Door(FLOODS[flood], rate)
-    door.run(3.0)
-    assert door.busy <= CPU_SHARE * door.now + AT_ONCE + 2 * COST
-    # Two parts, each of which waits for a few of others, and the trip between them.
-    assert takes(door, "stop", "10.9.9.9") <= TRIP + 0.1 + 0.05
-    assert takes(door, "the same again", "10.9.9.9") <= TRIP + 0.1 + 0.05
+def test_a_flood_of_handshakes_gets_its_share_and_delays_no_other_address(flood, rate):
+    server = HandshakeHost(FLOODS[flood], rate)
+    server.run(3.0)
+    assert server.busy <= CPU_SHARE * server.now + AT_ONCE + 2 * COST
+    # Two parts, each of which waits for a few others, and the round trip between them.
+    assert seconds_to_authenticate(server, "stop", "10.9.9.9") <= TRIP + 0.1 + 0.05
+    assert seconds_to_authenticate(server, "the same again", "10.9.9.9") <= TRIP + 0.1 + 0.05
 
 
 @pytest.mark.parametrize("rate", [500, pytest.param(3000, marks=pytest.mark.few(0))])
-def test_at_the_address_of_a_flood_a_stop_gets_its_turn(rate):
-    door = Door(FLOODS["one address"], rate)
-    door.run(3.0)
-    times = [takes(door, f"stop{number}", "10.0.0.66") for number in range(20)]
+def test_a_stop_from_the_address_of_a_flood_gets_its_turn(rate):
+    server = HandshakeHost(FLOODS["one address"], rate)
+    server.run(3.0)
+    times = [seconds_to_authenticate(server, f"stop{number}", "10.0.0.66") for number in range(20)]
     assert sum(times) / len(times) <= 3.0
 
 
-def test_an_address_is_one_without_its_port_and_of_ipv6_a_network():
+def test_the_source_is_an_address_without_port_or_an_ipv6_network():
     assert source_of("10.0.0.1:4711") == "10.0.0.1"
     assert source_of("[2001:db8::1]:1") == source_of("[2001:db8::ffff:2]:9") == "2001:db8::"
     assert source_of("[2001:db8:0:1::1]:1") != source_of("[2001:db8::1]:1")
@@ -171,7 +171,7 @@ def test_an_address_is_one_without_its_port_and_of_ipv6_a_network():
     assert source_of("a command on this computer") == "a command on this computer"
 
 
-def test_no_more_addresses_are_remembered_than_a_bound():
+def test_the_number_of_remembered_addresses_is_bounded():
     sources = CallerAddresses()
     sources.on_proven("10.0.0.1")
     for number in range(3 * MAX_REMEMBERED):

@@ -1,4 +1,4 @@
-"""How much processing time the messages of a member may take, on a virtual clock."""
+"""The budget of processing time for the messages of a member, in virtual time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lfield.net.scheduling.cpu_budgets import (
     CpuBudgets,
 )
 
-#: Messages that are taken at a time, as the kernel gives them.
+#: Messages that are processed per read, as from the kernel.
 READ = 4096
 
 
 class Computer:
-    """Takes the messages of members as `CpuBudgets` says; time is what taking them costs."""
+    """Processes the messages of members within `CpuBudgets`; time is the processing time."""
 
     def __init__(self) -> None:
         self.rations, self.now = CpuBudgets(), 100.0
@@ -30,11 +30,11 @@ class Computer:
         self.closed: dict[str, float] = {}
         self.spent: dict[str, float] = {}
         self.reports: list[tuple[str, float]] = []
-        #: What came of each during the present probe.
+        #: Weight of each member's messages during the present probe.
         self.weights: dict[str, int] = {}
 
     def drain(self, member: str, count: int, cost: float, weight: int = 1) -> None:
-        """A read of so many messages, each of which costs so much and has that weight."""
+        """Process `count` messages, each with this cost and weight."""
         for _ in range(count):
             self.now += cost
             self.spent[member] = self.spent.get(member, 0.0) + cost
@@ -67,8 +67,8 @@ class Computer:
             self.rations.on_probe_end(member, self.now)
 
 
-def floods(computer: Computer, member: str, rate: float, cost: float, seconds: float) -> None:
-    """A member sends so many messages a second, and waits for nothing."""
+def flood(computer: Computer, member: str, rate: float, cost: float, seconds: float) -> None:
+    """A member sends `rate` messages a second, and does not wait for answers."""
     began, sent = computer.now, 0
     while computer.now < began + seconds and member not in computer.closed:
         waiting = int((computer.now - began) * rate) - sent
@@ -81,7 +81,7 @@ def floods(computer: Computer, member: str, rate: float, cost: float, seconds: f
 
 
 def hops(computer: Computer, member: str, agents: int, cost: float, seconds: float, trip: float) -> None:
-    """A member has so many coordinators, each of which is sent again when its answer has come."""
+    """A member has `agents` coordinators; each is sent again after its answer."""
     began = computer.now
     while computer.now < began + seconds and member not in computer.closed:
         computer.drain(member, agents, cost)
@@ -92,30 +92,31 @@ def hops(computer: Computer, member: str, agents: int, cost: float, seconds: flo
 @pytest.mark.parametrize(
     ("rate", "cost"), [(30_000, 8e-6), (100_000, 8e-6), (1_000, 5e-4), (5_000, 1e-4), (100_000, 1e-3)]
 )
-def test_a_flood_is_held_to_its_ration_and_closed_after_five_seconds_over_budget(rate, cost):
+def test_a_flood_is_limited_and_closed_after_five_seconds_over_budget(rate, cost):
     computer = Computer()
-    floods(computer, "bravo", rate, cost, 60.0)
+    flood(computer, "bravo", rate, cost, 60.0)
     (member, reported), *rest = computer.reports
     assert (member, rest) == ("bravo", [])
     over = computer.closed["bravo"] - reported
     assert MAX_EXCESS_TIME <= over <= MAX_EXCESS_TIME + 2 * LONGEST_HOLD
-    # It has had what it may have at once, then its ration; and one probe of a second at most in full.
+    # It has used the burst, then its ration, and at most one probe of a second in full.
     began = 100.0
     assert computer.spent["bravo"] <= BURST + CPU_SHARE * (computer.closed["bravo"] - began) + 1.1
 
 
-def test_a_flood_at_the_next_link_has_five_seconds_again():
+def test_a_flood_on_the_next_link_has_five_seconds_again():
     computer = Computer()
-    floods(computer, "bravo", 30_000, 8e-6, 60.0)
+    flood(computer, "bravo", 30_000, 8e-6, 60.0)
     first = computer.closed.pop("bravo")
-    floods(computer, "bravo", 30_000, 8e-6, 60.0)
+    flood(computer, "bravo", 30_000, 8e-6, 60.0)
     assert computer.closed["bravo"] - first >= MAX_EXCESS_TIME
 
 
 @pytest.mark.parametrize("agents", [1, 5, 30])
 @pytest.mark.parametrize("cost", [2e-4, 8e-4, 5e-3], ids=["fast", "slow", "very slow"])
-def test_hops_are_no_flood_on_any_computer(agents, cost):
-    """A thousand a second, or as many as a slow computer can take: they are not closed, and lose little."""
+def test_hops_are_no_flood_on_a_computer_of_any_speed(agents, cost):
+    """A thousand a second, or as many as a slow computer can process: they are not closed, and lose
+    little."""
     computer = Computer()
     hops(computer, "bravo", agents, cost, 30.0, 1e-4)
     assert not computer.closed
@@ -124,7 +125,7 @@ def test_hops_are_no_flood_on_any_computer(agents, cost):
 
 
 def test_large_transfers_of_several_coordinators_in_turn_are_closed():
-    """The second of each during a probe counts as a crowd: see tests/net/test_members.py."""
+    """The second transfer of each during a probe counts as a crowd: see tests/net/test_members.py."""
     computer, agents, cost = Computer(), 3, 0.02
     began = computer.now
     while computer.now < began + 30.0 and not computer.closed:
@@ -134,7 +135,7 @@ def test_large_transfers_of_several_coordinators_in_turn_are_closed():
     assert MAX_EXCESS_TIME <= computer.closed["bravo"] - reported <= MAX_EXCESS_TIME + 2 * LONGEST_HOLD
 
 
-def test_what_is_proven_is_not_forgiven_for_a_pause():
+def test_a_proven_excess_is_not_forgiven_after_a_pause():
     """A member that pauses whenever its answers are withheld, for as long as a probe lasts."""
     computer, cost = Computer(), 0.01
     began = computer.now
@@ -146,7 +147,7 @@ def test_what_is_proven_is_not_forgiven_for_a_pause():
 
 
 def test_a_crowd_is_forgiven_when_the_member_waits_for_answers():
-    """As after a partition: what had waited comes at once, then hops as before."""
+    """As after a partition: the queued messages arrive at once, then hops as before."""
     computer = Computer()
     computer.drain("bravo", 4 * CROWD_WEIGHT, 1.5e-3)
     assert computer.reports
@@ -154,7 +155,7 @@ def test_a_crowd_is_forgiven_when_the_member_waits_for_answers():
     assert not computer.closed
 
 
-def test_a_big_block_and_the_start_of_a_team_are_within_the_budget():
+def test_a_large_block_and_the_start_of_a_team_are_within_the_budget():
     rations = CpuBudgets()
     # A block of 64 MB in pieces of 16 KiB, each of which costs 15 microseconds.
     for number in range(4096):
@@ -165,7 +166,7 @@ def test_a_big_block_and_the_start_of_a_team_are_within_the_budget():
         assert rations.on_work(member, 0.01, 1.0, 40) is BudgetState.WITHIN
 
 
-def test_a_burst_of_costly_messages_is_over_soon_and_not_closed():
+def test_a_short_burst_of_costly_messages_is_not_closed():
     computer = Computer()
     computer.drain("bravo", 1600, 5e-4)
     assert not computer.closed
@@ -173,7 +174,7 @@ def test_a_burst_of_costly_messages_is_over_soon_and_not_closed():
     assert computer.rations.on_work("bravo", 1e-5, computer.now, 1) is BudgetState.WITHIN
 
 
-def test_who_makes_links_without_end_is_closed_after_five_seconds_over_budget():
+def test_endless_handshakes_are_closed_after_five_seconds_over_budget():
     rations, now, over = CpuBudgets(), 0.0, None
     while (standing := rations.on_handshake("bravo", 0.0015, now)) is not BudgetState.FLOOD:
         if standing is BudgetState.OVER and over is None:
@@ -183,20 +184,20 @@ def test_who_makes_links_without_end_is_closed_after_five_seconds_over_budget():
     assert now - over >= MAX_EXCESS_TIME
 
 
-def test_who_reconnects_twenty_times_a_second_makes_no_flood():
+def test_twenty_reconnections_a_second_are_no_flood():
     rations = CpuBudgets()
     for number in range(2000):
         assert rations.on_handshake("bravo", 0.002, number * 0.05) is BudgetState.WITHIN
 
 
-def test_one_member_pays_nothing_for_another():
+def test_members_have_separate_budgets():
     rations = CpuBudgets()
     while rations.on_work("bravo", 0.01, 1.0, CROWD_WEIGHT) is BudgetState.WITHIN:
         pass
     assert rations.on_work("charlie", 0.01, 1.0, CROWD_WEIGHT) is BudgetState.WITHIN
 
 
-def test_nobody_is_held_so_long_that_its_link_seems_dead():
+def test_a_link_is_held_for_less_than_its_heartbeat_time_out():
     rations = CpuBudgets()
     for _ in range(1000):
         rations.on_work("bravo", 10.0, 1.0, CROWD_WEIGHT)
@@ -204,7 +205,7 @@ def test_nobody_is_held_so_long_that_its_link_seems_dead():
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(0.0, 0.05), st.integers(0, 200)), max_size=200))
-def test_nobody_is_closed_who_was_not_over_budget_for_five_seconds(steps):
+def test_a_member_is_closed_only_after_five_seconds_over_budget(steps):
     rations, now, level, since = CpuBudgets(), 0.0, 0.0, None
     for seconds, pause, weight in steps:
         now += pause

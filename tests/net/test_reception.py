@@ -1,6 +1,6 @@
-"""Links of whoever is no host: how much is taken of them at once, of all together, and whose turn it is.
+"""Links of observers: how much is processed of one link, of all together, and in which order.
 
-The links are real ones. Between them are no sockets, and time jumps.
+The links are real ones, without sockets between them; time is virtual.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from lfield.wire.subscription_messages import Subscribe
 
 HELLO, STOP = Hello("observer", "observer", 0), EmergencyStop(bytes(16), "now")
 FLOOD = encode(Subscribe(once=True)) * 20_000
-#: As much as the loops read at once.
+#: As much as the event loops read at once.
 READ = 256 << 10
 
 
 class Wire(asyncio.Transport):
-    """The transport of a link: what it was told."""
+    """The transport of a link; it records the calls."""
 
     def __init__(self, family: int) -> None:
         super().__init__()
@@ -72,7 +72,7 @@ class Wire(asyncio.Transport):
 
 
 class Greeter(Recorder):
-    """Takes a greeting as a host does, and works for each message."""
+    """Accepts a Hello as a host does, and works for each message."""
 
     def works(self) -> None:
         pass
@@ -85,28 +85,29 @@ class Greeter(Recorder):
 
 
 class Caller:
-    """One that has called a host at its door, or in TLS with some keys; `hears` is what the host heard."""
+    """A client at the Unix socket of a host, or in TLS with some keys; `recorder` is what the host
+    received."""
 
-    def __init__(self, inn: Inn, name: str, link: StreamLink, family: int) -> None:
-        self.hears, self.wire, self.link, self._loop = Greeter(), Wire(family), link, inn.loop
-        link._on_link = lambda _: self.hears
+    def __init__(self, inn: HostBench, name: str, link: StreamLink, family: int) -> None:
+        self.recorder, self.wire, self.link, self._loop = Greeter(), Wire(family), link, inn.loop
+        link._on_link = lambda _: self.recorder
         link.connection_made(self.wire)
         if family == socket.AF_UNIX:
             link.who = Identity("local", name, frozenset({Right.OBSERVE, Right.STOP}))
 
     def say(self, data: bytes) -> None:
-        assert self.wire.reads, "more was read of somebody who waits"
+        assert self.wire.reads, "the link reads although it waits"
         self.link.data_received(data)
 
     @property
     def heard(self) -> int:
-        return len(self.hears.messages)
+        return len(self.recorder.messages)
 
 
 class TlsCaller(Caller):
-    """Its handshake is done but for the last bytes, which go out with its first words."""
+    """Its handshake is complete but for the last bytes, which go out with its first message."""
 
-    def __init__(self, inn: Inn, name: str, link: TlsLink, keys) -> None:
+    def __init__(self, inn: HostBench, name: str, link: TlsLink, keys) -> None:
         super().__init__(inn, name, link, socket.AF_INET)
         self._channel = TlsIdentity(keys).channel(calls=True)
         self.link.data_received(self._channel.data_to_send())
@@ -120,8 +121,8 @@ class TlsCaller(Caller):
         super().say(b"".join([self._channel.data_to_send(), *map(self._channel.encrypt, parts)]))
 
 
-class Inn:
-    """A host without anything in it, and its callers, over one of the two ways."""
+class HostBench:
+    """A host without a program, and its clients, over Unix sockets or TLS."""
 
     def __init__(self, way: str) -> None:
         self.work = 0.0
@@ -159,19 +160,19 @@ def runner(request):
     """Run a story at a host."""
 
     def run(story) -> None:
-        async def told() -> None:
-            inn = Inn(request.param)
+        async def main() -> None:
+            inn = HostBench(request.param)
             try:
                 await story(inn)
             finally:
                 inn.close()
 
-        run_jumping(told())
+        run_jumping(main())
 
     return run
 
 
-async def test_one_read_of_thousands_is_taken_in_rounds_and_no_more_is_read_meanwhile(inn, /):
+async def test_a_read_of_thousands_of_messages_is_processed_in_rounds(inn, /):
     anna = inn.caller("anna")
     anna.say(encode(HELLO) + FLOOD)
     assert anna.heard == AT_ONCE
@@ -181,31 +182,31 @@ async def test_one_read_of_thousands_is_taken_in_rounds_and_no_more_is_read_mean
     assert not anna.wire.reads
 
 
-async def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(inn, /):
+async def test_waiting_messages_are_processed_in_order_then_reading_resumes(inn, /):
     anna = inn.caller("anna")
     said = [Ping(number) for number in range(200)]
     anna.say(b"".join(map(encode, [HELLO, *said])))
     assert not anna.wire.reads
     while not anna.wire.reads:
         await asyncio.sleep(ROUND)
-    assert anna.hears.messages == [HELLO, *said]
+    assert anna.recorder.messages == [HELLO, *said]
     await asyncio.sleep(ROUND)
     whole = encode(STOP)
     anna.say(whole[:7])
     anna.say(whole[7:])
-    assert anna.hears.messages[-1] == STOP
+    assert anna.recorder.messages[-1] == STOP
 
 
-async def test_of_what_costs_much_less_is_taken(inn, /):
+async def test_fewer_costly_messages_are_processed_per_round(inn, /):
     anna = inn.caller("anna")
-    anna.hears.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
+    anna.recorder.works = lambda: setattr(inn, "work", inn.work + LONGEST / 2)
     anna.say(encode(HELLO) + FLOOD)
     assert anna.heard == 2
     await asyncio.sleep(9.5 * ROUND)
     assert anna.heard == 20
 
 
-async def test_sixty_links_together_have_no_more_than_one(inn, /):
+async def test_sixty_links_together_are_processed_like_one(inn, /):
     for _ in range(60):
         inn.caller("anna").say(encode(HELLO) + FLOOD)
     assert inn.heard <= AT_ONCE
@@ -214,22 +215,22 @@ async def test_sixty_links_together_have_no_more_than_one(inn, /):
     assert max(caller.heard for caller in inn.callers[1:]) <= 3
 
 
-async def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(inn, /):
+async def test_a_stop_on_a_new_link_passes_a_flood_in_the_next_round(inn, /):
     for _ in range(60):
         inn.caller("anna").say(encode(HELLO) + FLOOD)
     await asyncio.sleep(5 * ROUND)
     ben = inn.caller("ben")
     ben.say(encode(HELLO) + encode(STOP))
     await asyncio.sleep(1.1 * ROUND)
-    assert ben.hears.messages == [HELLO, STOP]
-    # And one of the flooding link, behind one turn of each other link.
+    assert ben.recorder.messages == [HELLO, STOP]
+    # A stop of the flooding person waits for one turn of each other link.
     again = inn.caller("anna")
     again.say(encode(HELLO) + encode(STOP))
     await asyncio.sleep(18 * ROUND)
-    assert again.hears.messages == [HELLO, STOP]
+    assert again.recorder.messages == [HELLO, STOP]
 
 
-async def test_nobody_who_asks_now_and_then_waits(inn, /):
+async def test_occasional_requests_are_processed_at_once(inn, /):
     anna = inn.caller("anna")
     anna.say(encode(HELLO))
     for count in range(2, 50):
@@ -238,15 +239,15 @@ async def test_nobody_who_asks_now_and_then_waits(inn, /):
         await asyncio.sleep(ROUND)
 
 
-async def test_a_long_message_comes_whole(inn, /):
+async def test_a_long_message_is_delivered_whole(inn, /):
     anna = inn.caller("anna")
     stop = EmergencyStop(bytes(16), "x" * MAX_TEXT)
     anna.say(encode(HELLO) + encode(stop) + FLOOD)
     await asyncio.sleep(ROUND * 20)
-    assert anna.hears.messages[:3] == [HELLO, stop, Subscribe(once=True)]
+    assert anna.recorder.messages[:3] == [HELLO, stop, Subscribe(once=True)]
 
 
-async def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(inn, /):
+async def test_an_invalid_message_closes_the_link_and_drops_the_rest(inn, /):
     anna, ben = inn.caller("anna"), inn.caller("ben")
     anna.say(encode(HELLO) + encode(Ping(1)) * 30 + frame_header(99, 1) + FLOOD)
     await asyncio.sleep(ROUND * 10)
@@ -261,34 +262,34 @@ async def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(inn, 
     assert ben.link._remaining is None
 
 
-async def test_who_goes_while_it_waits_is_forgotten(inn, /):
+async def test_a_link_that_closes_while_it_waits_is_removed(inn, /):
     anna = inn.caller("anna")
     anna.say(encode(HELLO) + FLOOD)
     anna.link.connection_lost(None)
     had = anna.heard
     await asyncio.sleep(ROUND * 10)
     assert anna.heard == had
-    assert anna.hears.ends == [None]
+    assert anna.recorder.ends == [None]
     inn.callers.remove(anna)
     anna.wire.free()
 
 
-# In TLS alone
+# TLS only
 
 
 def run_tls(story) -> None:
-    async def told() -> None:
-        inn = Inn("tls")
+    async def main() -> None:
+        inn = HostBench("tls")
         try:
             await story(inn)
         finally:
             inn.close()
 
-    run_jumping(told())
+    run_jumping(main())
 
 
-def test_records_without_a_whole_message_in_them_count_too(monkeypatch):
-    """Of a message in a thousand records each is work; so is what has no message at all."""
+def test_records_without_a_whole_message_are_counted(monkeypatch):
+    """Each record of a message in a thousand records is work; so is a record without a message."""
 
     async def story(inn):
         anna, parts = inn.caller("anna"), []
@@ -304,7 +305,7 @@ def test_records_without_a_whole_message_in_them_count_too(monkeypatch):
     run_tls(story)
 
 
-def test_no_more_is_decrypted_at_a_time_than_a_piece(monkeypatch):
+def test_at_most_a_piece_is_decrypted_at_once(monkeypatch):
     async def story(inn):
         anna, fed = inn.caller("anna"), []
         feed = TlsChannel.receive
@@ -317,7 +318,7 @@ def test_no_more_is_decrypted_at_a_time_than_a_piece(monkeypatch):
     run_tls(story)
 
 
-def test_handshakes_of_strangers_take_their_share_and_leave_every_turn_of_the_loop_short(monkeypatch):
+def test_handshakes_of_unknown_peers_get_their_share_of_each_turn(monkeypatch):
     """Sixty at once, each part of which costs a slow computer five milliseconds."""
 
     async def story(inn):
@@ -356,8 +357,8 @@ def test_handshakes_of_strangers_take_their_share_and_leave_every_turn_of_the_lo
 
 
 @pytest.mark.parametrize("role", ["host", "observer"])
-def test_a_host_waits_behind_nobody_unless_it_only_looks(role: Role):
-    """Also one that comes back, and whatever it sends with its greeting."""
+def test_a_host_does_not_wait_behind_observers_unless_it_observes(role: Role):
+    """Also a host that reconnects, with all messages after its Hello."""
 
     async def story(inn):
         for _ in range(60):

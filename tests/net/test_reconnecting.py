@@ -1,7 +1,6 @@
-"""Links between two computers come back within 10 s after the path works again, whatever had happened to it.
+"""Links between two computers are restored within 10 s after the path works again, after any kind of failure.
 
-The computers are network namespaces; where none can be made, tests/net/test_paths.py has what can be tried on
-loopback.
+The computers are network namespaces; tests/net/test_paths.py has the cases for loopback.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from lfield.testing.keyring import Keyring
 
 pytestmark = pytest.mark.process
 
-#: Seconds in which a link comes back.
+#: Seconds until a link is restored.
 PROMISE = 10.0
 
 
 @dataclass
-class Two:
-    """Two linked hosts; what happens to their path is done to `net`."""
+class TwoHosts:
+    """Two linked hosts; faults are applied to `net`."""
 
     net: Network
     a: Process
@@ -34,7 +33,7 @@ class Two:
     places: tuple[str, ...]
 
     def lost(self) -> None:
-        """Both have given the link up."""
+        """Wait until both have closed the link."""
         for process, other in ((self.a, "b"), (self.b, "a")):
             process.wait_for(f"unlinked {other}")
 
@@ -47,21 +46,21 @@ def net(request, tmp_path) -> Iterator[Network]:
     yield from network(ring.give("a", "b"))
 
 
-def linked(net: Network, *places: str) -> Two:
+def linked(net: Network, *places: str) -> TwoHosts:
     a, b = net.start("a", *places), net.start("b", *places)
     for process, other in ((a, "b"), (b, "a")):
         process.wait_for(f" linked {other}")
-    return Two(net, a, b, places)
+    return TwoHosts(net, a, b, places)
 
 
-def by_numbers(net: Network, a: str, b: str) -> Two:
+def by_numbers(net: Network, a: str, b: str) -> TwoHosts:
     net.address("a", f"{a}/64" if ":" in a else f"{a}/24")
     net.address("b", f"{b}/64" if ":" in b else f"{b}/24")
     bracketed = [f"[{address}]:7001" if ":" in address else f"{address}:7001" for address in (a, b)]
     return linked(net, f"a={bracketed[0]}", f"b={bracketed[1]}")
 
 
-def by_names(net: Network) -> Two:
+def by_names(net: Network) -> TwoHosts:
     net.address("a", "10.9.0.1/24")
     net.address("b", "10.9.0.2/24")
     for host in "ab":
@@ -69,25 +68,25 @@ def by_names(net: Network) -> Two:
     return linked(net, "a=alpha:7001", "b=bravo:7001")
 
 
-def silence(two: Two) -> Callable[[], None]:
-    """Nothing comes through for a while: the router has no power."""
+def silence(two: TwoHosts) -> Callable[[], None]:
+    """All packets are lost for a while: the router has no power."""
     two.net.silence()
     two.lost()
     return two.net.heal
 
 
-def silence_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+def silence_v6(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     two = by_numbers(net, "fd00::1", "fd00::2")
     return two, silence(two)
 
 
-def silence_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+def silence_v4(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     return two, silence(two)
 
 
-def peer_died(net: Network) -> tuple[Two, Callable[[], None]]:
-    """The peer loses power, and is another life when it is back."""
+def peer_died(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """The peer loses power, and starts with a new incarnation."""
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     net.silence()
     two.b.kill()
@@ -97,8 +96,8 @@ def peer_died(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, net.heal
 
 
-def interface(net: Network, a: str, b: str) -> tuple[Two, Callable[[], None]]:
-    """The interface of the called host goes, with its address, and comes back."""
+def interface(net: Network, a: str, b: str) -> tuple[TwoHosts, Callable[[], None]]:
+    """The interface of the listening host is removed with its address, and restored."""
     two = by_numbers(net, a, b)
     net.pull_out("b")
     two.lost()
@@ -110,16 +109,16 @@ def interface(net: Network, a: str, b: str) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def interface_v4(net: Network) -> tuple[Two, Callable[[], None]]:
+def interface_v4(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     return interface(net, "10.9.0.1", "10.9.0.2")
 
 
-def interface_v6(net: Network) -> tuple[Two, Callable[[], None]]:
+def interface_v6(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
     return interface(net, "fd00::1", "fd00::2")
 
 
-def own_interface(net: Network) -> tuple[Two, Callable[[], None]]:
-    """The same of the host that calls."""
+def own_interface(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """The same at the host that dials."""
     two = by_numbers(net, "10.9.0.1", "10.9.0.2")
     net.pull_out("a")
     two.lost()
@@ -131,8 +130,8 @@ def own_interface(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
-    """The zone of the address is another number when the interface is back."""
+def link_local(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """The zone of the address has another number when the interface is back."""
     for host, number in (("a", 1), ("b", 2)):
         net.address(host)
         net._ip(net._named(host), "addr", "add", f"fe80::{number}/64", "dev", "eth0", "nodad")
@@ -147,30 +146,30 @@ def link_local(net: Network) -> tuple[Two, Callable[[], None]]:
     return two, back
 
 
-def peer_moved(net: Network) -> tuple[Two, Callable[[], None]]:
-    """The called host gets another address, to which its name leads from then on."""
+def peer_moved(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """The listening host gets another address, and its name is changed."""
     two = by_names(net)
     net.address("b")
     two.lost()
 
-    def told() -> None:
+    def back() -> None:
         net.address("b", "10.9.0.22/24")
         for host in "ab":
             net.name(host, "10.9.0.1 alpha", "10.9.0.22 bravo")
 
-    return two, told
+    return two, back
 
 
-def moved(net: Network) -> tuple[Two, Callable[[], None]]:
-    """The host that calls gets another address."""
+def moved(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """The host that dials gets another address."""
     two = by_names(net)
     net.address("a")
     two.lost()
     return two, lambda: net.address("a", "10.9.0.11/24")
 
 
-def dead_first_address(net: Network) -> tuple[Two, Callable[[], None]]:
-    """A name leads to an address that answers nothing, and to one that does."""
+def dead_first_address(net: Network) -> tuple[TwoHosts, Callable[[], None]]:
+    """A name has an address that does not answer, and one that does."""
     net.address("a", "10.9.0.1/24")
     net.address("b", "10.9.0.2/24")
     net.name("a", "10.9.0.1 alpha", "10.9.0.2 bravo")
@@ -178,7 +177,7 @@ def dead_first_address(net: Network) -> tuple[Two, Callable[[], None]]:
     two = linked(net, "a=alpha:7001", "b=bravo:7001")
     net.silence()
     two.lost()
-    # Nobody has the first: it does not even refuse.
+    # No host has the first addresses: they do not even refuse.
     net.name("a", "10.9.0.1 alpha", "10.9.0.77 bravo", "10.9.0.78 bravo", "10.9.0.2 bravo")
     return two, net.heal
 
@@ -199,9 +198,9 @@ CASES = [
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.__name__)
-def test_a_link_comes_back(net, case):
+def test_a_link_is_restored_within_ten_seconds(net, case):
     two, works_again = case(net)
-    # So long that every attempt waits as long as any does.
+    # Every attempt has reached its longest pause.
     time.sleep(4.0)
     counts = len(two.a.lines), len(two.b.lines)
     began = time.monotonic()
@@ -214,7 +213,7 @@ def test_a_link_comes_back(net, case):
     assert max(back) < PROMISE
 
 
-#: A link to a vehicle, which answers each datagram; "heard" whenever it is, at most every 0.1 s.
+#: A link to a vehicle, which answers each datagram; prints "heard" for each, at most every 0.1 s.
 VEHICLE = """
 import socket
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
@@ -244,7 +243,7 @@ asyncio.run(main())
 @pytest.mark.few(0)
 @pytest.mark.parametrize("gone", [0.0, 6.0])
 def test_a_udp_link_works_again_from_another_interface_with_another_address(net, gone):
-    """tests/mavlink/link/test_mavlink_reconnects.py has what can be tried on loopback."""
+    """tests/mavlink/link/test_mavlink_reconnects.py has the cases for loopback."""
     net.address("a", "10.9.0.1/24")
     net.address("b", "10.9.0.2/24")
     net.run("b", sys.executable, "-c", VEHICLE)
@@ -265,7 +264,7 @@ def test_a_udp_link_works_again_from_another_interface_with_another_address(net,
     assert any(": it sends to 10.9.0.2" in line for line in station.lines)
 
 
-#: A link to an address that is none without its zone.
+#: A link to an address that is valid only with its zone.
 ZONE = """
 import asyncio
 from lfield_mavlink.link.links import make_link
@@ -296,7 +295,7 @@ asyncio.run(asyncio.wait_for(main(), 20))
 """
 
 
-def test_an_address_keeps_its_zone(request):
+def test_mavlink_and_socketcand_addresses_keep_their_zone(request):
     if not request.getfixturevalue("namespaces"):
         pytest.skip("no network namespace can be made here")
     name = f"lf-{uuid.uuid4().hex[:8]}"

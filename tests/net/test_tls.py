@@ -1,11 +1,12 @@
-"""TLS of one link without any socket: who is proven, who is not, and what both are told."""
+"""TLS of one link without sockets: which peers are authenticated, which are refused, and the errors of
+both."""
 
 import ssl
 from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from certificates import Shown, Team, made
+from certificates import CertificateWithKey, Team, made
 from cryptography.hazmat.primitives import serialization
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,17 +22,17 @@ CALLING, CALLED = TlsIdentity(ALPHA), TlsIdentity(BRAVO)
 
 
 class Ends:
-    """Two ends and what went between them; `told` is what each was told when it broke."""
+    """Two ends and the bytes between them; `errors` is the error of each."""
 
     def __init__(self, calling: TlsIdentity, called: TlsIdentity, address: str = "") -> None:
         self.near, self.far = calling.channel(calls=True, address=address), called.channel(calls=False)
-        self.heard: dict[TlsChannel, bytes] = {self.near: b"", self.far: b""}
-        self.told: dict[TlsChannel, LfieldError] = {}
+        self.received: dict[TlsChannel, bytes] = {self.near: b"", self.far: b""}
+        self.errors: dict[TlsChannel, LfieldError] = {}
         self.sizes: list[int] = []
         self.settle()
 
     def settle(self) -> None:
-        """Carry bytes to and fro until there are none."""
+        """Carry bytes in both directions until there are none."""
         moved = True
         while moved:
             moved = self.carry(self.near, self.far) | self.carry(self.far, self.near)
@@ -46,20 +47,20 @@ class Ends:
         self.sizes.append(len(data))
         try:
             for piece in target.receive(data):
-                self.heard[target] += piece
+                self.received[target] += piece
         except LfieldError as error:
-            self.told.setdefault(target, error)
+            self.errors.setdefault(target, error)
 
 
-def test_both_know_who_the_other_is():
+def test_both_ends_know_the_authenticated_peer():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     assert (ends.near.proven, ends.far.proven) == (True, True)
     assert (str(ends.near.who), str(ends.far.who)) == ("host bravo", "host alpha")
     assert ends.far.who.authority == TEAM.authority.fingerprint
-    assert ends.told == {}
+    assert ends.errors == {}
 
 
-def test_a_person_is_known_with_rights():
+def test_a_person_is_authenticated_with_rights():
     ends = Ends(TlsIdentity(TEAM.person("anna", Right.OBSERVE, Right.STOP)), TlsIdentity(BRAVO))
     assert (ends.far.who.kind, ends.far.who.name, sorted(ends.far.who.may)) == (
         "person",
@@ -69,7 +70,7 @@ def test_a_person_is_known_with_rights():
 
 
 @pytest.mark.parametrize("size", [1, 100, 1 << 14, (1 << 14) + 1, 300_000])
-def test_what_is_said_comes_whole_and_in_one_piece(size):
+def test_a_message_of_any_size_is_encrypted_and_received_whole(size):
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     text = bytes(n % 251 for n in range(size))
     for source, target in ((ends.near, ends.far), (ends.far, ends.near)):
@@ -77,23 +78,23 @@ def test_what_is_said_comes_whole_and_in_one_piece(size):
         assert size < 64 or text[:64] not in sealed
         assert source.data_to_send() == b""
         ends.give(target, sealed)
-        assert ends.heard[target] == text
+        assert ends.received[target] == text
 
 
-def test_bytes_may_come_one_at_a_time():
+def test_bytes_may_arrive_one_at_a_time():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     for byte in ends.near.encrypt(b"hello") + ends.near.encrypt(b" again"):
         ends.give(ends.far, bytes([byte]))
-    assert ends.heard[ends.far] == b"hello again"
+    assert ends.received[ends.far] == b"hello again"
 
 
-def test_two_messages_may_come_in_one():
+def test_two_messages_may_arrive_together():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     ends.give(ends.far, ends.near.encrypt(b"one") + ends.near.encrypt(b" two"))
-    assert ends.heard[ends.far] == b"one two"
+    assert ends.received[ends.far] == b"one two"
 
 
-def test_times_are_for_others_to_judge():
+def test_the_channel_reports_the_validity_and_does_not_judge_it():
     late = TEAM.host("late", begin=1577836800.0, end=1577923200.0)
     ends = Ends(TlsIdentity(late), TlsIdentity(TEAM.host("early", begin=3e9)))
     assert str(ends.far.who) == "host late"
@@ -101,39 +102,39 @@ def test_times_are_for_others_to_judge():
 
 
 ITSELF = made("alpha", [uri_of("host", "alpha")])
-SIGNER = Shown(certificate_in(BRAVO.certificate), private_in(BRAVO.key))
+SIGNER = CertificateWithKey(certificate_in(BRAVO.certificate), private_in(BRAVO.key))
 BY_A_HOST = made("alpha", [uri_of("host", "alpha")], signer=SIGNER)
 
 
 @pytest.mark.parametrize(
     "keys",
     [replace(OTHER.host("alpha"), authority=ALPHA.authority), TEAM.with_(ITSELF), TEAM.with_(BY_A_HOST)],
-    ids=["of another authority", "signed by itself", "signed by a host"],
+    ids=["by another authority", "self-signed", "signed by a host"],
 )
-def test_whoever_is_called_takes_no_certificate_of_others(keys):
+def test_the_listening_end_refuses_foreign_certificates(keys):
     ends = Ends(TlsIdentity(keys), TlsIdentity(BRAVO))
-    assert isinstance(ends.told[ends.far], HandshakeError)
-    assert "peer certificate rejected" in str(ends.told[ends.far])
+    assert isinstance(ends.errors[ends.far], HandshakeError)
+    assert "peer certificate rejected" in str(ends.errors[ends.far])
     assert not ends.far.proven
     assert ends.far.who == ANONYMOUS
-    assert "peer rejected the certificate of this host" in str(ends.told[ends.near])
+    assert "peer rejected the certificate of this host" in str(ends.errors[ends.near])
 
 
-def test_whoever_calls_says_nothing_to_a_host_of_another_authority():
+def test_the_dialling_end_refuses_a_host_of_another_authority():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(OTHER.host("bravo")))
-    assert "not signed by the CA of this team" in str(ends.told[ends.near])
+    assert "not signed by the CA of this team" in str(ends.errors[ends.near])
     assert not ends.near.proven
     assert not ends.far.proven
-    assert "peer rejected the certificate of this host" in str(ends.told[ends.far])
+    assert "peer rejected the certificate of this host" in str(ends.errors[ends.far])
 
 
-def test_a_certificate_that_names_nobody_proves_nothing():
+def test_a_certificate_without_one_valid_name_authenticates_no_peer():
     for uris in ([], [uri_of("host", "a"), uri_of("host", "b")], ["lfield://host/", "https://host/alpha"]):
-        assert Ends(TlsIdentity(TEAM.odd(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
+        assert Ends(TlsIdentity(TEAM.unusual(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
 
 
 class Dials:
-    """Links between two processes, one after another, each ended in order."""
+    """Successive links between two processes, each closed regularly."""
 
     def __init__(self) -> None:
         self.known: list[tuple[bytes, str]] = []
@@ -142,7 +143,7 @@ class Dials:
 
     def again(self, called: TlsIdentity | None = None) -> tuple[Ends, int]:
         ends = Ends(self.calling, called or self.called, "bravo:1")
-        # The number of the session comes with the first bytes.
+        # The session ticket comes with the first bytes.
         ends.give(ends.near, ends.far.encrypt(b"hello"))
         size = sum(ends.sizes)
         ends.far.end()
@@ -150,7 +151,7 @@ class Dials:
         return ends, size
 
 
-def test_the_next_link_resumes_the_session_with_the_certificates_of_the_first():
+def test_the_next_link_resumes_the_session_with_the_first_certificates():
     dials = Dials()
     first, whole = dials.again()
     assert not first.near.is_resumed
@@ -171,7 +172,7 @@ def test_a_session_is_resumed_only_by_the_process_that_has_it():
     assert not ends.near.is_resumed
 
 
-def test_a_bounded_number_of_sessions_is_kept():
+def test_the_number_of_sessions_kept_is_bounded():
     dials = Dials()
     for number in range(MAX_SESSIONS + 10):
         ends = Ends(dials.calling, dials.called)
@@ -184,21 +185,21 @@ def test_a_bounded_number_of_sessions_is_kept():
     assert all(dials.again()[0].near.is_resumed for _ in range(3))
 
 
-def test_whoever_shows_no_certificate_is_told_so():
+def test_a_peer_without_a_certificate_is_refused():
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     ends.near = TlsChannel(context, lambda certificate, who: None, calls=True)
     ends.far = TlsIdentity(BRAVO).channel(calls=False)
-    ends.heard, ends.told = {ends.near: b"", ends.far: b""}, {}
+    ends.received, ends.errors = {ends.near: b"", ends.far: b""}, {}
     ends.settle()
-    assert "peer sent no certificate" in str(ends.told[ends.far])
-    assert ends.heard[ends.near] == b""
-    assert "peer requires a certificate" in str(ends.told[ends.near])
+    assert "peer sent no certificate" in str(ends.errors[ends.far])
+    assert ends.received[ends.near] == b""
+    assert "peer requires a certificate" in str(ends.errors[ends.near])
 
 
-def test_an_older_tls_is_refused():
+def test_an_older_tls_version_is_refused():
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
@@ -209,20 +210,20 @@ def test_an_older_tls_is_refused():
         TlsIdentity(BRAVO).channel(calls=False),
     )
     ends.settle()
-    assert "not TLS 1.3" in str(ends.told[ends.far])
+    assert "not TLS 1.3" in str(ends.errors[ends.far])
 
 
 @pytest.mark.parametrize("data", [b"GET / HTTP/1.1\r\n\r\n", bytes(64), b"\xff", b"\x00\x00\x00\x05\x01"])
-def test_what_is_no_tls_is_known_by_its_first_byte(data):
+def test_bytes_that_are_no_tls_are_detected_by_the_first_byte(data):
     channel = TlsIdentity(ALPHA).channel(calls=False)
     with pytest.raises(WireError, match="not an lfield host, or an outdated one"):
         list(channel.receive(data))
     assert channel.data_to_send() == b""
 
 
-def test_a_stranger_can_make_nobody_hold_more_than_a_handshake():
+def test_an_unauthenticated_peer_cannot_fill_the_memory():
     channel = TlsIdentity(ALPHA).channel(calls=False)
-    # A client's first message that promises 100,000 bytes, in records of 256.
+    # A client's first message with a length of 100,000 bytes, in records of 256.
     data = b"\x01\x01\x86\xa0" + bytes(100_000)
     records = [b"\x16\x03\x01\x01\x00" + data[at : at + 256] for at in range(0, len(data), 256)]
     fed = []
@@ -232,8 +233,8 @@ def test_a_stranger_can_make_nobody_hold_more_than_a_handshake():
 
 
 @given(st.lists(st.binary(max_size=300), max_size=20), st.booleans())
-def test_whatever_a_stranger_sends_is_a_sentence_and_no_word_of_ours(pieces, greets):
-    """Behind a first word that is good, or the first byte of one."""
+def test_any_bytes_of_an_unknown_peer_give_an_error_and_no_data(pieces, greets):
+    """After a valid first message, or the first byte of one."""
     channel = CALLED.channel(calls=False)
     first = CALLING.channel(calls=True).data_to_send() if greets else b"\x16"
     with suppress(WireError, HandshakeError):
@@ -243,12 +244,12 @@ def test_whatever_a_stranger_sends_is_a_sentence_and_no_word_of_ours(pieces, gre
     assert channel.who == ANONYMOUS
 
 
-#: Of the last word of whoever calls: a record that means nothing, for old boxes on the way.
+#: The dialling end sends this record for old middleboxes; it has no meaning.
 CHANGE_CIPHER = bytes.fromhex("140303000101")
 
 
 @given(st.data())
-def test_a_handshake_with_one_bit_bent_proves_nobody(data):
+def test_a_handshake_with_one_changed_bit_authenticates_no_peer(data):
     near, far = CALLING.channel(calls=True), CALLED.channel(calls=False)
     list(far.receive(near.data_to_send()))
     list(near.receive(far.data_to_send()))
@@ -262,41 +263,41 @@ def test_a_handshake_with_one_bit_bent_proves_nobody(data):
     assert not far.proven
 
 
-def test_a_bit_that_flips_on_the_way_is_seen():
+def test_a_changed_bit_is_detected():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO))
     sealed = bytearray(ends.near.encrypt(b"take off"))
     sealed[-1] ^= 1
     ends.give(ends.far, bytes(sealed))
-    assert isinstance(ends.told[ends.far], WireError)
-    assert "corrupted in transit" in str(ends.told[ends.far])
-    assert ends.heard[ends.far] == b""
+    assert isinstance(ends.errors[ends.far], WireError)
+    assert "corrupted in transit" in str(ends.errors[ends.far])
+    assert ends.received[ends.far] == b""
 
 
-def test_what_was_recorded_of_one_link_is_nothing_on_another_nor_twice_on_the_same():
+def test_a_recorded_message_is_refused_on_another_link_and_on_repetition():
     first, second = (Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO)) for _ in range(2))
     sealed = first.near.encrypt(b"take off")
     second.give(second.far, sealed)
-    assert isinstance(second.told[second.far], WireError)
+    assert isinstance(second.errors[second.far], WireError)
     first.give(first.far, sealed)
     first.give(first.far, sealed)
-    assert first.heard[first.far] == b"take off"
-    assert isinstance(first.told[first.far], WireError)
+    assert first.received[first.far] == b"take off"
+    assert isinstance(first.errors[first.far], WireError)
 
 
-def test_a_person_cannot_pass_for_a_host():
+def test_a_person_certificate_is_refused_for_a_host():
     ends = Ends(TlsIdentity(ALPHA), TlsIdentity(TEAM.person("anna", *ALL_RIGHTS)))
-    assert "peer certificate rejected" in str(ends.told[ends.near])
+    assert "peer certificate rejected" in str(ends.errors[ends.near])
     assert not ends.near.proven
 
 
-def test_a_host_knows_itself_as_others_do():
+def test_a_host_checks_its_own_certificate():
     assert TlsIdentity(ALPHA).own_identity() == Ends(TlsIdentity(ALPHA), TlsIdentity(BRAVO)).far.who
     for keys in (TEAM.person("anna", *ALL_RIGHTS), replace(ALPHA, authority=OTHER.authority.certificate)):
         with pytest.raises(KeysError, match="keys rejected for a host"):
             TlsIdentity(keys).own_identity()
 
 
-def test_keys_that_do_not_belong_together_are_told():
+def test_mismatched_or_damaged_keys_are_reported():
     encrypted = private_in(ALPHA.key).private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,

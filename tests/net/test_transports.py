@@ -1,4 +1,4 @@
-"""All transports against the kit, and what is particular to each."""
+"""All transports with the conformance kit, and the particular properties of each."""
 
 import asyncio
 import errno
@@ -32,7 +32,7 @@ PATIENCE = 60.0
 
 
 class TcpBench:
-    """TCP on loopback in an event loop of its own; it closes what the tests leave open."""
+    """TCP on loopback in its own event loop; it closes what the tests leave open."""
 
     address = "127.0.0.1:0"
 
@@ -76,7 +76,7 @@ class TcpBench:
 
 
 class MemoryBench:
-    """The in-memory network; it works when told to."""
+    """The in-memory network; it works only when it is run."""
 
     address = "a:0"
 
@@ -125,7 +125,7 @@ class TestTcp(TransportKit):
 
 
 class TlsBench(TcpBench):
-    """The same where both ends prove who they are: one certificate will do for two hosts of a test."""
+    """The same with authentication: one certificate is enough for two hosts of a test."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
         team = Team()
@@ -145,7 +145,7 @@ class TestTls(TransportKit):
         return tls
 
 
-def test_links_after_the_first_resume_its_session_even_after_a_loss_without_notice(tls):
+def test_later_links_resume_the_tls_session_even_after_an_abort(tls):
     pair, found = Pair(tls), []
     link, near = pair.link, pair.near
     for _ in range(3):
@@ -162,7 +162,7 @@ def test_links_after_the_first_resume_its_session_even_after_a_loss_without_noti
 
 
 class UnixBench(TcpBench):
-    """The same transport at Unix sockets, each with a path of its own."""
+    """The same transport at Unix sockets, each with its own path."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, folder: Path) -> None:
         super().__init__(loop)
@@ -189,22 +189,22 @@ class TestUnix(TransportKit):
         return unix
 
 
-# Unix sockets alone
+# Unix sockets only
 
 
-@pytest.mark.parametrize(("folder", "socket_"), [(0o700, 0o600), (0o750, 0o660)])
-def test_whoever_may_enter_the_folder_may_call(unix, folder, socket_):
+@pytest.mark.parametrize(("folder", "socket_mode"), [(0o700, 0o600), (0o750, 0o660)])
+def test_the_permissions_of_the_folder_apply_to_the_socket(unix, folder, socket_mode):
     unix.folder.chmod(folder)
     pair = Pair(unix)
     (path,) = unix.folder.iterdir()
-    assert path.lstat().st_mode & 0o777 == socket_
+    assert path.lstat().st_mode & 0o777 == socket_mode
     assert pair.link.peer == pair.listener.address == f"unix:{path}"
     assert pair.far.link.peer == "a command on this computer"
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to any group")
-def test_the_group_of_the_folder_may_call(unix):
-    """Not that of whoever listens, who may have several."""
+def test_the_group_of_the_folder_may_connect(unix):
+    """Not the group of the listening user, who may have several."""
     os.chown(unix.folder, -1, 4999)
     unix.folder.chmod(0o750)
     Pair(unix)
@@ -212,7 +212,7 @@ def test_the_group_of_the_folder_may_call(unix):
     assert (path.lstat().st_gid, path.lstat().st_mode & 0o777) == (4999, 0o660)
 
 
-def test_a_path_that_will_not_do(unix):
+def test_an_invalid_socket_path_is_refused(unix):
     for address, words in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
         with pytest.raises(AddressError, match=words):
             unix.wait(unix.listen(address, lambda link: Recorder()))
@@ -227,7 +227,7 @@ def test_a_path_that_will_not_do(unix):
         (1001, (1001,), []),
     ],
 )
-def test_what_a_user_of_this_computer_may(user, groups, rights):
+def test_the_rights_of_a_local_user(user, groups, rights):
     who = caller_identity(user, groups, 1000, 700)
     assert (who.kind, sorted(who.may)) == ("local", rights)
     assert caller_identity(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
@@ -235,7 +235,7 @@ def test_what_a_user_of_this_computer_may(user, groups, rights):
 
 @pytest.mark.parametrize("groups", [(1001,), (1001, 700)])
 @pytest.mark.parametrize("user", [0, 1000, 1001])
-def test_whose_host_a_command_believes(user, groups):
+def test_a_command_trusts_the_hosts_of_its_own_user_root_and_group(user, groups):
     believed = user in (0, 1000) or 700 in groups
     assert (listener_identity(user, groups, 1000, 700).may == ALL_RIGHTS) == believed
     assert (
@@ -246,17 +246,17 @@ def test_whose_host_a_command_believes(user, groups):
     assert (listener_identity(user, groups, 1000, None).may == ALL_RIGHTS) == (user != 1001)
 
 
-def test_the_kernel_says_who_is_at_both_ends_of_a_door(unix):
+def test_the_kernel_identifies_both_ends_of_a_unix_socket(unix):
     pair = Pair(unix)
     for link in (pair.link, pair.far.link):
         assert (link.who.kind, link.who.may) == ("local", ALL_RIGHTS)
         assert link.who.name == pwd.getpwuid(os.geteuid()).pw_name
 
 
-# TLS alone
+# TLS only
 
 
-def test_whoever_calls_knows_at_once_who_is_there(tls):
+def test_the_dialling_end_knows_its_peer_after_connect(tls):
     pair = Pair(tls)
     assert str(pair.link.who) == "host alpha"
     pair.link.send(Ping(1))
@@ -265,7 +265,7 @@ def test_whoever_calls_knows_at_once_who_is_there(tls):
 
 
 class Counted:
-    """A transport of asyncio, and how often something was written to it."""
+    """A transport of asyncio that counts the writes."""
 
     def __init__(self, transport) -> None:
         self._transport, self.writes = transport, 0
@@ -287,7 +287,7 @@ def test_a_hop_in_tls_is_one_write(tls):
     tls.until(lambda: len(pair.far.messages) == 3)
 
 
-def test_two_authorities_have_no_link():
+def test_hosts_of_two_authorities_get_no_link():
     loop = new_loop("asyncio")
     ours, theirs = TlsBench(loop), TlsBench(loop)
     called, near = Recorder(), Recorder()
@@ -301,7 +301,7 @@ def test_two_authorities_have_no_link():
     loop.close()
 
 
-def test_a_stranger_who_comes_and_goes_is_told_nothing(tls):
+def test_an_unauthenticated_peer_gets_no_reply(tls):
     called = Recorder()
     listener = tls.wait(tls.tcp.listen("127.0.0.1:0", lambda _: called))
     for data in (b"", b"GET / HTTP/1.1\r\n\r\n", encode(Hello("observer", "me", 0))):
@@ -317,7 +317,7 @@ def test_a_stranger_who_comes_and_goes_is_told_nothing(tls):
     listener.close()
 
 
-def test_whoever_never_answers_is_given_up():
+def test_a_peer_that_never_answers_is_given_up():
     bench = TlsBench(new_loop("asyncio"), connect_timeout=0.1)
     near = Recorder()
     with socket.create_server(("127.0.0.1", 0)) as deaf:
@@ -329,7 +329,7 @@ def test_whoever_never_answers_is_given_up():
     bench.close()
 
 
-def test_whoever_hangs_up_in_the_handshake_is_no_link():
+def test_a_peer_that_closes_in_the_handshake_gives_no_link():
     bench = TlsBench(new_loop("asyncio"))
 
     async def hangs_up(reader, writer):
@@ -346,17 +346,17 @@ def test_whoever_hangs_up_in_the_handshake_is_no_link():
     bench.close()
 
 
-# TCP alone
+# TCP only
 
 
-def test_a_port_shows_where_it_listens_and_links_show_their_peers(tcp):
+def test_listeners_and_links_report_their_addresses(tcp):
     pair = Pair(tcp)
     assert pair.listener.address.startswith("127.0.0.1:")
     assert pair.link.peer == pair.listener.address
     assert pair.far.link.peer.startswith("127.0.0.1:")
 
 
-def test_a_peer_that_does_not_read_is_given_up():
+def test_a_link_whose_peer_does_not_read_is_closed():
     bench = TcpBench(new_loop("asyncio"), max_pending=1000)
     deaf = socket.create_server(("127.0.0.1", 0))
     near = Recorder()
@@ -372,7 +372,7 @@ def test_a_peer_that_does_not_read_is_given_up():
 
 
 @pytest.mark.parametrize(("role", "most"), [("observer", MAX_OBSERVER_PENDING), ("host", 5 << 20)])
-def test_less_is_held_for_whoever_only_looks(tcp, role, most):
+def test_the_queue_limit_of_observers_is_lower(tcp, role, most):
     pair = Pair(tcp, role=role)
     pair.link._transport.pause_reading()
     while not pair.far.link.closed:
@@ -382,8 +382,8 @@ def test_less_is_held_for_whoever_only_looks(tcp, role, most):
     pair.link.abort()
 
 
-def test_whoever_asks_without_an_end_is_read_slowly(tcp):
-    """There are messages of a hundred seconds, and room for an emergency stop meanwhile."""
+def test_an_observer_that_sends_without_end_is_read_slowly(tcp):
+    """The host keeps the messages of a hundred seconds, and processes emergency stops meanwhile."""
     pair = Pair(tcp)
     pair.far.link.accept_role("observer")
     for number in range(20_000):
@@ -391,12 +391,12 @@ def test_whoever_asks_without_an_end_is_read_slowly(tcp):
     tcp.until(lambda: pair.far.messages)
     tcp.wait(asyncio.sleep(0.3))
     assert 0 < len(pair.far.messages) < 20_000
-    # Whoever is closed meanwhile is read no more, and nothing is raised when that time is over.
+    # A link that is closed meanwhile is not read, and its timer raises nothing.
     pair.far.link.close()
 
 
-def test_whoever_is_gone_before_anybody_looks_is_nobody(tcp):
-    """As a port scanner that resets what it has opened: whoever listens then finds no address."""
+def test_a_connection_reset_before_it_is_accepted_is_dropped(tcp):
+    """As from a port scanner that resets its connections: the listener finds no address."""
     broken, called = [], []
     tcp.loop.set_exception_handler(lambda _, context: broken.append(context))
 
@@ -413,7 +413,7 @@ def test_whoever_is_gone_before_anybody_looks_is_nobody(tcp):
     listener.close()
 
 
-def test_a_connection_that_is_reset_says_so(tcp):
+def test_a_reset_connection_is_reported_as_lost(tcp):
     pair = Pair(tcp)
     raw = pair.far.link._transport.get_extra_info("socket")
     raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
@@ -430,27 +430,27 @@ def test_a_connection_that_is_reset_says_so(tcp):
         ("x" * 70 + ".invalid:8181", "the name is not known"),
     ],
 )
-def test_an_address_that_is_not_ours(tcp, address, words):
+def test_a_foreign_or_unknown_address_cannot_be_listened_at(tcp, address, words):
     with pytest.raises(AddressError, match=words):
         tcp.wait(tcp.listen(address, lambda link: Recorder()))
 
 
-def test_socket_errors_are_told_in_words():
+def test_socket_errors_are_described_in_words():
     assert "name is not known" in describe(socket.gaierror(-2, "Name or service not known"))
     assert "above 1023" in describe(PermissionError(errno.EACCES, "Permission denied"))
     assert describe(OSError(errno.EIO, "")) == "Input/output error"
     assert describe(OSError("Multiple exceptions")) == "Multiple exceptions"
 
 
-def test_a_hop_is_not_delayed_to_be_joined_by_more(tcp):
+def test_small_writes_are_not_delayed_on_tcp(tcp):
     pair = Pair(tcp)
     for link in (pair.link, pair.far.link):
         sock = link._transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
 
 
-def test_the_kernel_holds_little_that_it_has_not_sent(tls):
-    """An order to stop waits behind what it holds: the option is read back at both ends, from both loops."""
+def test_the_kernel_queues_few_unsent_bytes(tls):
+    """A stop order waits behind these bytes: the option is read at both ends, with both loops."""
     pair = Pair(tls)
     for link in (pair.link, pair.far.link):
         sock = link._transport.get_extra_info("socket")
@@ -458,7 +458,7 @@ def test_the_kernel_holds_little_that_it_has_not_sent(tls):
         assert link._transport.get_write_buffer_limits()[1] == HIGH_WATER
 
 
-# The in-memory network alone
+# The in-memory network only
 
 
 @pytest.fixture
@@ -466,7 +466,7 @@ def memory():
     return MemoryBench()
 
 
-def test_nothing_arrives_before_its_time(memory):
+def test_a_message_arrives_after_the_latency_in_order(memory):
     clock = memory.network._clock
     pair = Pair(memory)
     memory.network.latency = 0.5
@@ -481,15 +481,7 @@ def test_nothing_arrives_before_its_time(memory):
     assert memory.network.next_due() is None
 
 
-def test_messages_are_counted_by_type(memory):
-    pair = Pair(memory)
-    pair.link.send(Ping(1))
-    pair.link.send_transfer(transfer(1), b"x")
-    pair.link.send_transfer(transfer(1), b"x")
-    assert memory.network.sent == {"Ping": 1, "Transfer": 2}
-
-
-def test_a_partition_loses_what_is_under_way_and_keeps_links_out(memory):
+def test_a_partition_loses_messages_in_flight_and_prevents_links(memory):
     pair = Pair(memory)
     other = memory.network.transport("b")
     near = Recorder()
@@ -506,15 +498,6 @@ def test_a_partition_loses_what_is_under_way_and_keeps_links_out(memory):
     memory.wait(other.connect(pair.listener.address, Recorder()))
 
 
-def test_an_event_loop_can_be_woken():
-    woken = []
-    memory = MemoryBench()
-    memory.network = MemoryNetwork(ManualClock(), on_pending=lambda: woken.append(1))
-    memory.transport = memory.network.transport("a")
-    Pair(memory).link.send(Ping(1))
-    assert woken
-
-
 # Addresses
 
 
@@ -522,6 +505,6 @@ def test_an_event_loop_can_be_woken():
     ("text", "host", "port"),
     [("robot", "robot", 8181), ("robot:9", "robot", 9), ("[::1]", "::1", 8181), ("[::1]:70", "::1", 70)],
 )
-def test_addresses(text, host, port):
+def test_addresses_are_split_and_joined(text, host, port):
     assert split_address(text) == (host, port)
     assert split_address(join_address(host, port)) == (host, port)

@@ -1,4 +1,4 @@
-"""A confirmation that waited for the disk while the coordinator came back and left its call again."""
+"""A confirmation that waited for the disk while the coordinator returned and left its call again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ten whole hosts on simulated computers: links are cut, hosts crash, and one seed is one run."""
+"""Ten whole hosts on simulated computers: links are cut, hosts crash, and a seed determines the run."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def written(folder: Path) -> Mission:
 
 
 def one_copy(fleet: Fleet) -> None:
-    """Of one start of a coordinator never two copies can run."""
+    """Check that one start of a coordinator never has two runnable copies."""
     for start, hosts in copies(fleet).items():
         assert len(hosts) == 1, f"{start} runs on {hosts} at {fleet.now:.3f} s"
 
@@ -75,7 +75,7 @@ def stamps(fleet: Fleet) -> Counter[str]:
     return Counter(text.strip() for text in said if text.startswith("w") and text.endswith("\n"))
 
 
-def test_without_faults_everybody_walks_and_nothing_is_lost(mission: Mission) -> None:
+def test_without_faults_all_walkers_hop_and_nothing_is_lost(mission: Mission) -> None:
     fleet = Fleet(mission, seed=1, watch=one_copy)
     fleet.run(60.0)
     made = stamps(fleet)
@@ -88,7 +88,7 @@ def test_without_faults_everybody_walks_and_nothing_is_lost(mission: Mission) ->
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
-def test_links_are_cut_and_hosts_crash_and_no_start_ever_has_two_copies(mission: Mission, seed: int) -> None:
+def test_under_cut_links_and_crashes_no_start_has_two_copies(mission: Mission, seed: int) -> None:
     fleet = Fleet(mission, seed, watch=one_copy)
     storm = ROUGH.inject(fleet, random.Random(seed))
     fleet.run(60.0)
@@ -101,7 +101,7 @@ def test_links_are_cut_and_hosts_crash_and_no_start_ever_has_two_copies(mission:
 def test_a_sender_that_resumes_what_it_has_sent_is_found(
     mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A sender without an answer resumes what it has sent: two copies run."""
+    """A sender without an answer resumes the sent coordinator: two copies run."""
 
     def overdue(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
         return self._resume(copy, "UnreachableResourceException", "it took too long")
@@ -122,7 +122,7 @@ def test_a_sender_that_resumes_what_it_has_sent_is_found(
 
 
 @pytest.mark.few(0)
-def test_cut_and_broken_links_alone_make_no_call_twice(mission: Mission) -> None:
+def test_cut_and_broken_links_alone_repeat_no_call(mission: Mission) -> None:
     fleet = Fleet(mission, seed=5, watch=one_copy)
     FaultRates(cut=2.0, reset=2.0, one_way=3.0, slow=3.0).inject(fleet, random.Random(5))
     fleet.run(100.0)
@@ -132,7 +132,7 @@ def test_cut_and_broken_links_alone_make_no_call_twice(mission: Mission) -> None
 
 
 @pytest.mark.few(0)
-def test_one_seed_is_one_run_and_another_is_another(mission: Mission) -> None:
+def test_the_same_seed_gives_the_same_run_and_another_seed_another(mission: Mission) -> None:
     def digest(seed: int) -> str:
         fleet = Fleet(mission, seed)
         ROUGH.inject(fleet, random.Random(seed))
@@ -145,7 +145,7 @@ def test_one_seed_is_one_run_and_another_is_another(mission: Mission) -> None:
 
 @pytest.mark.few(0)
 def test_a_run_does_not_depend_on_the_process(tmp_path: Path) -> None:
-    """Sets of strings have another order in every process: nothing may hang on it."""
+    """Sets of strings have another order in every process, and must have no effect."""
     written(tmp_path)
     command = [
         sys.executable,

@@ -1,4 +1,4 @@
-"""Triangles with an edge cut, hosts that die, disks that are lost: nobody says lost while a copy lives."""
+"""Triangles with a cut link, hosts that crash, lost disks: no host reports a loss while a copy lives."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ coordinator Walker {
 """
 HOSTS = ("alpha", "bravo", "carol")
 EDGES = list(combinations(HOSTS, 2))
-#: A start that is younger than a census is not in it.
+#: A start that is younger than a census is not part of it.
 YOUNG = 3.0
 
 
@@ -42,8 +42,8 @@ def mission(folder: Path, way: str, home: str = "alpha", program: str = PROGRAM)
     return load_mission(folder / "mission.dL")
 
 
-class Honest:
-    """Never two copies of one start, and never a loss told while a copy can go on."""
+class LossCheck:
+    """No start has two copies, and no loss is reported while a copy can continue."""
 
     def __init__(self) -> None:
         self.told = 0
@@ -69,7 +69,7 @@ WORDS = {exit_status.DONE: "done", exit_status.FAILED: "lost", exit_status.UNKNO
 
 
 def outcomes(fleet: Fleet) -> dict[str, str]:
-    """What hosts ended with."""
+    """The outcomes with which hosts ended."""
     return {host: WORDS[status] for host, status in fleet.left.items()}
 
 
@@ -77,9 +77,9 @@ def outcomes(fleet: Fleet) -> dict[str, str]:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
 @pytest.mark.parametrize("way", ["a&b&c", "c&b&a", "b&b&b"])
-def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed):
+def test_one_cut_link_of_a_triangle_does_not_change_the_end(tmp_path, edge, way, seed):
     fleet = Fleet(
-        mission(tmp_path, way), seed, Honest(), options=FleetOptions(lost_after=5.0, unreachable_after=8.0)
+        mission(tmp_path, way), seed, LossCheck(), options=FleetOptions(lost_after=5.0, unreachable_after=8.0)
     )
     fleet.run(3.0)
     fleet.cut(*edge)
@@ -88,8 +88,8 @@ def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed)
 
 
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
-def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
-    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), options=FleetOptions(lost_after=3.0))
+def test_a_restored_link_does_not_change_the_end(tmp_path, edge):
+    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, LossCheck(), options=FleetOptions(lost_after=3.0))
     for _ in range(6):
         fleet.run(2.5)
         fleet.cut(*edge)
@@ -102,10 +102,10 @@ def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
 @pytest.mark.parametrize(
     "way", ["c&c&c&c&c&c", "b&b&b&b&b&b", "c&b&c&b&c&b"], ids=["cut off", "near", "both"]
 )
-def test_a_host_that_nobody_hears_is_not_heard_of_wherever_the_walker_was(tmp_path, way):
-    """The same word for all who cannot know; those who have it go on."""
+def test_an_unreachable_host_is_unheard_with_or_without_the_walker(tmp_path, way):
+    """All hosts without knowledge report the same; those with the walker continue."""
     fleet = Fleet(
-        mission(tmp_path, way), 2, Honest(), options=FleetOptions(lost_after=4.0, unreachable_after=3.0)
+        mission(tmp_path, way), 2, LossCheck(), options=FleetOptions(lost_after=4.0, unreachable_after=3.0)
     )
     fleet.run(10.0)
     for other in ("bravo", "carol"):
@@ -116,14 +116,14 @@ def test_a_host_that_nobody_hears_is_not_heard_of_wherever_the_walker_was(tmp_pa
     assert "has been unreachable for" in told
 
 
-def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
+def test_a_chain_of_hosts_reports_the_end_at_its_far_side(tmp_path):
     """Alpha is linked with bravo only, bravo with carol only, carol with dana."""
     (tmp_path / "mission.L").write_text(PROGRAM)
     hosts = ["alpha", "bravo", "carol", "dana"]
     lines = [f"//Post:{host[0]}@{host}" for host in hosts]
     lines.append("//Walker:walker@alpha?b&c&d&d&d&d&d")
     (tmp_path / "mission.dL").write_text("\n".join(lines) + "\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), options=FleetOptions(lost_after=4.0))
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, LossCheck(), options=FleetOptions(lost_after=4.0))
     for one, other in (("alpha", "carol"), ("alpha", "dana"), ("bravo", "dana")):
         fleet.later(12.0, lambda one=one, other=other: fleet.cut(one, other))
     fleet.run(80.0)
@@ -134,12 +134,12 @@ def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
 @pytest.mark.parametrize("away", [0.0, 1.0, 2.5])
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("home", ["alpha", "bravo"])
-def test_whoever_has_proof_of_a_loss_tells_the_others_before_it_goes(tmp_path, home, seed, away):
-    """Also the host that came back: no status depends on who looks first."""
+def test_a_host_with_proof_of_a_loss_informs_the_others_before_it_ends(tmp_path, home, seed, away):
+    """Also the host that returned: no status depends on which host checks first."""
     fleet = Fleet(
         mission(tmp_path, "c&c&c&c&c", home),
         seed,
-        Honest(),
+        LossCheck(),
         options=FleetOptions(lost_after=4.0, keeps=False),
     )
     fleet.run(8.0 + seed / 20)
@@ -152,8 +152,8 @@ def test_whoever_has_proof_of_a_loss_tells_the_others_before_it_goes(tmp_path, h
     assert max(times) - min(times) < 2.0
 
 
-def test_a_host_that_dies_and_stays_away_proves_nothing(tmp_path):
-    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), options=FleetOptions(lost_after=5.0))
+def test_a_host_that_crashes_and_stays_away_proves_nothing(tmp_path):
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, LossCheck(), options=FleetOptions(lost_after=5.0))
     fleet.run(8.0)
     fleet.crash("carol")
     fleet.run(30.0)
@@ -166,19 +166,19 @@ ROUND = PROGRAM.replace("int i = 1; i < arg.length(); i = i + 1", "int i = 1; tr
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("seed", range(12))
-def test_in_any_weather_nobody_says_lost_while_a_copy_lives(tmp_path, seed):
+def test_under_random_faults_no_loss_is_reported_while_a_copy_lives(tmp_path, seed):
     fleet = Fleet(
         mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5")),
         seed,
-        Honest(),
+        LossCheck(),
         options=FleetOptions(unreachable_after=2.0, lost_after=4.0, keeps=False),
     )
     ROUGH.inject(fleet, random.Random(seed))
     fleet.run(100.0)
 
 
-def test_losses_are_told_in_bad_weather_at_all(tmp_path):
-    """The judge above has something to judge."""
+def test_losses_are_reported_under_random_faults(tmp_path):
+    """Shows that the check above has cases to check."""
     told = set()
     for seed in range(12):
         way = mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5"))
@@ -192,13 +192,13 @@ def test_losses_are_told_in_bad_weather_at_all(tmp_path):
 
 
 def test_a_judge_that_counts_a_silent_host_as_lost_is_found(tmp_path, monkeypatch):
-    """A host without an answer is taken for one that has ended."""
+    """A host without an answer counts as ended."""
 
     def absent(self, answered, now, lost_after, unmet):
         return UnavailableHosts(ended=[host for host in HOSTS if host not in answered])
 
     way = mission(tmp_path, "c&c&c&c&c")
-    fleet = Fleet(way, 0, Honest(), options=FleetOptions(lost_after=4.0, keeps=False))
+    fleet = Fleet(way, 0, LossCheck(), options=FleetOptions(lost_after=4.0, keeps=False))
     fleet.run(8.0)
     monkeypatch.setattr(Membership, "unavailable_hosts", absent)
     fleet.cut("alpha", "carol")
@@ -218,7 +218,7 @@ def generations(fleet: Fleet) -> set[int]:
     }
 
 
-def test_after_a_crash_a_coordinator_goes_on_as_the_same_start(tmp_path):
+def test_after_a_crash_a_coordinator_continues_as_the_same_start(tmp_path):
     fleet = Fleet(mission(tmp_path, "a&a&a&a&a&a&a&a"), 6)
     fleet.run(5.0)
     for number in (1, 2):
@@ -226,7 +226,7 @@ def test_after_a_crash_a_coordinator_goes_on_as_the_same_start(tmp_path):
         fleet.boot("alpha")
         fleet.run(5.0)
         assert generations(fleet) == {1}
-        # Its portals change nothing, so nothing of it was kept but that it began.
+        # Its portals change nothing, so only its start was stored.
         told = [text for _, _, text in fleet.log if text.startswith("walker restarted: ")]
         assert len(told) == number
 
@@ -243,7 +243,7 @@ def test_a_later_run_counts_on_from_the_disk(tmp_path):
         assert max(generations(fleet)) == number + 1
 
 
-def test_without_its_disk_a_host_waits_for_all_and_hears_that_its_coordinator_goes_on(tmp_path):
+def test_a_host_with_a_new_disk_waits_for_all_and_learns_of_its_live_coordinator(tmp_path):
     fleet = Fleet(mission(tmp_path, "b&c&a&a&a&a&a&a&a"), 7)
     fleet.run(5.0)
     fleet.crash("alpha")
@@ -265,7 +265,7 @@ def test_without_its_disk_a_host_waits_for_all_and_hears_that_its_coordinator_go
     assert generations(fleet) == {1}
 
 
-def test_a_start_that_cannot_be_kept_does_not_begin(tmp_path):
+def test_a_start_that_cannot_be_stored_does_not_begin(tmp_path):
     fleet = Fleet(mission(tmp_path, "a&b&c"), 8)
     fleet.disks["alpha"].full, fleet.disks["alpha"].reserve = True, 0
     fleet.run(5.0)

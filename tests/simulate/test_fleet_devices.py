@@ -1,4 +1,5 @@
-"""Guards and devices of a simulated team: whoever dies or hangs, a device has one owner and comes to rest."""
+"""Guards and devices of a simulated team: under crashes and hangs a device has one owner and comes to
+rest."""
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ def guard_of(fleet: Fleet, host: str) -> SimulatedProcess:
 
 
 def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
-    """Go on until a device moves."""
+    """Run until a device moves."""
     for _ in range(int(seconds / 0.01)):
         fleet.run(0.01)
         if fleet.hardware[device].is_moving:
@@ -65,14 +66,14 @@ def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
 
 
 def rests_within(fleet: Fleet, device: str, seconds: float) -> bool:
-    """Whether a device comes to rest, and stays there for as long again."""
+    """Whether a device comes to rest, and stays at rest for as long again."""
     fleet.run(seconds)
     rests = not fleet.hardware[device].is_moving
     fleet.run(seconds)
     return rests and not fleet.hardware[device].is_moving
 
 
-def test_a_device_of_a_killed_host_is_made_safe_by_its_guard(mission: Mission) -> None:
+def test_the_guard_of_a_killed_host_makes_its_device_safe(mission: Mission) -> None:
     fleet = Fleet(mission, 1)
     moves_at(fleet, "b.fc")
     fleet.crash("bravo")
@@ -81,7 +82,7 @@ def test_a_device_of_a_killed_host_is_made_safe_by_its_guard(mission: Mission) -
     assert fleet.hardware["b.fc"].owners == []
 
 
-def test_a_device_of_a_host_that_stands_still_is_made_safe_by_its_guard(mission: Mission) -> None:
+def test_the_guard_of_a_suspended_host_makes_its_device_safe(mission: Mission) -> None:
     fleet = Fleet(mission, 2)
     moves_at(fleet, "b.fc")
     fleet.lives["bravo"].process.loop.freeze()
@@ -89,7 +90,7 @@ def test_a_device_of_a_host_that_stands_still_is_made_safe_by_its_guard(mission:
 
 
 @pytest.mark.parametrize("how", ["kill", "freeze"])
-def test_a_device_whose_guard_is_gone_is_stopped_by_its_own_watchdog_and_then_by_the_next_guard(
+def test_a_device_with_a_dead_guard_is_stopped_by_its_watchdog_then_by_the_next_guard(
     mission: Mission, how: str
 ) -> None:
     fleet = Fleet(mission, 3)
@@ -106,7 +107,7 @@ def test_a_device_whose_guard_is_gone_is_stopped_by_its_own_watchdog_and_then_by
     assert "b.fc in safe state 'land': its guard died" in "".join(text for _, _, text in fleet.log)
 
 
-def test_a_device_of_a_computer_without_power_is_stopped_by_its_own_watchdog(mission: Mission) -> None:
+def test_a_device_of_a_computer_without_power_is_stopped_by_its_watchdog(mission: Mission) -> None:
     fleet = Fleet(mission, 4)
     moves_at(fleet, "c.fc")
     fleet.power_off("carol")
@@ -115,7 +116,9 @@ def test_a_device_of_a_computer_without_power_is_stopped_by_its_own_watchdog(mis
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
-def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission: Mission, seed: int) -> None:
+def test_under_random_faults_a_device_has_one_owner_and_moves_only_for_it(
+    mission: Mission, seed: int
+) -> None:
     unowned: dict[str, float] = {}
 
     def watch(fleet: Fleet) -> None:
@@ -125,7 +128,7 @@ def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission
                 unowned.pop(name, None)
             else:
                 since = unowned.setdefault(name, fleet.now)
-                assert fleet.now - since < 1.01, f"{name} moves though nobody has had it since {since:.3f} s"
+                assert fleet.now - since < 1.01, f"{name} moves without an owner since {since:.3f} s"
 
     fleet = Fleet(mission, seed, watch)
     weather = FaultRates(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)

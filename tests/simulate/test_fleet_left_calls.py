@@ -1,4 +1,4 @@
-"""A call that is taken from its caller commands nothing more, whatever its portal goes on to do."""
+"""A call that was detached from its caller commands nothing more."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ coordinator Boss {
 """
 
 
-def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> None:
+def test_a_portal_with_a_detached_caller_commands_no_device(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Boss:boss@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 3)
@@ -39,7 +39,7 @@ def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> Non
     def climbs() -> int:
         return sum(told.what == "takeoff" for told in fleet.hardware["p.fc"].record)
 
-    def said(text: str) -> int:
+    def count_logged(text: str) -> int:
         return sum(text in line for _, _, line in fleet.log)
 
     while climbs() < 3:
@@ -49,11 +49,11 @@ def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> Non
     assert machine.detach_caller(boss, "RestartException", "the mission is paused")
     before = climbs()
     fleet.run(15.0)
-    assert said("boss: the mission is paused at p") == 1
+    assert count_logged("boss: the mission is paused at p") == 1
     assert climbs() <= before + 1
-    assert said("p: fc: the call that would command it was taken from its caller fc") >= 15
-    assert said("p: wandered") == 1
-    # Both go on.
+    assert count_logged("p: fc: the call that would command it was taken from its caller fc") >= 15
+    assert count_logged("p: wandered") == 1
+    # Both continue.
     served = post.served
     assert post.ended == boss.ended == ""
     fleet.run(5.0)

@@ -1,4 +1,4 @@
-"""Teams beyond nine hosts: links are made where they are needed, and go when nobody needs them."""
+"""Teams of more than nine hosts: links are opened on demand, and closed when they are not needed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ coordinator Walker {
 
 
 def team(folder: Path, hosts: int, coordinators: str = "", program: str = "") -> Mission:
-    """Coordinators as `name@host?argument`, host by number."""
+    """A mission; coordinators are `name@host?argument`, hosts are numbered."""
     lines = [f"//Post:p{n}@host{n}" for n in range(hosts)]
     lines += [f"//Walker:{words}" for words in coordinators.split()]
     (folder / "mission.L").write_text(POST + program)
@@ -71,7 +71,7 @@ def stamps(fleet: Fleet) -> Counter[str]:
     return Counter(text.strip() for _, _, text in fleet.log if text.startswith(("w", "guest")))
 
 
-def said(fleet: Fleet, words: str) -> list[str]:
+def logged(fleet: Fleet, words: str) -> list[str]:
     return [host for _, host, text in fleet.log if words in text]
 
 
@@ -94,7 +94,7 @@ def test_an_idle_host_sends_at_most_eight_messages_between_two_heartbeats(tmp_pa
 
 
 @pytest.mark.few(0)
-def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_needs_go(tmp_path):
+def test_walkers_reach_all_hosts_with_each_call_made_once_and_unneeded_links_closed(tmp_path):
     fleet = Fleet(team(tmp_path, 24, "w0@host0?w0 w9@host9?w9 w20@host20?w20", WALKER), 1, one_copy)
     fleet.run(60.0)
     made = stamps(fleet)
@@ -103,7 +103,7 @@ def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_need
         numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         assert len(numbers) > 100
-    assert not said(fleet, " lost\n")
+    assert not logged(fleet, " lost\n")
     for host, life in fleet.lives.items():
         # A walker stays for half a second, and links for ten.
         assert life.core.membership.neighbours <= links(fleet, host)
@@ -114,7 +114,7 @@ def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_need
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(6))
-def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, seed):
+def test_two_hosts_that_dial_each_other_at_once_have_one_link(tmp_path, seed):
     fleet = Fleet(team(tmp_path, 24), seed)
     fleet.run(5.0)
     assert "host12" not in links(fleet, "host0")
@@ -134,12 +134,12 @@ def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, se
     assert len(connections) == 1
     fleet.run(25.0)
     assert "host12" not in links(fleet, "host0")
-    assert not said(fleet, " lost\n")
+    assert not logged(fleet, " lost\n")
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("victim", ["host1", "host9"], ids=["a neighbour", "far off"])
-def test_a_host_dies_that_has_nothing_and_all_others_hear_how_it_ends(tmp_path, victim):
+def test_all_hosts_learn_the_end_when_a_host_without_coordinator_crashes(tmp_path, victim):
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p12&p5&p7&p3", GUEST), 2, one_copy, options=FleetOptions(lost_after=5.0)
     )
@@ -150,7 +150,7 @@ def test_a_host_dies_that_has_nothing_and_all_others_hear_how_it_ends(tmp_path, 
     assert len(fleet.left) == 15
 
 
-def test_a_host_dies_with_the_coordinator_and_all_say_that_it_is_not_heard_of(tmp_path):
+def test_all_hosts_report_unheard_when_the_host_with_the_coordinator_crashes(tmp_path):
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 3, one_copy, options=FleetOptions(lost_after=5.0)
     )
@@ -161,7 +161,7 @@ def test_a_host_dies_with_the_coordinator_and_all_say_that_it_is_not_heard_of(tm
     assert len(fleet.left) == 15
 
 
-def test_a_host_comes_back_without_the_coordinator_and_all_say_that_it_is_lost(tmp_path):
+def test_all_hosts_report_a_loss_when_that_host_returns_without_the_coordinator(tmp_path):
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 4, one_copy, options=FleetOptions(lost_after=20.0)
     )
@@ -175,8 +175,8 @@ def test_a_host_comes_back_without_the_coordinator_and_all_say_that_it_is_lost(t
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
-def test_links_are_cut_and_nobody_takes_anybody_for_silent(tmp_path, seed):
-    """Host 9 has no neighbour left that it can talk to; others still hear it."""
+def test_cut_links_make_no_host_count_as_silent(tmp_path, seed):
+    """Host 9 has no reachable neighbour left; others still have contact with it."""
     fleet = Fleet(
         team(tmp_path, 16, "w@host0?p9&p9&p9", GUEST), seed, one_copy, options=FleetOptions(lost_after=6.0)
     )
@@ -192,7 +192,7 @@ ROUGH = FaultRates(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
-def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
+def test_under_random_faults_no_start_has_two_copies(tmp_path, seed):
     fleet = Fleet(
         team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER),
         seed,
@@ -206,7 +206,7 @@ def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
 
 
 @pytest.mark.few(0)
-def test_cut_and_broken_links_alone_make_no_call_twice(tmp_path):
+def test_cut_and_broken_links_alone_repeat_no_call(tmp_path):
     fleet = Fleet(team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), 5, one_copy)
     FaultRates(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).inject(fleet, random.Random(5))
     fleet.run(60.0)

@@ -1,4 +1,4 @@
-"""Calls of a host that is away: how long they wait for it, and what they are told."""
+"""Calls of an absent host: how long they wait for it, and with which exception they end."""
 
 from __future__ import annotations
 
@@ -61,29 +61,29 @@ def fleet_of(folder: Path, words: str, call: str = CALL, program: str = PROGRAM)
     return Fleet(load_mission(folder / "mission.dL"), seed=3)
 
 
-def said(fleet: Fleet, word: str) -> tuple[float, str]:
-    """When a line that begins so was printed first, and how it goes on."""
+def logged(fleet: Fleet, word: str) -> tuple[float, str]:
+    """The time of the first line that begins with a word, and the rest of the line."""
     for at, _, text in fleet.log:
         line = text.strip().removeprefix("w: ")
         if line == word or line.startswith(f"{word} "):
             return at, line.removeprefix(word).strip()
-    raise AssertionError(f"nobody said {word}: {fleet.log}")
+    raise AssertionError(f"no line begins with {word}: {fleet.log}")
 
 
 def start_of(fleet: Fleet) -> None:
     fleet.run(1.0)
-    assert said(fleet, "met")
+    assert logged(fleet, "met")
 
 
 @pytest.mark.parametrize("end", ["crash", "power_off"])
-def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, end):
+def test_a_host_killed_seven_seconds_ago_is_waited_for_only_the_rest_of_the_time(tmp_path, end):
     fleet = fleet_of(tmp_path, "12.0")
     start_of(fleet)
-    met = said(fleet, "met")[0]
+    met = logged(fleet, "met")[0]
     fleet.run(met + 5.0 - (3.0 if end == "power_off" else 0.0) - fleet.now)
     getattr(fleet, end)("bravo")
     fleet.run(20.0)
-    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
     assert threw - asked < 0.1
     before, seconds, after = re.split(r"([\d.]+)", why)
     assert before == "bravo could not be reached: there has been no link for "
@@ -91,34 +91,34 @@ def test_a_host_that_was_killed_seven_seconds_ago_is_not_waited_for(tmp_path, en
     assert after == " s; is it up?"
 
 
-def test_a_together_does_not_wait_either_for_a_host_in_which_it_has_begun_nothing(tmp_path):
+def test_a_together_does_not_wait_for_an_absent_host_without_begun_calls(tmp_path):
     fleet = fleet_of(tmp_path, "12.0", TOGETHER)
     start_of(fleet)
-    fleet.run(said(fleet, "met")[0] + 5.0 - fleet.now)
+    fleet.run(logged(fleet, "met")[0] + 5.0 - fleet.now)
     fleet.crash("bravo")
     fleet.run(20.0)
-    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
     assert threw - asked < 0.6, "as long as the other call takes"
     assert re.fullmatch(
         r"bravo could not be reached: there has been no link for .* \(far.look\(\) has not begun\)", why
     )
 
 
-def test_the_time_of_a_host_that_is_away_is_counted_from_the_end_of_its_link(tmp_path):
+def test_the_time_of_an_absent_host_counts_from_the_end_of_its_link(tmp_path):
     fleet = fleet_of(tmp_path, "5.0")
     start_of(fleet)
-    met = said(fleet, "met")[0]
+    met = logged(fleet, "met")[0]
     fleet.run(max(0.0, met + 2.0 - fleet.now))
     fleet.crash("bravo")
     killed = fleet.now
     fleet.run(20.0)
-    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
     assert asked - killed < 5.0
     assert threw - killed == pytest.approx(10.0, abs=0.3)
     assert why == "bravo could not be reached within 10 s; is it up?"
 
 
-def test_a_host_that_comes_back_in_time_is_called(tmp_path):
+def test_a_host_that_returns_in_time_is_called(tmp_path):
     fleet = fleet_of(tmp_path, "5.0")
     start_of(fleet)
     fleet.run(3.0)
@@ -126,10 +126,10 @@ def test_a_host_that_comes_back_in_time_is_called(tmp_path):
     fleet.run(4.0)
     fleet.heal("alpha", "bravo")
     fleet.run(5.0)
-    assert said(fleet, "got")[1] == "1"
+    assert logged(fleet, "got")[1] == "1"
 
 
-def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
+def test_a_host_that_has_surely_ended_is_not_waited_for(tmp_path):
     fleet = fleet_of(tmp_path, "6.0")
     start_of(fleet)
     fleet.run(4.0)
@@ -137,31 +137,35 @@ def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
     alpha = fleet.lives["alpha"]
     alpha.process.loop.enter(lambda: alpha.host.dispatch(HostExited("bravo")))
     fleet.run(10.0)
-    (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
+    (asked, _), (threw, why) = logged(fleet, "asks"), logged(fleet, "threw")
     assert threw - asked < 0.1
     assert why == "bravo could not be reached: it has ended"
 
 
-def test_a_host_that_nobody_has_met_is_waited_for_once(tmp_path):
+def test_a_host_that_was_never_linked_is_waited_for_once(tmp_path):
     (tmp_path / "mission.devices.yaml").write_text("start: {without: [bravo]}\n")
     twice = CALL.replace('"threw', '"first') + CALL
     fleet = fleet_of(tmp_path, "0.1", twice, re.sub(r'print\("met .*', "", PROGRAM))
     fleet.crash("bravo")
     fleet.run(25.0)
-    (asked, _), (first, why), (threw, again) = said(fleet, "asks"), said(fleet, "first"), said(fleet, "threw")
+    (asked, _), (first, why), (threw, again) = (
+        logged(fleet, "asks"),
+        logged(fleet, "first"),
+        logged(fleet, "threw"),
+    )
     assert first - asked == pytest.approx(10.0, abs=0.3)
     assert why == "bravo could not be reached within 10 s; is it up?"
     assert threw - first < 0.1
     assert again.startswith("bravo could not be reached: there has been no link for 1")
 
 
-def test_what_was_begun_on_a_host_that_is_away_is_waited_for(tmp_path):
+def test_begun_calls_on_an_absent_host_are_waited_for(tmp_path):
     fleet = fleet_of(tmp_path, "0.1&7.0&1.0", BEGUN)
     start_of(fleet)
-    asked = said(fleet, "asks")[0]
+    asked = logged(fleet, "asks")[0]
     fleet.run(max(0.0, asked + 0.5 - fleet.now))
     fleet.cut("alpha", "bravo")
     fleet.run(asked + 12.0 - fleet.now)
     fleet.heal("alpha", "bravo")
     fleet.run(5.0)
-    assert said(fleet, "got")[1] == "7"
+    assert logged(fleet, "got")[1] == "7"

@@ -1,4 +1,4 @@
-"""A pause outlives the host that was told of it, and so does what its devices do. In virtual time."""
+"""A pause and the rest of its devices outlast a restart of the host. In virtual time."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ coordinator Walker {
 
 
 class Desk:
-    """Who says the word, and does not listen."""
+    """Sends orders and ignores the answers."""
 
     who = "somebody"
 
     def send(self, message: object) -> None:
-        """The answer."""
+        """Ignore the answer."""
 
 
 def say(life: HostLife, *, lift: bool) -> None:
@@ -47,7 +47,7 @@ def latched(fleet: Fleet) -> str:
     return device.latched
 
 
-def test_the_devices_of_a_host_that_is_started_while_it_is_paused_are_held(tmp_path: Path) -> None:
+def test_the_devices_of_a_host_restarted_during_a_pause_are_held(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)

@@ -1,4 +1,4 @@
-"""Vehicles whose coordinator is gone come down by their bindings, and no others. In virtual time."""
+"""Vehicles without a live coordinator enter the safe state of their bindings, others do not. Virtual time."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def latched(fleet: Fleet, host: str) -> dict[str, str]:
     return dict(fleet.lives[host].host.guards.latched)
 
 
-def test_a_vehicle_waits_so_long_for_a_coordinator_that_died_two_hosts_on(mission: Mission) -> None:
-    """And where it was last known to be, bravo, is well. No other vehicle has been used."""
+def test_a_vehicle_waits_its_time_for_a_coordinator_that_died_two_hosts_away(mission: Mission) -> None:
+    """Its last known host, bravo, is well. No other vehicle has been used."""
     fleet = Fleet(mission, 1)
     on_its_way(fleet)
     fleet.crash("carol")
@@ -79,7 +79,7 @@ def test_a_vehicle_waits_so_long_for_a_coordinator_that_died_two_hosts_on(missio
     assert f"a.fc in safe state 'hold': {reason}" in "".join(text for _, _, text in fleet.log)
 
 
-def test_a_cut_link_to_a_live_coordinator_changes_nothing_and_its_end_does(mission: Mission) -> None:
+def test_a_cut_link_to_a_live_coordinator_has_no_effect_and_its_end_has(mission: Mission) -> None:
     fleet = Fleet(mission, 2)
     on_its_way(fleet)
     fleet.cut("alpha", "carol")
@@ -94,7 +94,7 @@ def test_a_cut_link_to_a_live_coordinator_changes_nothing_and_its_end_does(missi
     assert AFTER - 6.0 < when - over < AFTER + 5.0
 
 
-def test_a_guard_that_dies_brings_the_vehicle_back_into_that_state(mission: Mission) -> None:
+def test_a_restarted_guard_restores_that_safe_state(mission: Mission) -> None:
     fleet = Fleet(mission, 3)
     on_its_way(fleet)
     fleet.crash("carol")

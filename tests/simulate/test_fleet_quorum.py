@@ -1,4 +1,4 @@
-"""Another host goes on with a coordinator whose host is gone, never beside it. Whole hosts, virtual time."""
+"""Another host recovers a coordinator of a lost host, and never beside it. Whole hosts, virtual time."""
 
 from __future__ import annotations
 
@@ -62,24 +62,24 @@ def mission(folder: Path, call: str = "stamp", team: str = TEAM, interval: float
     return load_mission(folder / "mission.dL", simulate=True)
 
 
-def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
+def logged(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
 def run_until(fleet: Fleet, what: str, within: float) -> float:
-    """When it is said first; fails when it is not within so many seconds."""
+    """The time of the first line with this text; fail after so many seconds."""
     end = fleet.now + within
     while fleet.now < end:
-        if found := said(fleet, what):
+        if found := logged(fleet, what):
             return found[0][0]
         fleet.run(0.1)
     raise AssertionError(
-        f"{what!r} was not said within {within} s:\n" + "".join(x[2] for x in fleet.log[-20:])
+        f"{what!r} was not logged within {within} s:\n" + "".join(x[2] for x in fleet.log[-20:])
     )
 
 
 def holder(fleet: Fleet) -> str:
-    """The host on which the walker runs now, once it is on no way."""
+    """The host on which the walker runs now, once it is on no hop."""
     while True:
         agents = {name: life.core.machine.agents.get("walker") for name, life in fleet.lives.items()}
         found = [name for name, agent in agents.items() if agent is not None and not agent.frozen]
@@ -88,29 +88,29 @@ def holder(fleet: Fleet) -> str:
         fleet.run(0.01)
 
 
-def test_a_home_that_is_no_member_begins_and_ends_what_runs_under_leases(tmp_path: Path) -> None:
+def test_a_home_that_is_no_member_starts_and_ends_coordinators_under_leases(tmp_path: Path) -> None:
     (tmp_path / "mission.devices.yaml").write_text("recovery: {members: [bravo, charlie, watch]}\n")
     team = TEAM.replace("//Walker", "//@watch\n//Walker")
     run_until(Fleet(mission(tmp_path, team=team), 1), "complete", 60.0)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_team_goes_on_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
+def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
     fleet = Fleet(mission(tmp_path), seed)
     run_until(fleet, f"stamp {7 + seed}\n", 30.0)
     gone, at = holder(fleet), fleet.now
     fleet.power_off(gone)
     told = run_until(fleet, "was recovered on", 20.0)
-    # It may have had one more call to make before it came to the host that was gone.
-    last = max([at, *(when + 0.35 for when, _, _ in said(fleet, "stamp ") if when < told)])
+    # It may have had one more call to make before it came to the lost host.
+    last = max([at, *(when + 0.35 for when, _, _ in logged(fleet, "stamp ") if when < told)])
     assert told - last <= INTERVAL + 3.0
     run_until(fleet, "complete", 90.0)
-    stamped = [text.strip() for _, _, text in said(fleet, "stamp ")]
+    stamped = [text.strip() for _, _, text in logged(fleet, "stamp ")]
     assert len(stamped) - len(set(stamped)) <= 1
-    assert not said(fleet, "bug in lfield")
+    assert not logged(fleet, "bug in lfield")
 
 
-def test_the_host_that_comes_back_too_late_does_not_go_on(tmp_path: Path) -> None:
+def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 3)
     run_until(fleet, "stamp 10\n", 30.0)
     gone = holder(fleet)
@@ -121,10 +121,10 @@ def test_the_host_that_comes_back_too_late_does_not_go_on(tmp_path: Path) -> Non
     fleet.run(5.0)
     (row,) = (k for k in fleet.lives[gone].core.mobility.known_states() if k.generation == 1)
     assert (row.state, row.outcome) == ("EXITED", "superseded")
-    assert len(said(fleet, "complete")) == 1
+    assert len(logged(fleet, "complete")) == 1
 
 
-def test_the_host_that_comes_back_in_time_goes_on_itself(tmp_path: Path) -> None:
+def test_a_host_that_returns_in_time_continues_itself(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 4)
     run_until(fleet, "stamp 10\n", 30.0)
     gone = holder(fleet)
@@ -132,10 +132,10 @@ def test_the_host_that_comes_back_in_time_goes_on_itself(tmp_path: Path) -> None
     fleet.boot(gone)
     run_until(fleet, "resumed from the journal", 10.0)
     run_until(fleet, "complete", 90.0)
-    assert not said(fleet, "was recovered on")
+    assert not logged(fleet, "was recovered on")
 
 
-def test_a_host_that_is_cut_off_stops_and_its_devices_go_safe_before_another_goes_on(tmp_path: Path) -> None:
+def test_a_host_cut_off_stops_and_its_devices_are_safe_before_another_continues(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "climb"), 5)
     run_until(fleet, "climb 4\n", 60.0)
     cut, at = holder(fleet), fleet.now
@@ -152,7 +152,7 @@ def test_a_host_that_is_cut_off_stops_and_its_devices_go_safe_before_another_goe
     run_until(fleet, "complete", 200.0)
 
 
-def test_without_a_majority_nobody_acts_and_with_one_all_goes_on(tmp_path: Path) -> None:
+def test_without_a_majority_no_coordinator_acts_and_with_one_all_continue(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 6)
     run_until(fleet, "stamp 5\n", 30.0)
     names = ("alpha", "bravo", "charlie")
@@ -161,9 +161,9 @@ def test_without_a_majority_nobody_acts_and_with_one_all_goes_on(tmp_path: Path)
             if one < other:
                 fleet.cut(one, other)
     fleet.run(LEASE * 1.01 + 0.4)
-    before = len(said(fleet, "stamp "))
+    before = len(logged(fleet, "stamp "))
     fleet.run(20.0)
-    assert len(said(fleet, "stamp ")) == before
+    assert len(logged(fleet, "stamp ")) == before
     fleet.heal_all()
     run_until(fleet, "complete", 90.0)
 
@@ -174,13 +174,13 @@ def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None
     for name in ("bravo", "charlie"):
         fleet.cut("alpha", name)
     fleet.run(20.0)
-    assert said(fleet, "walker not started: no majority of the members responds yet")
-    assert not said(fleet, "stamp ")
+    assert logged(fleet, "walker not started: no majority of the members responds yet")
+    assert not logged(fleet, "stamp ")
     fleet.heal("alpha", "charlie")
     run_until(fleet, "stamp 0", 10.0)
 
 
-def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_path: Path) -> None:
+def test_a_member_that_lost_its_promises_grants_no_lease_before_all_have_answered(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 11)
     run_until(fleet, "stamp 5\n", 30.0)
     other = "bravo" if holder(fleet) == "charlie" else "charlie"
@@ -189,16 +189,16 @@ def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_pa
     fleet.lose_disk(other)
     fleet.boot(other)
     fleet.run(20.0)
-    stamped = len(said(fleet, "stamp "))
+    stamped = len(logged(fleet, "stamp "))
     fleet.run(10.0)
-    assert len(said(fleet, "stamp ")) == stamped
-    ((_, where, why),) = said(fleet, "is new or has lost a vote")
+    assert len(logged(fleet, "stamp ")) == stamped
+    ((_, where, why),) = logged(fleet, "is new or has lost a vote")
     assert (where, "and alpha must respond" in why) == (other, True)
     fleet.boot("alpha")
     run_until(fleet, "complete", 120.0)
 
 
-def test_without_a_member_that_is_gone_for_good_the_others_go_on_by_new_members(tmp_path: Path) -> None:
+def test_after_a_permanent_loss_the_others_continue_with_new_members(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 13)
     run_until(fleet, "stamp 5\n", 30.0)
     kept = holder(fleet)
@@ -208,10 +208,10 @@ def test_without_a_member_that_is_gone_for_good_the_others_go_on_by_new_members(
     fleet.lose_disk(other)
     fleet.boot(other)
     run_until(fleet, f"and {gone} must respond", 20.0)
-    assert said(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
+    assert logged(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
     fleet.run(20.0)
-    assert not said(fleet, "complete")
-    # One that still has the old members has no link: the two never count beside a majority of those.
+    assert not logged(fleet, "complete")
+    # A host with the old members gets no link: the two never count in one majority.
     recovery = replace(fleet.mission.bindings.recovery, members=(other, kept))
     bindings = replace(fleet.mission.bindings, recovery=recovery)
     fleet.mission = replace(fleet.mission, bindings=bindings)
@@ -223,7 +223,7 @@ def test_without_a_member_that_is_gone_for_good_the_others_go_on_by_new_members(
     run_until(fleet, "complete", 120.0)
 
 
-def test_a_new_computer_under_the_name_of_a_member_is_heard_as_that(tmp_path: Path) -> None:
+def test_a_new_computer_with_the_name_of_a_member_counts_as_a_new_member(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 14)
     run_until(fleet, "stamp 5\n", 30.0)
     others = sorted({"alpha", "bravo", "charlie"} - {holder(fleet)})
@@ -236,7 +236,7 @@ def test_a_new_computer_under_the_name_of_a_member_is_heard_as_that(tmp_path: Pa
     run_until(fleet, "complete", 120.0)
 
 
-def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_all(tmp_path: Path) -> None:
+def test_a_member_with_an_unreadable_promise_grants_no_lease_before_all_have_answered(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 12)
     run_until(fleet, "stamp 5\n", 30.0)
     gone = holder(fleet)
@@ -246,26 +246,26 @@ def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_a
     promised = one if other == holder(fleet) else other
     fleet.crash(promised)
     fleet.disks[promised].damage(RecordKey("fence", "walker"))
-    # Whoever goes on is cut off, and the old holder is back: it must not act.
+    # The successor is cut off, and the old holder is back: it must not act.
     for name in (gone, promised):
         fleet.cut(holder(fleet), name)
     at = fleet.now
     fleet.boot(gone)
     fleet.boot(promised)
     fleet.run(30.0)
-    assert said(fleet, "is new or has lost a vote")
-    assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
+    assert logged(fleet, "is new or has lost a vote")
+    assert not [line for line in logged(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
     fleet.heal_all()
     run_until(fleet, "complete", 120.0)
 
 
-def test_a_coordinator_whose_interval_is_switched_off_waits_for_its_host(tmp_path: Path) -> None:
+def test_a_coordinator_with_interval_zero_waits_for_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, interval=-1.0), 8)
     run_until(fleet, "stamp 10\n", 30.0)
     gone = holder(fleet)
     fleet.power_off(gone)
     fleet.run(30.0)
-    assert not said(fleet, "was recovered on")
+    assert not logged(fleet, "was recovered on")
     fleet.boot(gone)
     run_until(fleet, "complete", 90.0)
 
@@ -277,17 +277,17 @@ def test_a_witness_is_a_member(tmp_path: Path) -> None:
     gone = holder(fleet)
     fleet.power_off(gone)
     run_until(fleet, "complete", 90.0)
-    assert said(fleet, "was recovered on")
+    assert logged(fleet, "was recovered on")
 
 
-def test_without_journals_the_interval_has_no_effect_and_that_is_said(tmp_path: Path) -> None:
+def test_without_journals_the_interval_is_ignored_and_logged(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 10, options=FleetOptions(keeps=False))
     run_until(fleet, "heartbeatInterval ignored: alpha has no journal", 5.0)
     run_until(fleet, "complete", 60.0)
 
 
 def spoil(fleet: Fleet, host: str) -> CoordinatorCopy:
-    """What this host has kept of the walker is no sound block any more."""
+    """Damage the block of the walker on this host."""
     copy = fleet.lives[host].core.mobility.newest_copy("walker")
     assert copy is not None
     assert copy.block is not None
@@ -295,14 +295,14 @@ def spoil(fleet: Fleet, host: str) -> CoordinatorCopy:
     return copy
 
 
-def test_what_cannot_be_read_is_said_once_and_no_older_copy_goes_on(tmp_path: Path) -> None:
+def test_an_unreadable_checkpoint_is_reported_once_and_no_older_copy_continues(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path), 3)
     run_until(fleet, "stamp 10\n", 30.0)
     assert holder(fleet) == "bravo"
     fleet.power_off("bravo")
     copy, at = spoil(fleet, "alpha"), fleet.now
     fleet.run(40.0)
-    (told,) = said(fleet, "failover of walker impossible")
+    (told,) = logged(fleet, "failover of walker impossible")
     assert told[1:] == (
         "alpha",
         "failover of walker impossible: its newest checkpoint, on alpha, cannot be read; if the host that "
@@ -310,11 +310,11 @@ def test_what_cannot_be_read_is_said_once_and_no_older_copy_goes_on(tmp_path: Pa
         "'lfield forget walker' ends it\n",
     )
     assert copy.state_message().unreadable
-    # alpha once, charlie twice: between them it had promised alpha, and heard of it by that.
-    assert len(said(fleet, "walker suspected lost")) == 3
-    assert len(said(fleet, "failover of walker left to alpha")) == 2
-    assert not said(fleet, "was recovered on")
-    assert not [line for line in said(fleet, "stamp ") if line[0] > at]
+    # alpha once, charlie twice: between them it had promised alpha, and was in contact by that.
+    assert len(logged(fleet, "walker suspected lost")) == 3
+    assert len(logged(fleet, "failover of walker left to alpha")) == 2
+    assert not logged(fleet, "was recovered on")
+    assert not [line for line in logged(fleet, "stamp ") if line[0] > at]
     fleet.boot("bravo")
     run_until(fleet, "complete", 90.0)
-    assert said(fleet, "walker was recovered on bravo")
+    assert logged(fleet, "walker was recovered on bravo")

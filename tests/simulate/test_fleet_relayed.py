@@ -1,4 +1,4 @@
-"""A link breaks in the middle of a hop while other hosts connect its two: they agree who has what."""
+"""A link breaks during a hop while other hosts connect its two ends: they agree on the holder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ resource Post {
     }
 }
 """
-#: A coordinator that goes to and fro between two hosts, in each of the ways that it can go.
+#: A coordinator that hops between two hosts, in each of the possible ways.
 WAYS = {
     "call": "number = posts[turn % 2].visit(turn);",
     "together": "together { number = posts[turn % 2].visit(turn); other = posts[(turn + 1) % 2].visit(-1); }",
@@ -57,7 +57,7 @@ KNOWN_WITHIN, NOTICED_WITHIN = 2.0, 6.0
 
 
 class Team(Fleet):
-    """Hosts a and b, and others that connect them: `path` has the names in between, which are in a row."""
+    """Hosts a and b, and others that connect them: `path` has the names in between, which form a chain."""
 
     def __init__(
         self, folder: Path, way: str, path: str = "c", recovered: str = "", call_timeout: float = 10.0
@@ -84,7 +84,7 @@ class Team(Fleet):
         return self.row.index(host)
 
     def break_link(self, ways: str) -> None:
-        """The direct link of a and b breaks from now on: 'both' ways and both are told, or one is silent."""
+        """Break the direct link of a and b: in 'both' directions with notice, or one direction is silent."""
         if self.cut_at < self.now:
             return
         self.cut_at = self.now
@@ -92,11 +92,11 @@ class Team(Fleet):
             if ways in ("both", near + far):
                 self.network.silence(near, far)
         if ways == "both":
-            # What is under way is lost with it.
+            # Messages in flight are lost with it.
             self.later(0.0, lambda: self.network.reset("a", "b"))
 
     def known(self, host: str) -> CoordinatorState | None:
-        """What a host knows of the newest start."""
+        """The newest start that a host knows."""
         rows = self.lives[host].core.mobility.known_states()
         return max(rows, key=lambda row: row.generation, default=None)
 
@@ -106,7 +106,7 @@ class Team(Fleet):
         return [host for host, row in rows if row and row.state in ("PREPARED", "IN DOUBT")]
 
     def watch_for(self, seconds: float) -> None:
-        """Time goes on; both are never in doubt."""
+        """Let time pass; both are never in doubt."""
         end = self.now + seconds
         while self.now < end:
             self.run(0.1)
@@ -116,7 +116,7 @@ class Team(Fleet):
 
 
 def at_the_offer(team: Team, strike: Callable[[], None]) -> None:
-    """The link is gone before anything is sent."""
+    """The link breaks before anything is sent."""
     tap(team, "a", "depart", strike, before=True)
 
 
@@ -131,7 +131,7 @@ def when_it_is_sent(team: Team, strike: Callable[[], None]) -> None:
 
 
 def when_it_has_arrived(team: Team, strike: Callable[[], None]) -> None:
-    """The transfer has come; it is not on the disk there."""
+    """The transfer has arrived; it is not durable there."""
     tap(team, "b", "on_transfer", strike, before=False)
 
 
@@ -147,7 +147,7 @@ def when_it_is_acknowledged(team: Team, strike: Callable[[], None]) -> None:
 
 
 def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
-    """It has moved on from there, and the transfer back is lost with whatever was not answered yet."""
+    """It has moved on from there, and the transfer back is lost with all unanswered messages."""
 
     def send(go: Callable[..., None], host: str, message: object) -> None:
         if not isinstance(message, TransferAccepted):
@@ -162,7 +162,7 @@ def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
 
 
 def tap(team: Team, host: str, name: str, strike: Callable[[], None], *, before: bool) -> None:
-    """`strike` before or after the first call of a method of a host's core, or of its mobility."""
+    """Call `strike` before or after the first call of a method of a host's core, or of its mobility."""
     core = team.lives[host].core
 
     def tapped(go: Callable[..., object], *given: object) -> object:
@@ -182,7 +182,8 @@ by_phase = pytest.mark.parametrize("phase", PHASES, ids=lambda phase: phase.__na
 
 
 def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: str) -> None:
-    """The link breaks in that phase: both know soon, and the coordinator goes on although it stays broken."""
+    """The link breaks in that phase: both know soon, and the coordinator continues although it stays
+    broken."""
     team.later(0.5, lambda: phase(team, lambda: team.break_link(ways)))
     team.watch_for(2.5)
     assert team.cut_at < team.now
@@ -194,39 +195,39 @@ def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: 
     assert team.waiting() == []
     assert sum("visit" in text for _, _, text in team.log) > visits
     made = [text for _, _, text in team.log if text.startswith("visit ") and "-1" not in text]
-    assert len(made) == len(set(made)), "no portal was called twice"
+    assert len(made) == len(set(made)), "a portal was called twice"
 
 
 @pytest.mark.few(5)
 @by_phase
 @pytest.mark.parametrize("way", WAYS)
-def test_a_third_host_carries_the_question_and_the_answer(tmp_path, phase, way):
+def test_a_third_host_relays_the_query_and_the_answer(tmp_path, phase, way):
     judged(Team(tmp_path, way), phase, "both")
 
 
 @by_phase
 @pytest.mark.parametrize("ways", ["ab", "ba"])
 @pytest.mark.few(3)
-def test_one_direction_is_silent(tmp_path, phase, ways):
+def test_one_silent_direction_leads_to_agreement(tmp_path, phase, ways):
     judged(Team(tmp_path, "call"), phase, ways)
 
 
 @by_phase
 @pytest.mark.parametrize("ways", ["ab", "ba"])
 @pytest.mark.few(3)
-def test_a_short_time_out_of_calls_makes_no_doubt_before_the_silent_link_is_closed(tmp_path, phase, ways):
+def test_a_short_call_time_out_makes_no_doubt_before_the_silent_link_is_closed(tmp_path, phase, ways):
     judged(Team(tmp_path, "call", call_timeout=0.5), phase, ways)
 
 
 @by_phase
 @pytest.mark.few(2)
-def test_a_chain_of_hosts_carries_them(tmp_path, phase):
+def test_a_chain_of_hosts_relays_query_and_answer(tmp_path, phase):
     judged(Team(tmp_path, "call", path="cdef"), phase, "both")
 
 
 @by_phase
 @pytest.mark.few(2)
-def test_under_leases_nothing_is_recovered_for_it(tmp_path, phase):
+def test_under_leases_a_broken_link_causes_no_recovery(tmp_path, phase):
     team = Team(tmp_path, "call", recovered="heartbeatInterval(-1);")
     judged(team, phase, "both")
     assert not any("recovered on this host" in text for _, _, text in team.log)
@@ -244,8 +245,8 @@ coordinator Walker {
 """
 
 
-def test_any_host_that_knows_better_ends_a_doubt_about_a_host_that_is_gone(tmp_path):
-    """Both the sender to such a host and the last holder, which sent it to another one, would doubt."""
+def test_any_host_with_proof_ends_a_doubt_about_a_lost_host(tmp_path):
+    """Both the sender to such a host and the last holder, which sent it to another one, would be in doubt."""
     (tmp_path / "mission.L").write_text(POST + CHAIN)
     (tmp_path / "mission.dL").write_text("".join(f"//Post:{h}@{h}\n" for h in "awyz") + "//Walker:walker@a\n")
     fleet = Fleet(
@@ -268,7 +269,7 @@ def test_any_host_that_knows_better_ends_a_doubt_about_a_host_that_is_gone(tmp_p
     assert states == ["MOVED", "IN DOUBT"]
 
 
-def test_one_sender_is_passed_on_so_often_and_no_more(tmp_path):
+def test_the_relayed_messages_of_one_sender_are_limited(tmp_path):
     team = Team(tmp_path, "call")
     team.run(0.5)
     core, sent = team.lives["c"].core, []

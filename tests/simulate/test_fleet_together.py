@@ -1,4 +1,4 @@
-"""Calls that are begun together, and hosts that die, are cut off or paused meanwhile. In virtual time."""
+"""Concurrent calls, and hosts that crash, are cut off or paused meanwhile. In virtual time."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ BOTH = """
                 got[1] = findPost("two").work(2, {1});
             }}
 """
-#: The boss begins at bravo, then at carol, where it stays until that is done.
+#: The boss starts at bravo, then goes to carol, where it stays until the end.
 DEPLOYMENT = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss@alpha?{0}\n"
 
 
 class Team(Fleet):
-    """Three hosts, of which two have work to do."""
+    """Three hosts, two of which execute calls."""
 
     def __init__(
         self,
@@ -64,29 +64,29 @@ class Team(Fleet):
         (folder / "mission.dL").write_text(DEPLOYMENT.format(rest))
         super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
 
-    def said(self, text: str, host: str = "") -> int:
-        """How often something was said."""
+    def count_logged(self, text: str, host: str = "") -> int:
+        """How often a text was logged."""
         return sum(text in line and host in ("", name) for _, name, line in self.log)
 
     def until(self, text: str) -> None:
-        """Let time go on until it is said."""
+        """Run until a text is logged."""
         end = self.now + 60.0
-        while not self.said(text):
-            assert self.now < end, f"nobody has said {text!r}"
+        while not self.count_logged(text):
+            assert self.now < end, f"{text!r} was not logged"
             self.run(0.05)
 
     def again(self, host: str) -> None:
-        """A host dies, and is started again at once."""
+        """Crash a host, and start it again at once."""
         self.crash(host)
         self.boot(host)
         self.run(3.0)
 
     def begun(self, host: str) -> list[str]:
-        """The outcomes of what a host has on its disk of calls that were begun there."""
+        """The outcomes in the records of calls on the disk of a host."""
         return [page.outcome for page in self.disks[host].pages() if isinstance(page, PendingCallRecord)]
 
 
-def test_what_was_begun_is_on_the_disk_and_goes_when_it_was_fetched(tmp_path: Path) -> None:
+def test_begun_calls_are_stored_and_deleted_after_their_results_were_fetched(tmp_path: Path) -> None:
     team = Team(tmp_path, 0.5, 2.0)
     team.until("sets 2")
     assert team.begun("bravo") == team.begun("carol") == [""]
@@ -94,7 +94,7 @@ def test_what_was_begun_is_on_the_disk_and_goes_when_it_was_fetched(tmp_path: Pa
     team.run(0.1)
     assert team.begun("bravo") == ["done"]
     team.until("boss: came back 10 20")
-    # The last host keeps what it gave until the block is kept that has it: here, when the boss has ended.
+    # The last host keeps its result until the block with it is stored: here, when the boss has ended.
     assert team.begun("carol") == ["done"] or team.begun("bravo") == ["done"]
     team = Team(tmp_path, 0.5, 2.0, rest=0.0)
     team.until("boss: came back 10 20")
@@ -103,7 +103,7 @@ def test_what_was_begun_is_on_the_disk_and_goes_when_it_was_fetched(tmp_path: Pa
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_host_that_dies_between_begin_and_fetch_tells_of_its_restart_and_begins_nothing_twice(
+def test_a_crash_between_begin_and_fetch_is_reported_and_nothing_begins_twice(
     tmp_path: Path, times: int
 ) -> None:
     team = Team(tmp_path, 8.0, 12.0)
@@ -111,37 +111,37 @@ def test_a_host_that_dies_between_begin_and_fetch_tells_of_its_restart_and_begin
     for _ in range(times):
         team.again("bravo")
     team.until("boss: restarted at one")
-    assert team.said("its host restarted while one.work() ran; it may have been executed")
-    assert team.said("sets 1") == team.said("sets 2") == 1
-    assert team.said("gives 2") == 1
+    assert team.count_logged("its host restarted while one.work() ran; it may have been executed")
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
+    assert team.count_logged("gives 2") == 1
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_a_host_that_dies_between_result_and_fetch_gives_the_result(tmp_path: Path, times: int) -> None:
+def test_a_crash_between_result_and_fetch_keeps_the_result(tmp_path: Path, times: int) -> None:
     team = Team(tmp_path, 1.0, 12.0)
     team.until("gives 1")
     team.run(0.1)
     for _ in range(times):
         team.again("bravo")
     team.until("boss: came back 10 20")
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
-def test_the_host_where_the_boss_waits_dies_and_it_goes_on_to_fetch_what_is_elsewhere(tmp_path: Path) -> None:
+def test_after_a_crash_the_waiting_boss_fetches_the_other_results(tmp_path: Path) -> None:
     team = Team(tmp_path, 1.0, 12.0)
     team.until("gives 1")
     team.run(0.1)
     team.again("carol")
-    # It stood there only to fetch: nothing that it did is unknown, but the call was lost.
+    # It was there only to fetch: none of its actions is unknown, but the call was lost.
     team.until("boss: restarted at two")
-    assert team.said("boss resumed from the journal", "carol") == 1
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("boss resumed from the journal", "carol") == 1
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
-def test_who_is_recovered_where_it_had_begun_is_told_again_when_that_host_is_started_again(
+def test_a_boss_recovered_where_it_began_calls_is_informed_again_after_a_restart(
     tmp_path: Path,
 ) -> None:
-    """What an earlier start did after it had left is as unknown as before: it must not just go on."""
+    """The actions of an earlier start after it had left are still unknown: it must not just continue."""
     team = Team(tmp_path, 1.0, 8.0, "heartbeatInterval(1.0);" + BOTH)
     team.until("sets 2")
     team.crash("carol")
@@ -150,11 +150,11 @@ def test_who_is_recovered_where_it_had_begun_is_told_again_when_that_host_is_sta
     team.again("bravo")
     team.boot("carol")
     team.run(20.0)
-    assert team.said("boss: restarted at", "bravo") == 2
-    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.count_logged("boss: restarted at", "bravo") == 2
+    assert team.count_logged("sets 1") == team.count_logged("sets 2") == 1
 
 
-def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp_path: Path) -> None:
+def test_a_boss_that_ends_leaves_no_call_running_also_on_an_unreachable_host(tmp_path: Path) -> None:
     team = Team(tmp_path, 40.0, 1.0, rest=0.0)
     team.until("sets 2")
     team.cut("bravo", "carol")
@@ -166,16 +166,16 @@ def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp
     assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
     team.until("boss: unreachable 0 0")
     team.run(5.0)
-    assert team.said("leaves 1") == 0
+    assert team.count_logged("leaves 1") == 0
     team.heal("bravo", "carol")
     team.heal("bravo", "alpha")
     team.until("leaves 1: boss has ended (done)")
-    assert team.said("gives 1") == 0
+    assert team.count_logged("gives 1") == 0
     team.run(3.0)
     assert team.begun("bravo") == []
 
 
-def test_a_time_limit_ends_a_call_on_a_host_that_cannot_be_reached(tmp_path: Path) -> None:
+def test_a_time_limit_ends_a_call_on_an_unreachable_host(tmp_path: Path) -> None:
     body = "within (5.0) {{" + BOTH + "}}"
     team = Team(tmp_path, 40.0, 1.0, body)
     team.until("sets 2")
@@ -185,28 +185,28 @@ def test_a_time_limit_ends_a_call_on_a_host_that_cannot_be_reached(tmp_path: Pat
     team.until("leaves 1: the time limit of boss is over")
     assert team.now < began + 5.5
     team.until("boss: late")
-    # After the limit it went to tell, and waited for the host no longer than for any other hop.
+    # After the limit it went to cancel the call, and waited for the host no longer than for any other hop.
     assert team.now < began + 5.0 + 2 * 10.0 + 2.0
 
 
-def test_a_limit_whose_end_the_host_of_a_call_sees_first_is_told_as_one(tmp_path: Path) -> None:
-    """What a coordinator was on its way it has not counted, so its clock is a little behind."""
+def test_a_limit_noticed_first_by_the_host_of_a_call_is_reported_as_one(tmp_path: Path) -> None:
+    """The time in transit is not counted by a coordinator, so its clock is slightly behind."""
     team = Team(tmp_path, 40.0, 1.0, "within (3.0) {{" + BOTH + "}}")
     team.until("boss: ")
-    assert team.said("boss: late 0 0") == 1
-    assert team.said("leaves 1") == 1
+    assert team.count_logged("boss: late 0 0") == 1
+    assert team.count_logged("leaves 1") == 1
 
 
-def test_a_time_limit_counts_for_how_long_the_host_of_the_boss_was_down(tmp_path: Path) -> None:
+def test_a_time_limit_includes_the_downtime_of_the_boss_host(tmp_path: Path) -> None:
     team = Team(tmp_path, 40.0, 40.0, "within (8.0) {{" + BOTH + "}}")
     team.until("sets 2")
     team.crash("carol")
     team.run(10.0)
-    assert team.said("leaves 1: the time limit of boss is over")
+    assert team.count_logged("leaves 1: the time limit of boss is over")
     team.boot("carol")
     began = team.now
     team.until("boss: ")
-    assert team.said("boss: late")
+    assert team.count_logged("boss: late")
     assert team.now < began + 4.0
 
 
@@ -214,7 +214,7 @@ def order(life: HostLife, *, lift: bool) -> EmergencyStop | Pause:
     return with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
 
 
-def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
+def test_a_call_of_a_remote_boss_ends_when_its_host_is_paused(tmp_path: Path) -> None:
     team = Team(tmp_path, 6.0, 12.0)
     team.until("sets 2")
 
@@ -227,7 +227,7 @@ def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp
     assert team.begun("bravo") == ["thrown"]
     say(lift=True)
     team.until("boss: restarted at one: the mission was paused; this call may have begun")
-    assert team.said("sets 1") == 1
+    assert team.count_logged("sets 1") == 1
 
 
 LEASED = """
@@ -251,7 +251,7 @@ coordinator Boss {
 """
 
 
-def test_what_flies_for_a_boss_that_is_elsewhere_goes_safe_when_the_lease_of_its_host_ends(
+def test_a_device_used_for_a_remote_boss_is_safe_when_the_lease_of_its_host_ends(
     tmp_path: Path,
 ) -> None:
     team = Team(tmp_path, text=LEASED)
@@ -273,9 +273,9 @@ def test_what_flies_for_a_boss_that_is_elsewhere_goes_safe_when_the_lease_of_its
 
 
 class Desk:
-    """Who says the word, and does not listen."""
+    """Sends orders and ignores the answers."""
 
     who = "somebody"
 
     def send(self, message: object) -> None:
-        """The answer."""
+        """Ignore the answer."""

@@ -1,4 +1,4 @@
-"""What a program commands begins in time or not at all, whatever stood still meanwhile. In virtual time."""
+"""A command of a program begins in time or not at all, after any suspension. In virtual time."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
 
 
 def called_at(fleet: Fleet) -> dict[float, float]:
-    """When the program called each climb, by how high it was to go, in true time."""
+    """When the program called each climb, by its height, in true time."""
     climbs = ((at, re.search(r"climb (\d+)", text)) for at, _, text in fleet.log)
     return {float(found[1]): at for at, found in climbs if found}
 
 
 def begun_at(fleet: Fleet) -> dict[float, float]:
-    """When the vehicle was told of each."""
+    """When the vehicle received each command."""
     record = fleet.hardware["p.fc"].record
     return {float(str(told.arguments[0])): told.at for told in record if told.what == "takeoff"}
 
@@ -77,7 +77,7 @@ def refusals(fleet: Fleet) -> str:
     return "".join(text for _, _, text in fleet.log if "refused" in text)
 
 
-def test_a_call_that_lay_in_the_pipe_of_a_guard_that_stood_still_is_not_carried_out(
+def test_a_call_delayed_in_the_pipe_of_a_suspended_guard_is_not_executed(
     mission: Mission,
 ) -> None:
     fleet = frees(mission, 1)
@@ -94,7 +94,7 @@ def test_a_call_that_lay_in_the_pipe_of_a_guard_that_stood_still_is_not_carried_
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_whatever_stands_still_no_call_begins_after_its_time(mission: Mission, seed: int) -> None:
+def test_under_any_suspension_no_call_begins_after_its_time(mission: Mission, seed: int) -> None:
     fleet = Fleet(mission, seed)
     storm = FaultRates(guard_stop=1.5, stop=4.0).inject(fleet, random.Random(seed))
     fleet.run(120.0)

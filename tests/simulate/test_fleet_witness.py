@@ -1,4 +1,4 @@
-"""A witness is a whole host without agents: it is linked, hears of ends, and ends with its team."""
+"""A witness is a whole host without agents: it is linked, learns of ends, and ends with its team."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def mission(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return mission if request.param == "deployment" else bundle.decode(bundle.encode(mission))
 
 
-def test_a_team_with_a_witness_comes_to_its_end(mission: Mission) -> None:
+def test_a_team_with_a_witness_ends(mission: Mission) -> None:
     fleet = Fleet(mission, 3, options=FleetOptions(lost_after=60.0))
     assert set(fleet.lives) == {"alpha", "bravo", "ground"}
     fleet.run(5.0)
@@ -48,13 +48,13 @@ def test_a_team_with_a_witness_comes_to_its_end(mission: Mission) -> None:
     assert fleet.left == dict.fromkeys(("alpha", "bravo", "ground"), exit_status.DONE)
 
 
-def test_a_witness_comes_and_goes(mission: Mission) -> None:
+def test_a_witness_may_restart(mission: Mission) -> None:
     fleet = Fleet(mission, 5)
     first = fleet.lives["ground"]
     FaultRates(cut=2.0, kill=6.0).inject(fleet, random.Random(5), 60.0)
     fleet.run(90.0)
     assert not fleet.failed
     assert fleet.lives["ground"] is not first
-    # It hears again how the coordinator ended, from those who keep it.
+    # It learns again how the coordinator ended, from the hosts with the record.
     rows = fleet.lives["ground"].core.mobility.known_states()
     assert [(row.agent, row.state) for row in rows] == [("boss", "EXITED")]

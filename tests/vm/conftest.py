@@ -7,7 +7,7 @@ from parametrized_cases import engines
 
 from switching_engine import either_engine
 
-#: What tries parts of one engine has no machine.
+#: Folders with tests of parts of an engine, without a machine.
 PARTS = {"maths", "runtime", "wasm"}
 engine = pytest.fixture(autouse=True)(either_engine)
 

@@ -1,4 +1,5 @@
-"""Several machines without network: a test decides when coordinators migrate, and calls start and return."""
+"""Several machines without a network: a test decides when coordinators migrate, and calls start and
+return."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is told of a deep recursion is what helps: both ends of its stack."""
+"""The report of a deep recursion has both ends of its stack."""
 
 import random
 
@@ -41,12 +41,12 @@ def test_the_report_of_a_deep_recursion_has_both_ends() -> None:
     assert len(lines) == 19
 
 
-def test_a_stack_that_is_not_deep_is_whole() -> None:
+def test_a_stack_that_is_not_deep_is_complete() -> None:
     desk, _ = run_text(FALLS % 14)
     assert desk.endings[0].report.count("at Well.fall") == 15
 
 
-def test_what_is_inspected_has_both_ends_too() -> None:
+def test_an_inspected_stack_has_both_ends() -> None:
     program = compile_text(
         "resource A { init(string[] a) { fall(0); } private void fall(int n) { fall(n + 1); } }"
     )
@@ -62,7 +62,7 @@ def test_what_is_inspected_has_both_ends_too() -> None:
 
 
 @pytest.mark.parametrize(("count", "between"), [(0, 0), (16, 0), (17, 0), (18, 2), (1000, 984)])
-def test_one_frame_is_never_left_out_alone(count: int, between: int) -> None:
+def test_a_single_frame_is_never_left_out(count: int, between: int) -> None:
     inner, left_out, outer = split_ends(range(count))
     assert left_out == between
     assert [*inner, *outer] == [i for i in range(count) if i < 10 or i >= count - 6 or not between]

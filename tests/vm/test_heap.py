@@ -1,4 +1,4 @@
-"""Collector and deep copy on random object graphs: what is reachable keeps its shape, nothing else stays."""
+"""Collector and deep copy on random object graphs: reachable objects keep their shape, others are removed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _type_of(field: int) -> int:
     return record.fields[field].type
 
 
-# A graph: for each node its value, and the nodes its references lead to (None: null).
+# A graph: for each node its value, and the targets of its references (None: null).
 _edges = st.one_of(st.none(), st.integers(0, 11))
 _node = st.tuples(
     st.integers(-(2**63), 2**63 - 1), _edges, _edges, st.text(max_size=9), st.lists(_edges, max_size=4)
@@ -62,7 +62,7 @@ def build(block: Block, nodes: list[tuple]) -> list[int]:
 
 
 def shape(block: Block, root: int, layouts: Layouts) -> list[tuple]:
-    """Everything reachable, places replaced by the order in which they are met: equal for equal graphs."""
+    """All reachable objects, places replaced by the order of the visit: equal for equal graphs."""
     order: dict[int, int] = {0: 0}
     pending, found = [root], []
     while pending:
@@ -94,7 +94,7 @@ def new_block(limit: int = 1 << 17) -> Block:
 
 
 @given(graphs, st.integers(0, 11))
-def test_collection_keeps_exactly_what_is_reachable(nodes: list[tuple], root: int) -> None:
+def test_a_collection_keeps_exactly_the_reachable_objects(nodes: list[tuple], root: int) -> None:
     layouts = Layouts(program())
     block = new_block()
     places = build(block, nodes)
@@ -109,7 +109,7 @@ def test_collection_keeps_exactly_what_is_reachable(nodes: list[tuple], root: in
 
 
 @given(graphs, st.lists(st.integers(0, 11), min_size=1, max_size=3))
-def test_deep_copy_keeps_aliases_and_cycles_and_leaves_the_source_alone(
+def test_a_deep_copy_keeps_aliases_and_cycles_and_does_not_change_the_source(
     nodes: list[tuple], roots: list[int]
 ) -> None:
     layouts = Layouts(program())
@@ -125,7 +125,7 @@ def test_deep_copy_keeps_aliases_and_cycles_and_leaves_the_source_alone(
     assert len(set(copies)) == len(set(chosen))
 
 
-def test_a_deep_copy_that_has_no_room_writes_nothing() -> None:
+def test_a_deep_copy_without_space_writes_nothing() -> None:
     source, target = new_block(), Block.empty(program().digest, 1 << 17)
     places = build(source, [(1, 0, 0, "x" * 5000, [])])
     before = bytes(target.image())
@@ -143,6 +143,6 @@ def test_a_block_grows_only_to_its_limit() -> None:
 
 
 @given(st.text(max_size=50))
-def test_strings_come_back_as_they_were(text: str) -> None:
+def test_strings_are_restored(text: str) -> None:
     block = new_block()
     assert block.string(block.new_string(text)) == text.encode("utf-8", "replace").decode()

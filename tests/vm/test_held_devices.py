@@ -1,4 +1,4 @@
-"""Objects of a resource that were given its devices: each command goes to the device that its object has."""
+"""Objects of a resource that hold its devices: each command goes to the device that its object holds."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ coordinator Boss {
 
 
 class Bench(GoldenWorld):
-    """Devices that remember what they are told."""
+    """Devices that record their commands."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.told: list[tuple[str, str, list[DeviceValue]]] = []
+        self.commands: list[tuple[str, str, list[DeviceValue]]] = []
 
     def call_device(self, agent, thread, call, values):
-        self.told.append((call.field, call.instruction, values))
+        self.commands.append((call.field, call.instruction, values))
         return 0.25 if call.instruction == "angle" else None
 
 
@@ -100,9 +100,9 @@ def run(program: Program) -> tuple[Bench, Machine]:
     return bench, machine
 
 
-def test_each_object_commands_the_device_that_it_was_given(program: Program) -> None:
+def test_each_object_commands_the_device_that_it_holds(program: Program) -> None:
     bench, _ = run(program)
-    assert bench.told == [
+    assert bench.commands == [
         ("one", "turn", [0.5]),
         ("two", "turn", [0.5]),
         ("lamp", "on", []),
@@ -118,24 +118,24 @@ def test_each_object_commands_the_device_that_it_was_given(program: Program) -> 
     assert [agent.ended for agent in bench.endings] == ["done"]
 
 
-def test_the_devices_stay_those_of_the_resource(program: Program) -> None:
+def test_only_the_resource_owns_devices(program: Program) -> None:
     devices = {
         record.name: [d.name for d in record.devices] for record in program.core.classes if record.devices
     }
     assert devices == {"Walker": ["one", "lamp", "two"]}
 
 
-def test_a_portal_that_commands_through_an_object_acts(program: Program) -> None:
+def test_a_portal_that_commands_through_an_object_has_side_effects(program: Program) -> None:
     acting = {program.method_name(i) for i in effectful_methods(program)}
     assert "Walker.walk" in acting
     assert "Walker.looked" not in acting
 
 
-def test_it_is_the_same_program_after_writing_and_reading(program: Program) -> None:
-    assert run(decode(encode(program)))[0].told == run(program)[0].told
+def test_the_program_is_the_same_after_writing_and_reading(program: Program) -> None:
+    assert run(decode(encode(program)))[0].commands == run(program)[0].commands
 
 
-def test_a_device_is_shown_by_its_name(program: Program) -> None:
+def test_a_device_is_displayed_by_its_name(program: Program) -> None:
     _, machine = run(program)
     fields = dict(view(machine.agents["walker"].block, program).fields)
     assert (fields["one"], fields["two"], fields["steps"]) == ("device one", "device two", "3")

@@ -1,4 +1,4 @@
-"""Two machines and no network: a coordinator leaves one as bytes and goes on in the other."""
+"""Two machines without a network: a coordinator leaves one as bytes and continues in the other."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_coordinator_keeps_its_state_and_identity_across_hops() -> None:
 def test_a_hop_carries_live_data_only() -> None:
     hosts = two_hosts()
     hosts.run()
-    # 5000 ints were garbage before the first hop: a slot still held them, but nothing would read it again.
+    # 5000 ints were garbage before the first hop: a slot still held them, but would not be read again.
     assert max(map(len, hosts.images)) < 2000
 
 
@@ -87,10 +87,10 @@ def test_a_resumed_coordinator_gets_the_exception_at_its_portal_call() -> None:
     hosts.still()
     agent, target = hosts.places[0].departures.pop()
     assert target.id == "there"
-    hosts.machines[0].resume(agent, "UnreachableResourceException", "nobody there", "there")
+    hosts.machines[0].resume(agent, "UnreachableResourceException", "no host there", "there")
     hosts.still()
     assert agent.ended == "died"
-    assert agent.report.splitlines()[0] == "UnreachableResourceException: nobody there"
+    assert agent.report.splitlines()[0] == "UnreachableResourceException: no host there"
     assert "at Walker.lap (golden.L:27)" in agent.report
 
 
@@ -105,7 +105,7 @@ def travelling() -> bytes:
 @settings(max_examples=300)
 @given(st.data())
 def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
-    """Whatever a peer changes in a block: BlockError, or a run that ends like any L program."""
+    """Any change of a block by a peer leads to a BlockError, or a run that ends like any L program."""
     image = bytearray(travelling())
     for _ in range(data.draw(st.integers(1, 3))):
         word = data.draw(st.integers(0, len(image) // 8 - 1))
@@ -125,7 +125,7 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
         hosts.machines[1].unfreeze(hosts.machines[1].inject(TEAM[-1], bytes(image), AgentLimits()))
     except BlockError:
         return
-    # A changed counter may make its way endless.
+    # A changed counter may make the route endless.
     for _ in range(100):
         for machine in hosts.machines:
             run_until_idle(machine, hosts.clock)
@@ -152,7 +152,7 @@ def with_word(image: bytes, word: int, value: int) -> bytes:
         (lambda image: with_word(image[:256], layout.W_TOP, 32), "its size does not match its header"),
     ],
 )
-def test_unsound_blocks_say_why(change, reason) -> None:  # type: ignore[no-untyped-def]
+def test_an_invalid_block_is_refused_with_the_reason(change, reason) -> None:  # type: ignore[no-untyped-def]
     hosts = two_hosts()
     with pytest.raises(BlockError, match=reason):
         hosts.machines[1].inject(TEAM[-1], change(travelling()), AgentLimits())

@@ -1,4 +1,4 @@
-"""A test per limit: each ends in a LimitException that L code catches, and the agents beside it go on."""
+"""A test per limit: each ends in a LimitException that L code catches, and other agents continue."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_limit(name: str) -> None:
+def test_each_limit_raises_a_limit_exception(name: str) -> None:
     body, limits, message = CASES[name]
     desk, _ = run_text(
         GOOD
@@ -54,7 +54,7 @@ coordinator Main {
     assert desk.output[1] == "still here"
 
 
-def test_threads_per_agent() -> None:
+def test_the_number_of_threads_per_agent_is_limited() -> None:
     desk, _ = run_text(
         """
 resource Slow { init(string[] arg) { } portal wait() { sleep(1.0); } }
@@ -79,7 +79,7 @@ coordinator B { init(string[] arg) {
         ("deeper(1);", "LimitException"),
     ],
 )
-def test_one_bad_agent_starves_nobody(body: str, reason: str) -> None:
+def test_a_misbehaving_agent_does_not_starve_others(body: str, reason: str) -> None:
     desk, _ = run_text(
         GOOD
         + """
@@ -97,7 +97,7 @@ coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
 
 
 @pytest.mark.few(0)
-def test_a_coordinator_that_only_calls_portals_starves_nobody() -> None:
+def test_a_coordinator_that_only_calls_portals_does_not_starve_others() -> None:
     desk, _ = run_text(
         GOOD
         + """
@@ -108,7 +108,7 @@ coordinator Main { init(string[] arg) { for (int i = 0; i < 10; i = i + 1) yield
     assert desk.output == ["done"]
 
 
-def test_an_exception_about_the_heap_finds_room_even_when_nothing_is_freed() -> None:
+def test_a_heap_exception_has_space_even_when_nothing_is_freed() -> None:
     desk, _ = run_text(
         """
 resource Hoarder {

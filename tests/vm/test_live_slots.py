@@ -1,4 +1,4 @@
-"""What a frame keeps when its coordinator hops: what a `together`, a catch or a `finally` will still read."""
+"""The live slots of a frame at a hop: those that a `together`, a catch or a `finally` still reads."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _group(head: str, which: int = 0) -> int:
 
 
 def _kept(pc: int) -> set[int]:
-    """The slots that are not cleared in a frame that stands at an instruction; all had a value."""
+    """The slots that are not cleared in a frame at an instruction; all had a value."""
     record, layouts = PROGRAM.core.methods[METHOD], Layouts(PROGRAM)
     block = Block.empty(PROGRAM.digest, 4096)
     text = block.new_string("here")
@@ -76,24 +76,24 @@ def _operands(pc: int) -> list[int]:
     return found
 
 
-def test_a_call_that_is_collected_keeps_where_results_go() -> None:
+def test_a_collected_call_keeps_the_targets_of_results() -> None:
     first, second = _group("begin"), _group("begin", 1)
     sentinel, beside = _operands(first)[:2]
     held = {sentinel, beside, *(NAMES[name] for name in ("arm", "names", "later", "other"))}
     assert _kept(first) >= {*held, NAMES["spent"]}
-    # What was given to a call is in its ticket.
+    # The arguments of a call are in its ticket.
     assert NAMES["spent"] not in _kept(second)
     assert _kept(second) >= held
-    # If anything is thrown, the local is what it was.
+    # If an exception is thrown, the local keeps its value.
     assert NAMES["got"] in _kept(second)
 
 
-def test_to_fetch_is_to_keep_the_arrays() -> None:
+def test_fetch_keeps_the_arrays() -> None:
     sentinel, beside = _operands(_group("begin"))[:2]
     assert _kept(_group("fetch")) >= {sentinel, beside, NAMES["names"], NAMES["arm"]}
 
 
-def test_to_leave_is_to_keep_what_was_thrown() -> None:
+def test_leave_keeps_the_exception() -> None:
     sentinel, thrown = _operands(_group("leave"))
     beside = _operands(_group("begin"))[1]
     kept = _kept(_group("leave"))
@@ -101,23 +101,23 @@ def test_to_leave_is_to_keep_what_was_thrown() -> None:
     assert beside not in kept
 
 
-def test_behind_a_together_nothing_of_it_is_kept() -> None:
+def test_after_a_together_its_slots_are_not_kept() -> None:
     sentinel, beside = _operands(_group("begin"))[:2]
     kept = _kept(_group("pcall"))
     assert kept.isdisjoint({sentinel, beside})
     assert kept >= {NAMES["arm"], NAMES["got"], NAMES["later"], NAMES["other"]}
 
 
-def test_a_finally_keeps_what_it_throws_again() -> None:
+def test_a_finally_keeps_the_exception_that_it_throws_again() -> None:
     rows = PROGRAM.core.methods[METHOD].handlers
     thrown = rows[-2].slot
     assert [row.kind for row in rows[-2:]] == [FINALLY, 3]
     kept = _kept(_group("pcall", 1))
     assert thrown in kept
-    # Its try is over: no catch of it will read anything.
+    # Its try has ended: no catch of it reads anything.
     assert NAMES["later"] not in kept
 
 
 @pytest.mark.parametrize("kind", [CATCH, FINALLY, LIMIT])
-def test_the_program_has_every_kind_of_row(kind: int) -> None:
+def test_the_program_has_every_kind_of_handler(kind: int) -> None:
     assert kind in [row.kind for row in PROGRAM.core.methods[METHOD].handlers]

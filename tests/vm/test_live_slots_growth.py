@@ -1,4 +1,4 @@
-"""The live slots of long methods: the least solution of the flow, found in as many steps as there is code."""
+"""The live slots of long methods: the least solution of the flow, in a number of steps linear in the code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _boss(body: str) -> Program:
     return compile_text(f"{text}coordinator Boss {{ init(string[] arg) {{ {start} {body} }} }}")
 
 
-#: Bodies of a method that are so many times as long.
+#: Bodies of a method of a given length.
 SHAPES: dict[str, Callable[[int], str]] = {
     "statements": lambda n: "".join(f"x = x * 3 + {i};" for i in range(n)),
     "loops": lambda n: "".join(f"while (x < {i}) {{ if (x == 7) break; x = x + 1; }}" for i in range(n)),
@@ -43,8 +43,8 @@ def _longest(program: Program) -> int:
     return max(range(len(methods)), key=lambda i: methods[i].end - methods[i].entry)
 
 
-def _plainly(program: Program, record: MethodRecord) -> list[int]:
-    """Before every instruction, the definition itself, applied until nothing changes."""
+def _fixed_point(program: Program, record: MethodRecord) -> list[int]:
+    """The definition before every instruction, applied until nothing changes."""
     sets = [0] * (record.end - record.entry + 1)
     while True:
         before = list(sets)
@@ -61,12 +61,12 @@ def _plainly(program: Program, record: MethodRecord) -> list[int]:
                     live |= 1 << value
                 elif operand.role == "L":
                     live |= sets[value - record.entry]
-            sets[pc - record.entry] = live | _caught_plainly(record, sets, pc)
+            sets[pc - record.entry] = live | _live_in_handlers(record, sets, pc)
         if sets == before:
             return sets
 
 
-def _caught_plainly(record: MethodRecord, sets: list[int], pc: int) -> int:
+def _live_in_handlers(record: MethodRecord, sets: list[int], pc: int) -> int:
     live = 0
     for row in record.handlers:
         if row.start <= pc < row.end and row.kind in (CATCH, FINALLY):
@@ -75,27 +75,27 @@ def _caught_plainly(record: MethodRecord, sets: list[int], pc: int) -> int:
 
 
 def _compare(program: Program) -> int:
-    """Compares every method; returns of how many instructions."""
+    """Compare every method; return the number of instructions."""
     compared = 0
     for number, record in enumerate(program.core.methods):
-        sets, slots = _plainly(program, record), LiveSlots(program, number)
+        sets, slots = _fixed_point(program, record), LiveSlots(program, number)
         for pc in range(record.entry, record.end):
             assert slots.live_at(pc) == sets[pc - record.entry]
-            assert slots.live_in_handlers(pc) == _caught_plainly(record, sets, pc)
+            assert slots.live_in_handlers(pc) == _live_in_handlers(record, sets, pc)
             compared += 1
     return compared
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_it_is_what_the_definition_says(shape):
+def test_live_slots_satisfy_the_definition(shape):
     assert _compare(_boss(SHAPES[shape](12))) > 20
 
 
-def test_of_golden_programs_too():
+def test_live_slots_of_golden_programs_satisfy_the_definition():
     paths = sorted(GOLDEN.rglob("*.L"))
     compared = 0
     for path in paths:
-        # Some are there for their mistakes.
+        # Some programs have errors on purpose.
         with contextlib.suppress(ProgramError):
             compared += _compare(compile_text(path.read_text(encoding="utf-8")))
     assert compared > 1000
@@ -103,13 +103,13 @@ def test_of_golden_programs_too():
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
+def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     short, long = (_boss(SHAPES[shape](n)) for n in (30, 300))
     few, many = (steps(lambda p=p: LiveSlots(p, _longest(p))) for p in (short, long))
     assert many < 12 * few
 
 
-def test_code_that_runs_against_its_order_does_too(steps):
+def test_the_work_is_linear_for_code_against_its_order(steps):
     def against(count: int) -> Callable[[], object]:
         nodes = [Node(1, ()), *(Node(0, (Edge(i, -1),)) for i in range(count))]
         return lambda: solve(nodes)
@@ -118,7 +118,7 @@ def test_code_that_runs_against_its_order_does_too(steps):
     assert steps(lambda: solve([*(Node(0, (Edge(i + 1, -1),)) for i in range(300)), Node(1, ())])) < 12000
 
 
-def test_nested_loops_are_gone_through_once_for_each(steps):
+def test_the_work_is_linear_for_nested_loops(steps):
     def nested(depth: int) -> list[Node]:
         heads = [Node(0, (Edge(i + 1, -1), Edge(max(0, i - 1), -1))) for i in range(depth)]
         return [*heads, Node(1 << 5, (Edge(0, -1),))]
@@ -127,5 +127,5 @@ def test_nested_loops_are_gone_through_once_for_each(steps):
     assert steps(lambda: solve(nested(400))) < 12 * steps(lambda: solve(nested(40)))
 
 
-def test_what_an_edge_does_not_let_through_stays_behind():
+def test_an_edge_masks_slots():
     assert solve([Node(3, (Edge(1, ~1),)), Node(5, (Edge(0, ~2),))]) == [7, 5]

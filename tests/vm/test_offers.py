@@ -1,4 +1,4 @@
-"""Offers in the block: written at once, ordinary objects from then on, an exception when there is no room."""
+"""Offers in the block: written at once, ordinary objects from then on, an exception without space."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ _fact = st.tuples(
 
 @st.composite
 def offers(draw: st.DrawFn) -> FoundOffer:
-    """An offer of Lift with any facts, by any way, and its parts with any."""
+    """An offer of Lift with any facts, by any realisation, and its parts with any."""
     facts = [tuple(column) for column in zip(*draw(st.lists(_fact, max_size=4)), strict=True)]
     names, numbers, texts, ages = facts or ((), (), (), ())
     said = {"agent": draw(_texts), "host": draw(_texts), "kind": draw(_texts), "score": draw(st.floats(0, 1))}
@@ -101,7 +101,7 @@ def new_block(limit: int = 1 << 17) -> Block:
 
 
 def read(block: Block, place: int, name: str = "Lift") -> FoundOffer:
-    """An offer as it stands in a block."""
+    """An offer as it is stored in a block."""
     index = program().class_index[name]
     head = block.w[place]
     assert (head & 0xFF, head >> 8 & 0xFFFFFF) == (layout.OBJECT, index)
@@ -143,7 +143,7 @@ def written(block: Block, found: list[FoundOffer]) -> int:
 
 @given(st.lists(offers(), max_size=6))
 def test_offers_are_ordinary_objects(found: list[FoundOffer]) -> None:
-    """Read back, looked through as bytes from a peer would be, collected, and copied deeply."""
+    """Read back, verified like bytes from a peer, collected, and copied deeply."""
     layouts = Layouts(program())
     block, other = new_block(), new_block()
     array = written(block, found)
@@ -167,12 +167,12 @@ def test_equal_words_are_written_once() -> None:
     written(few, found[:1])
     written(many, found)
     words = {block.top - layout.HEADER_WORDS for block in (few, many)}
-    # The object, what it says, its numbers, its proxy, and its place in the array.
+    # The object, its facts, its numbers, its proxy, and its place in the array.
     assert max(words) - min(words) == 99 * (7 + 13 + 3 + 3 + 1)
 
 
 @pytest.mark.parametrize("agent", ["a", "a very long name " * 50])
-def test_full_writes_nothing_and_says_how_many_words_are_needed_at_least(agent: str) -> None:
+def test_a_full_block_is_not_changed_and_the_needed_words_are_reported(agent: str) -> None:
     found = [WHOLE, *(FoundOffer("byCrane", f"{agent}{i}", "h", "direct", 0.5, 0) for i in range(100))]
     block = Block.empty(program().digest, 1 << 17)
     before = bytes(block.image())
@@ -200,12 +200,12 @@ def test_full_writes_nothing_and_says_how_many_words_are_needed_at_least(agent: 
         FoundOffer("of_grip_and_climb", "a", "h", "composed", 0.5, parts={"of_grip_and_climb": GRIP}),
     ],
 )
-def test_a_way_that_the_program_was_not_built_with(found: FoundOffer) -> None:
+def test_an_unknown_realisation_is_refused(found: FoundOffer) -> None:
     with pytest.raises(UnknownWay, match="the program has no realisation"):
         written(new_block(), [found])
 
 
-def test_the_ways_of_a_program() -> None:
+def test_a_program_has_the_realisations_of_its_registry() -> None:
     assert ways(program()) == {
         "Lift": {
             "byCrane",
@@ -220,7 +220,7 @@ def test_the_ways_of_a_program() -> None:
 
 
 class Asked(GoldenWorld):
-    """A world that always finds the same."""
+    """A world that always finds the same offers."""
 
     def __init__(self, found: list[FoundOffer]) -> None:
         super().__init__()
@@ -244,25 +244,25 @@ def run(body: str, found: list[FoundOffer], heap: int = 1 << 20) -> Asked:
     return desk
 
 
-def test_a_query_is_made_once_even_when_there_is_a_collection_first() -> None:
+def test_a_query_is_made_once_despite_a_collection() -> None:
     body = "int[] garbage = new int[20000]; garbage = null; who = findLift(); print(who.length());"
     desk = run(body, [WHOLE] * 300, heap=1 << 19)
     assert desk.output == ["300"]
     assert desk.queries == [("Lift", "any"), ("Lift", None)]
 
 
-def test_more_offers_than_the_heap_can_hold_are_an_exception() -> None:
+def test_more_offers_than_the_heap_holds_raise_an_exception() -> None:
     desk = run("print(who.length());", [WHOLE] * 5000, heap=1 << 17)
     (ended,) = (agent for agent in desk.endings if agent.ended == "died")
     assert ended.report.startswith("LimitException: the heap of boss is over its limit of 131072 bytes")
 
 
-def test_nobody_found_in_a_search_that_was_cut_is_an_exception() -> None:
+def test_an_incomplete_search_without_offers_raises_an_exception() -> None:
     body = 'try { who = findLift("too " + "much"); } catch (LimitException e) { print(e.message()); }'
     assert run(body, []).output == ["nobody was found, but there is more"]
 
 
-def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
+def test_offers_of_an_unknown_realisation_raise_a_catchable_exception() -> None:
     body = "try { who = findLift(); } catch (ConstraintException e) { print(e.message()); }"
     desk, clock = Asked([]), ManualClock()
     machine = Machine(program(body), MachineTeam(members(), 0, 1), desk, clock, random.Random(1))
@@ -276,8 +276,8 @@ def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
     ]
 
 
-def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> None:
-    """Both machines, as two hosts: every call of an offer carries the coordinator over, parts and all."""
+def test_offers_migrate_with_the_coordinator_and_can_be_called() -> None:
+    """Two machines as two hosts: every call of an offer moves the coordinator, for all parts."""
     body = (
         "for (int i = 0; i < who.length(); i = i + 1) { who[i].lift(i + 1.0); who[i].lift(0.5); }"
         'print(who[2].agent() + who[2].way() + f2s(who[1].attribute("payload")) + i2s(hops()));'

@@ -1,4 +1,4 @@
-"""Queries of telemetry: asked once, then read by the engine while they are fresh, and never for longer."""
+"""Queries of telemetry: requested once, then read by the engine while they are fresh, and no longer."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ GAUGE = DeviceManifest(
 
 
 class Telemetry(GoldenWorld):
-    """A world with one gauge; every question to it is counted."""
+    """A world with one gauge that counts the requests."""
 
     def __init__(self, clock: ManualClock) -> None:
         super().__init__()
-        self.clock, self.level, self.questions = clock, 1.0, 0
+        self.clock, self.level, self.requests = clock, 1.0, 0
         self.known = Reading()
 
     def set(self, level: float, lasts: float = 1.0) -> None:
@@ -43,7 +43,7 @@ class Telemetry(GoldenWorld):
         )
 
     def call_device(self, agent, thread, call, values):
-        self.questions += 1
+        self.requests += 1
         if call.instruction == "name":
             return "g"
         if self.clock.monotonic() >= self.known.until:
@@ -69,13 +69,13 @@ def start():
     return started
 
 
-def test_the_host_is_asked_once_however_often_the_program_looks(start):
+def test_the_host_is_asked_once_for_many_reads(start):
     machine, world, clock = start(
         "real s = 0.0; for (int i = 0; i < 100; i = i + 1) s = s + g.level(); print(s);"
     )
     run_until_idle(machine, clock)
     assert world.output == ["150.0"]
-    assert world.questions == 1
+    assert world.requests == 1
 
 
 def test_a_reading_follows_the_telemetry(start):
@@ -86,7 +86,7 @@ def test_a_reading_follows_the_telemetry(start):
     assert world.output == ["1.5", "2.5"]
 
 
-def test_what_is_too_old_is_asked_again_and_is_an_exception(start):
+def test_an_old_reading_is_requested_again_and_raises_an_exception(start):
     machine, world, clock = start(
         "print(g.level()); sleep(2.0);"
         "try { print(g.level()); } catch (DeviceTimeoutException e) { print(e.message()); }"
@@ -95,10 +95,10 @@ def test_what_is_too_old_is_asked_again_and_is_an_exception(start):
     assert world.output == ["1.5", "g: the last level is too old"]
 
 
-def test_text_is_asked_each_time(start):
+def test_a_text_is_requested_each_time(start):
     machine, world, clock = start("print(g.name()); print(g.name());")
     run_until_idle(machine, clock)
-    assert world.questions == 2
+    assert world.requests == 2
 
 
 def test_a_loop_that_waits_for_telemetry_is_not_parked_for_ever(start):

@@ -1,4 +1,5 @@
-"""A program's output does not depend on where its threads are interrupted, or when its heap is collected."""
+"""The output of a program does not depend on the interruption of its threads and the collection of its
+heap."""
 
 from __future__ import annotations
 
@@ -67,7 +68,9 @@ def run(slice_length: int, monkeypatch: pytest.MonkeyPatch, collecting: bool) ->
 
 @pytest.mark.parametrize("collecting", [False, True])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
-def test_output_is_the_same(slice_length: int, collecting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_output_is_the_same_for_all_slices_and_collections(
+    slice_length: int, collecting: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("SLICES_PER_RUN", "TURNS_PER_RUN"):
         monkeypatch.setattr(machine_module, name, 1 if collecting else 200)
     assert run(slice_length, monkeypatch, collecting) == ["index 3 of an array of length 3", "365"]

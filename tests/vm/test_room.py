@@ -1,6 +1,6 @@
-"""Making room: how often a heap is collected, and how many words are moved, while many small things are made.
+"""Space for many small objects: the number of collections, and of moved words.
 
-What is counted is work, never time: of ten times as many things, about ten times as much.
+The tests count work, never time: for ten times as many objects, about ten times as much.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
 from lfield.vm.memory.serialised_results import serialise_built
 
-#: Of ten times as many things, at most so many times as much is moved.
+#: For ten times as many objects, at most so many times as many words are moved.
 GROWTH = 15
 FEW, MANY = 400, 4000
 
@@ -44,7 +44,7 @@ coordinator Boss { init(string[] arg) { work(s2i(arg[1])); } private void work(i
 
 @dataclass
 class Work:
-    """What the collector has done: how often, how many words it has moved, and how often for each room."""
+    """The work of the collector: the number of collections, and of moved words."""
 
     collections: int = 0
     words: int = 0
@@ -52,14 +52,14 @@ class Work:
 
 @pytest.fixture
 def work(monkeypatch: pytest.MonkeyPatch) -> Work:
-    """Counts what is collected to make room."""
+    """Counts the collections that make space."""
     done = Work()
 
     def counted(block: Block, layouts: Layouts, room: int = 0) -> None:
         collect(block, layouts, room)
         done.collections += 1
         done.words += block.top
-        assert done.collections < 20_000, "it makes room for ever"
+        assert done.collections < 20_000, "the machine collects without end"
 
     monkeypatch.setattr(scheduler, "collect", counted)
     return done
@@ -84,17 +84,17 @@ def found(count: int) -> GoldenWorld:
     return run("print(findPost().length());", count, posts=count)
 
 
-def born(count: int) -> GoldenWorld:
+def create_objects(count: int) -> GoldenWorld:
     return run('print("born");', count, arguments=count)
 
 
-def test_room_for_all_proxies_is_made_at_once(work: Work) -> None:
+def test_space_for_all_proxies_is_made_at_once(work: Work) -> None:
     assert found(MANY).output == [str(MANY)]
     assert work.collections == 1
 
 
-@pytest.mark.parametrize("things", [found, born])
-def test_the_work_of_making_room_grows_as_what_is_made(
+@pytest.mark.parametrize("things", [found, create_objects])
+def test_the_work_of_collections_is_linear_in_the_objects(
     things: Callable[[int], GoldenWorld], work: Work
 ) -> None:
     assert things(FEW).output
@@ -104,7 +104,7 @@ def test_the_work_of_making_room_grows_as_what_is_made(
     assert work.collections < 15
 
 
-def test_a_parcel_of_many_small_things_is_made_in_few_attempts() -> None:
+def test_a_parcel_of_many_small_objects_is_made_in_few_attempts() -> None:
     attempts = []
 
     def make(block: Block) -> int:
@@ -119,18 +119,18 @@ def test_a_parcel_of_many_small_things_is_made_in_few_attempts() -> None:
 COPIES = 'Post p = findPost("post0"); p.take(p.give(count)); print("copied");'
 
 
-def test_room_for_a_deep_copy_is_made_at_once(work: Work) -> None:
+def test_space_for_a_deep_copy_is_made_at_once(work: Work) -> None:
     assert run(COPIES, FEW).output == run(COPIES, MANY).output == ["copied"]
     assert work.collections < 40
 
 
-def test_what_needs_room_in_several_pieces_is_over_the_limit_when_all_do_not_fit(work: Work) -> None:
-    """A call of a `together`: its frame, a copy of its arguments, its ticket; any of them alone would fit."""
+def test_a_call_whose_parts_do_not_all_fit_is_over_the_limit(work: Work) -> None:
+    """A call of a `together`: its frame, a copy of its arguments, its ticket; each part alone would fit."""
     body = """
     Post p = findPost("post0");
     Node n = null;
     for (int i = 0; i < count; i = i + 1) n = new Node(n, i);
     try { together { p.take(n); } print("called"); } catch (LimitException e) { print("full"); }
     """
-    said = {run(body, count, limits=AgentLimits(heap=16 << 10)).output[0] for count in range(240, 340)}
-    assert said == {"called", "full"}
+    outputs = {run(body, count, limits=AgentLimits(heap=16 << 10)).output[0] for count in range(240, 340)}
+    assert outputs == {"called", "full"}

@@ -1,4 +1,4 @@
-"""Messages as bytes: there and back, bounds, and garbage."""
+"""Messages as bytes: encoding and decoding, bounds, and invalid bytes."""
 
 import math
 import zlib
@@ -86,12 +86,12 @@ def status(**changes):
 
 AGENT = AgentStatus("Tour:one", "Tour", "coordinator", "ready", 1, 0, 12, 1 << 20, 1)
 DEVICE = DeviceStatus("one.fc", {"mode": "hold", "at": [1, -0.5], "on": True, "n": 3, "v": 0.5}, 0.25, "")
-TOLD = DirectoryEntry(
+ENTRY = DirectoryEntry(
     "one", "", {"battery": AttributeReading(0.5, 2.5)}, {"mode": "fc has not reported mode"}
 )
 KNOWN = CoordinatorState("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")
 STATUS = status(
-    agents=[AGENT], coordinators=[KNOWN], devices=[DEVICE], links=[LinkStatus("b", None)], directory=[TOLD]
+    agents=[AGENT], coordinators=[KNOWN], devices=[DEVICE], links=[LinkStatus("b", None)], directory=[ENTRY]
 )
 HELLO_MESSAGE = Hello(
     "host",
@@ -151,8 +151,8 @@ def report(agent=0, trouble="", lasting=None, facts=(), unknown=(), since=0):
 TRANSFER_HEADER = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5)
 
 
-def decoder_of_a_host(max_block: int, told: list):
-    decoder = frame_decoder(lambda *what: told.append(what))
+def decoder_of_a_host(max_block: int, skipped: list):
+    decoder = frame_decoder(lambda *what: skipped.append(what))
     decoder.limits = limits("host", max_block)
     return decoder
 
@@ -162,7 +162,7 @@ def parts(frame: bytes) -> tuple[int, bytes]:
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
-def test_there_and_back(message):
+def test_each_message_is_restored(message):
     assert decode(*parts(encode(message))) == message
     assert decode(parts(encode(message))[0], memoryview(parts(encode(message))[1])) == message
 
@@ -177,11 +177,11 @@ NUMBERS = st.integers(0, 2**63 - 1)
     | st.builds(ReleaseReservation, NAMES, NUMBERS)
     | st.builds(lambda *held: status(reserved=[ReservedStatus(*held, 1.5, 0.25)]), NAMES, NAMES, NUMBERS)
 )
-def test_whatever_is_said_of_reservations_comes_back(message):
+def test_reservation_messages_are_restored(message):
     assert decode(*parts(encode(message))) == message
 
 
-def test_a_transfer_is_its_header_and_the_very_bytes():
+def test_a_transfer_is_its_header_and_the_unchanged_block():
     kind, payload = parts(encode_transfer(TRANSFER_HEADER, b"block") + b"block")
     assert kind == TRANSFER
     header, block = decode_transfer(payload)
@@ -196,18 +196,18 @@ def test_the_largest_transfer_header_fits():
     assert decode_transfer(parts(encode_transfer(widest, b""))[1])[0] == widest
 
 
-def test_the_start_of_a_greeting_never_changes():
+def test_the_start_of_a_hello_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
     assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x11")
     assert parts(encode(HandshakeRefused("no"))) == (REFUSE, b"no")
 
 
-def test_a_greeting_of_the_future_shows_its_version():
-    assert decode(HELLO, b"lfld\x00\x63 nobody knows what") == IncompatibleHello(99)
+def test_a_hello_of_a_later_version_shows_its_version():
+    assert decode(HELLO, b"lfld\x00\x63 unknown content") == IncompatibleHello(99)
 
 
 def checked(start: bytes, body: bytes) -> bytes:
-    """A payload that fits its checksum, whatever it says."""
+    """A payload that matches its checksum, with any content."""
     size = len(start) + 4 + len(body)
     return start + zlib.crc32(body, size).to_bytes(4, "big") + body
 
@@ -229,7 +229,7 @@ def checked(start: bytes, body: bytes) -> bytes:
         (99, b"", "not a message"),
     ],
 )
-def test_garbage_is_a_wire_error(kind, payload, words):
+def test_invalid_bytes_are_a_wire_error(kind, payload, words):
     with pytest.raises(WireError, match=words):
         decode(kind, payload)
 
@@ -250,7 +250,7 @@ def test_garbage_is_a_wire_error(kind, payload, words):
         (CONTROL, b"", b"\x92\x07\x81\x90\x01"),
     ],
 )
-def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, body):
+def test_an_invalid_message_with_a_correct_checksum_is_a_wire_error(kind, start, body):
     with pytest.raises(WireError, match="cannot be read"):
         decode(kind, checked(start, body))
 
@@ -321,16 +321,16 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         status(directory={}),
         status(directory=[1]),
         status(directory=[["first", ""]]),
-        status(directory=[replace(TOLD, facts={"battery": [1.0]})]),
-        status(directory=[replace(TOLD, facts={"battery": AttributeReading(1.0, "old")})]),
-        status(directory=[replace(TOLD, facts={"battery": AttributeReading([1.0], 1.0)})]),
-        status(directory=[replace(TOLD, refusal="x" * (MAX_TEXT + 1))]),
+        status(directory=[replace(ENTRY, facts={"battery": [1.0]})]),
+        status(directory=[replace(ENTRY, facts={"battery": AttributeReading(1.0, "old")})]),
+        status(directory=[replace(ENTRY, facts={"battery": AttributeReading([1.0], 1.0)})]),
+        status(directory=[replace(ENTRY, refusal="x" * (MAX_TEXT + 1))]),
         status(pending_calls=[PendingCallStatus("", 1, "arm", "lift", "done")]),
         status(pending_calls=[["Tour:one", 1, "arm", "lift", "flies"]]),
         DirectoryUpdate(1, 0, 1, [AgentUpdate(0, "", None, [], [])] * 4097),
     ],
 )
-def test_what_is_over_its_bounds_is_a_wire_error(message):
+def test_a_value_out_of_bounds_is_a_wire_error(message):
     with pytest.raises(WireError):
         decode(*parts(encode(message)))
 
@@ -338,12 +338,12 @@ def test_what_is_over_its_bounds_is_a_wire_error(message):
 @pytest.mark.parametrize(
     "payload", [b"", b"\x00", b"\xff\xff" + bytes(2000), b"\x00\x05abc", b"\x00\x01\xc1"]
 )
-def test_a_bad_transfer_is_a_wire_error(payload):
+def test_an_invalid_transfer_is_a_wire_error(payload):
     with pytest.raises(WireError):
         decode_transfer(payload)
 
 
-def test_a_transfer_must_have_the_size_it_says():
+def test_a_transfer_must_have_the_size_in_its_header():
     with pytest.raises(WireError, match="promised 5 bytes and has 4"):
         decode_transfer(parts(encode_transfer(TRANSFER_HEADER, b"four") + b"four")[1])
 
@@ -357,7 +357,7 @@ def test_any_bytes_are_a_message_or_a_wire_error(kind, payload):
 
 @REPEATABLE
 @given(st.sampled_from(MESSAGES), st.data())
-def test_a_message_that_fits_its_checksum_is_a_message_or_a_wire_error(message, data):
+def test_a_changed_message_with_a_correct_checksum_is_a_message_or_a_wire_error(message, data):
     kind, payload = parts(encode(message))
     start = {HELLO: 6, CONTROL: 0}.get(kind)
     body = bytearray(payload if start is None else payload[start + 4 :])
@@ -389,7 +389,7 @@ BLOCK = bytes(range(256))
     ],
     ids=["Hello", "TransferAccepted", "TransferQuery", "Ping", "Transfer"],
 )
-def test_no_frame_with_one_bit_flipped_is_taken_for_what_was_sent_or_anything_else(data):
+def test_a_frame_with_one_flipped_bit_is_never_accepted(data):
     taken, foreign = [], 0
 
     def read(kind, payload):
@@ -398,54 +398,56 @@ def test_no_frame_with_one_bit_flipped_is_taken_for_what_was_sent_or_anything_el
     for flipped in flips(data):
         decoder = decoder_of_a_host(1 << 20, taken)
         try:
-            # What follows shows that a length that has grown does not hide the damage.
+            # The next frame shows that an increased length does not hide the damage.
             for kind, payload in decoder.feed(flipped + encode(Ping(2))):
                 message = read(kind, payload)
                 if isinstance(message, IncompatibleHello):
                     foreign += 1
                     break
                 taken.append(message)
-            assert decoder.is_mid_frame or isinstance(message, IncompatibleHello), "the end is waited for"
+            assert decoder.is_mid_frame or isinstance(message, IncompatibleHello), (
+                "the decoder waits for the end"
+            )
         except WireError:
             pass
     assert taken == []
-    # The version stands before all that may change between versions: damaged, it is another version.
+    # The version precedes all fields that may change between versions: damaged, it is another version.
     assert foreign == (16 if data[4] == HELLO else 0)
 
 
-def test_an_oversize_transfer_that_was_damaged_is_not_reported():
+def test_a_damaged_oversize_transfer_is_not_reported():
     """Its header would have been thrown at the program as LimitException."""
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
-    data, told = encode_transfer(big, bytes(5000)), []
+    data, skipped = encode_transfer(big, bytes(5000)), []
     for flipped in flips(data):
-        decoder = decoder_of_a_host(1000, told)
+        decoder = decoder_of_a_host(1000, skipped)
         with suppress(WireError):
             list(decoder.feed(flipped + bytes(5000)))
-    assert told == []
+    assert skipped == []
 
 
-def test_an_oversize_transfer_is_told_by_its_header():
-    told = []
-    decoder = decoder_of_a_host(1000, told)
+def test_an_oversize_transfer_is_reported_with_its_header():
+    skipped = []
+    decoder = decoder_of_a_host(1000, skipped)
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
     assert list(decoder.feed(encode_transfer(big, bytes(5000)) + bytes(5000))) == []
-    assert told == [(big, 5000)]
+    assert skipped == [(big, 5000)]
 
 
-def test_an_oversize_transfer_with_a_bad_header_is_a_wire_error():
+def test_an_oversize_transfer_with_an_invalid_header_is_a_wire_error():
     decoder = decoder_of_a_host(1000, [])
     with pytest.raises(WireError):
         list(decoder.feed(b"\x00\x00\x20\x00\x07" + bytes(8191)))
 
 
-def test_long_text_is_clipped_to_what_travels():
+def test_a_long_text_is_cut_to_the_limit_of_a_message():
     assert truncate("short") == "short"
     assert len(truncate("x" * 5000)) == MAX_TEXT
     assert len(truncate("x" * 5000, MAX_LABEL)) == MAX_LABEL
     assert len(decode(*parts(encode(HandshakeRefused("x" * 5000)))).reason) == MAX_TEXT
 
 
-def test_a_greeting_of_a_team_that_has_ended_is_small_enough_to_be_taken():
+def test_a_hello_with_thousands_of_ended_coordinators_is_accepted():
     ended = [
         CoordinatorState(f"Tour:{n}", 1, 2, 3, "EXITED", "b", "died", "x" * MAX_TEXT) for n in range(4096)
     ]

@@ -1,4 +1,4 @@
-"""Events as messages: there and back whatever they tell, by name for JSON, and bounds."""
+"""Events as messages: encoding and decoding, fields by name in JSON, and bounds."""
 
 import json
 import math
@@ -43,7 +43,7 @@ BY_TYPE = {
         TEXTS, st.booleans() | st.integers(-9, 9) | SECONDS | TEXTS | st.lists(SECONDS, max_size=4)
     ),
 }
-#: Anything that can be told, made from the fields themselves.
+#: Any event, made from the fields of its class.
 WHATS = st.one_of(
     [
         st.builds(kind, *(BY_TYPE[kind.__annotations__[f].replace('"', "'")] for f in kind.__struct_fields__))
@@ -53,38 +53,38 @@ WHATS = st.one_of(
 EVENTS = st.builds(Event, st.integers(0, 2**62), SECONDS, SECONDS, st.integers(0, 2**62), WHATS)
 
 
-def back(message):
+def restored(message):
     frame = encode(message)
     return decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
 
 
-def batch(*told, **changes):
-    return msgspec.structs.replace(EventBatch(5, 1, 1.7e9, 2.5, 0, len(told), list(told)), **changes)
+def batch(*entries, **changes):
+    return msgspec.structs.replace(EventBatch(5, 1, 1.7e9, 2.5, 0, len(entries), list(entries)), **changes)
 
 
 @REPEATABLE
 @given(st.lists(EVENTS, max_size=8), st.dictionaries(TEXTS, st.integers(0, 2**63 - 1), max_size=4))
-def test_whatever_happened_comes_back(told, lost):
-    message = batch(*told, lost=lost)
-    assert back(message) == message
+def test_each_event_is_restored(entries, lost):
+    message = batch(*entries, lost=lost)
+    assert restored(message) == message
 
 
 @pytest.mark.parametrize(
     "message", [Subscribe(), Subscribe(2**63 - 1, 2**62, 20.0), EventAck(3), batch(), batch(snapshot=STATUS)]
 )
-def test_what_a_watcher_says_and_hears_comes_back(message):
-    assert back(message) == message
+def test_messages_of_a_subscription_are_restored(message):
+    assert restored(message) == message
 
 
 @REPEATABLE
 @given(EVENTS)
 def test_json_has_every_field_by_its_name(event):
-    told = json.loads(msgspec.json.encode(as_fields(event)))
-    assert KINDS[told["kind"]] is type(event.what)
-    assert told.keys() == {"number", "at", "up", "cause", "kind", *event.what.__struct_fields__}
+    entries = json.loads(msgspec.json.encode(as_fields(event)))
+    assert KINDS[entries["kind"]] is type(event.what)
+    assert entries.keys() == {"number", "at", "up", "cause", "kind", *event.what.__struct_fields__}
 
 
-def test_an_event_in_json_reads_well():
+def test_an_event_in_json_is_flat():
     assert as_fields(Event(9, 1.5e9, 3.25, 8, LEFT)) == {
         "number": 9,
         "at": 1.5e9,
@@ -101,12 +101,12 @@ def test_an_event_in_json_reads_well():
     }
 
 
-def test_only_what_is_told_again_and_again_is_telemetry():
+def test_only_repeated_reports_are_telemetry():
     assert {"measured", "standing", "path"} == TELEMETRY
     assert KINDS.keys() > TELEMETRY
 
 
-def test_no_kind_has_a_field_with_the_name_of_one_of_all():
+def test_no_event_has_a_field_with_a_common_name():
     of_all = {*Event.__struct_fields__, "kind", "host"} - {"what"}
     for kind in KINDS.values():
         assert of_all.isdisjoint(kind.__struct_fields__), kind
@@ -134,6 +134,6 @@ def test_no_kind_has_a_field_with_the_name_of_one_of_all():
         batch(now=math.inf),
     ],
 )
-def test_what_is_over_its_bounds_is_no_message(message):
+def test_a_value_out_of_bounds_is_no_message(message):
     with pytest.raises(WireError):
-        back(message)
+        restored(message)

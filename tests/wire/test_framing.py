@@ -26,7 +26,7 @@ def test_the_layout_of_a_frame():
 
 @REPEATABLE
 @given(st.lists(st.tuples(st.sampled_from([1, 2]), st.binary(max_size=100))), st.data())
-def test_frames_come_out_as_they_went_in_wherever_the_stream_is_cut(frames, data):
+def test_frames_are_restored_from_a_stream_in_any_pieces(frames, data):
     stream = b"".join(frame(kind, payload) for kind, payload in frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
     pieces = [stream[i:j] for i, j in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
@@ -48,7 +48,7 @@ def test_any_bytes_give_frames_or_a_wire_error(stream, size):
     st.one_of(st.binary(max_size=40), st.builds(frame, st.integers(0, 3), st.binary(max_size=200))),
     st.sampled_from([b"", b"\0", frame(1, b"abc")[:-1]]),
 )
-def test_a_whole_frame_is_what_feeding_it_gives_and_nothing_else_is_whole(stream, before):
+def test_decode_single_frame_accepts_exactly_one_whole_frame(stream, before):
     decoder, other = FrameDecoder(LIMITS), FrameDecoder(LIMITS)
     assert cut(decoder, before) == cut(other, before) == []
     found = decoder.decode_single_frame(stream)
@@ -66,7 +66,7 @@ def test_a_whole_frame_is_what_feeding_it_gives_and_nothing_else_is_whole(stream
     st.binary(max_size=20),
     st.integers(1, 300),
 )
-def test_bytes_fed_one_frame_at_a_time_give_the_same_one_by_one(frames, end, size):
+def test_frames_fed_one_at_a_time_give_the_same_result(frames, end, size):
     stream = b"".join(frame(kind, payload) for kind, payload in frames) + end
     decoder, other, found, expected = FrameDecoder(LIMITS), FrameDecoder(LIMITS), [], []
     with suppress(WireError):
@@ -92,7 +92,7 @@ def test_a_whole_frame_is_not_copied():
     assert found[1].obj is stream
 
 
-def test_a_cut_frame_shows_as_unfinished():
+def test_a_cut_frame_is_reported_as_unfinished():
     decoder = FrameDecoder(LIMITS)
     for stream in (b"\x00", b"\x00\x00\x00\x05\x01ab"):
         decoder = FrameDecoder(LIMITS)
@@ -110,7 +110,7 @@ def test_a_cut_frame_shows_as_unfinished():
         (b"GET / HTTP/1.1", "does not speak lfield"),
     ],
 )
-def test_what_breaks_the_limits_is_an_error_after_what_came_before(stream, words):
+def test_a_frame_over_the_limits_is_an_error_after_earlier_frames(stream, words):
     for pieces in ([frame(1, b"x") + stream], [frame(1, b"x"), *(bytes([byte]) for byte in stream)]):
         found = stream_of(FrameDecoder(LIMITS), pieces)
         assert next(found) == (1, b"x")
@@ -125,7 +125,7 @@ def stream_of(decoder, pieces):
 
 
 @pytest.mark.parametrize("size", [1, 7, 1 << 16])
-def test_an_oversize_frame_is_skipped_where_the_caller_allows(size):
+def test_an_oversize_frame_is_skipped_where_the_caller_permits(size):
     skipped = []
     decoder = FrameDecoder(LIMITS, skippable={1: 8}, on_skipped=lambda *what: skipped.append(what))
     stream = frame(1, b"a") + frame(1, b"0123456789" * 20) + frame(1, b"b")
@@ -134,7 +134,7 @@ def test_an_oversize_frame_is_skipped_where_the_caller_allows(size):
     assert skipped == [(1, 200, b"01234567")]
 
 
-def test_a_skipped_frame_takes_no_memory():
+def test_a_skipped_frame_needs_no_memory():
     decoder = FrameDecoder(LIMITS, skippable={2: 16})
     piece = bytes(1 << 16)
     tracemalloc.start()

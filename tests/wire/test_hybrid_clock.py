@@ -1,4 +1,4 @@
-"""Timestamps of events: monotonic, bounded, later than what was received; and as messages carry them."""
+"""Timestamps of events: monotonic, bounded, later than received ones; and in messages."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ YEAR_2024 = 1.7e9
 
 
 class Findings:
-    """A clock whose wall clock shows YEAR_2024 at monotonic time 0, and what it reports."""
+    """A clock whose wall clock shows YEAR_2024 at monotonic time 0, with its reports."""
 
     def __init__(self) -> None:
         self.ahead: list[tuple[str, float]] = []
@@ -41,7 +41,7 @@ def seconds(wall: float) -> int:
     return timestamp_of(int(wall * 1000.0), 0)
 
 
-def test_a_timestamp_shows_the_wall_clock_and_counts_within_a_millisecond() -> None:
+def test_a_timestamp_is_the_wall_clock_with_a_counter_within_a_millisecond() -> None:
     clock = HybridClock(0.0, YEAR_2024)
     first, second, third = clock.tick(5.0), clock.tick(5.0), clock.tick(5.25)
     assert (milliseconds_of(first), counter_of(first)) == (int((YEAR_2024 + 5.0) * 1000.0), 0)
@@ -66,7 +66,7 @@ STEP = st.tuples(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(STEP, max_size=30))
-def test_no_timestamp_goes_back_and_no_host_moves_it_beyond_the_bound(
+def test_timestamps_never_go_back_and_no_host_moves_them_beyond_the_bound(
     steps: list[tuple[str, float, int, float]],
 ) -> None:
     clock, now, highest = HybridClock(0.0, YEAR_2024), 0.0, YEAR_2024
@@ -87,14 +87,14 @@ def test_no_timestamp_goes_back_and_no_host_moves_it_beyond_the_bound(
         assert milliseconds_of(clock.last) <= (highest + MAX_AHEAD) * 1000.0 + 2.0
 
 
-def test_a_host_too_far_ahead_is_not_followed_and_reported_once_until_its_clock_is_right() -> None:
+def test_a_host_too_far_ahead_is_not_followed_and_reported_once() -> None:
     found = Findings()
     clock = found.clock
     for now in (1.0, 2.0):
         clock.merge("beta", seconds(YEAR_2024 + now + MAX_AHEAD + 30.0), now)
         assert milliseconds_of(clock.last) == int((YEAR_2024 + now) * 1000.0)
     assert found.ahead == [("beta", pytest.approx(MAX_AHEAD + 30.0, abs=0.01))]
-    # Almost within the bound is not right yet.
+    # Slightly within the bound does not count as right.
     clock.merge("beta", seconds(YEAR_2024 + 3.0 + MAX_AHEAD - 1.0), 3.0)
     clock.merge("beta", seconds(YEAR_2024 + 4.0 + MAX_AHEAD + 30.0), 4.0)
     assert len(found.ahead) == 1
@@ -111,7 +111,7 @@ def test_a_host_within_the_bound_is_followed_and_not_reported() -> None:
     assert found.ahead == []
 
 
-def test_a_wall_clock_that_is_set_back_moves_no_timestamp_back_and_is_reported() -> None:
+def test_a_wall_clock_set_back_moves_no_timestamp_back_and_is_reported() -> None:
     found = Findings()
     before = found.clock.tick(10.0)
     found.clock.set_wall_time(11.0, YEAR_2024 - 3600.0)
@@ -119,7 +119,7 @@ def test_a_wall_clock_that_is_set_back_moves_no_timestamp_back_and_is_reported()
     assert found.jumps == [pytest.approx(-3611.0)]
 
 
-def test_a_wall_clock_that_jumps_all_the_time_is_reported_once_a_minute() -> None:
+def test_a_wall_clock_that_jumps_repeatedly_is_reported_once_a_minute() -> None:
     found = Findings()
     for n in range(601):
         now = n / 4.0
@@ -129,7 +129,7 @@ def test_a_wall_clock_that_jumps_all_the_time_is_reported_once_a_minute() -> Non
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, MAX_TIMESTAMP))
-def test_every_message_with_a_timestamp_is_read_as_it_was_written(stamp: int) -> None:
+def test_every_message_with_a_timestamp_is_restored(stamp: int) -> None:
     for message in (
         Ping(7, stamp),
         TransferAccepted("boss", 1, 2, 0.5, stamp),
@@ -145,7 +145,7 @@ def test_every_message_with_a_timestamp_is_read_as_it_was_written(stamp: int) ->
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 2.5e11), st.integers(0, MAX_TIMESTAMP))
-def test_an_event_has_the_timestamp_that_it_was_given(at: float, stamp: int) -> None:
+def test_an_event_has_its_given_timestamp(at: float, stamp: int) -> None:
     event = stamped_event(3, at, 5.0, 0, LinkUp("beta"), stamp)
     read = msgpack.decode(msgpack.encode(event), type=Event)
     assert (read, read.stamp) == (event, stamp)

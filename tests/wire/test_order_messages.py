@@ -1,4 +1,4 @@
-"""The bytes of orders as datagrams: bounds, and what does not fit."""
+"""The bytes of orders as datagrams: bounds, and invalid orders."""
 
 from __future__ import annotations
 
@@ -35,16 +35,18 @@ def signed(answer: bytes, certificate: int) -> SignedAnswer:
     st.dictionaries(st.text(min_size=1, max_size=40), st.text(max_size=300), max_size=80),
     st.text(max_size=500),
 )
-def test_a_confirmation_fits_with_a_certificate_and_counts_what_it_leaves_out(devices, trouble):
+def test_a_confirmation_fits_with_a_certificate_and_counts_omitted_devices(devices, trouble):
     answer = order_confirmation(ID, Epochs(), devices, trouble)
     assert len(encode_datagram(signed(encode_part(answer), 490))) <= MAX_DATAGRAM
-    told = devices_of(answer)
-    assert len(told) + answer.more == len(devices)
-    assert {name for name, why in told.items() if why} <= {name for name, why in devices.items() if why}
+    devices_in_answer = devices_of(answer)
+    assert len(devices_in_answer) + answer.more == len(devices)
+    assert {name for name, why in devices_in_answer.items() if why} <= {
+        name for name, why in devices.items() if why
+    }
     assert decode_answer(encode_part(answer)) == answer
 
 
-def test_what_is_not_safe_is_told_first():
+def test_unsafe_devices_are_reported_first():
     devices = {f"arm{number}.fc": "" for number in range(100)} | {"zulu.fc": "it does not answer"}
     answer = order_confirmation(ID, Epochs(), devices, "")
     assert answer.unsafe == {"zulu.fc": "it does not answer"}
@@ -58,7 +60,7 @@ def test_a_reason_is_cut_between_characters(text):
     assert text.startswith(reason) or "?" in reason
 
 
-def test_an_order_that_names_a_host_twice_is_none():
+def test_an_order_that_names_a_host_twice_is_refused():
     order = Order("stop", ID, "", (OrderTarget("alpha", bytes(8)), OrderTarget("alpha", b"x" * 8)))
     with pytest.raises(WireError, match="twice"):
         decode_order(encode_part(order))
@@ -74,6 +76,6 @@ def test_any_bytes_are_a_datagram_or_a_wire_error(data):
             continue
 
 
-def test_what_is_too_large_is_not_made():
+def test_a_datagram_that_is_too_large_is_not_made():
     with pytest.raises(WireError, match="does not fit"):
         encode_datagram(signed(bytes(600), 600))

@@ -1,4 +1,5 @@
-"""Rules on real hosts: what is offered, what begins after a hop, and hosts that disagree about them."""
+"""Access rules on real hosts: which offers are hidden, which calls are refused, and hosts with other
+rules."""
 
 from __future__ import annotations
 
@@ -42,11 +43,11 @@ async def up(team, program: str, access: str = RULES, **options):
     return hosts
 
 
-async def test_what_may_not_be_called_is_not_offered_and_explained(team, /):
+async def test_a_forbidden_agent_is_not_offered_and_is_explained(team, /):
     alpha, _ = await up(team, IDLE)
     world = alpha.host.core.services
     for _ in range(2):
-        # One host answers for both in turn: each hears what is so for itself.
+        # One host answers for both in turn: each gets its own offers.
         assert [found.agent for found in world.offers(FOREMAN, "Lift", None)] == ["near", "far"]
         assert [found.agent for found in world.offers(GUEST, "Lift", None)] == ["near"]
     assert world.teams(GUEST, "Lift", None, 2) == []
@@ -56,7 +57,7 @@ async def test_what_may_not_be_called_is_not_offered_and_explained(team, /):
     )
     assert "may not" not in world.explain(FOREMAN, "Lift", None)
     # An observer calls no portals, so it sees all agents.
-    assert [told.refusal for told in alpha.host.status().directory] == ["", ""]
+    assert [entry.refusal for entry in alpha.host.status().directory] == ["", ""]
 
 
 CALLS = """
@@ -76,7 +77,7 @@ coordinator Foreman {
 
 
 @pytest.mark.parametrize("keeps", [False, True])
-async def test_a_call_that_is_not_allowed_begins_on_no_host(team, /, keeps):
+async def test_a_forbidden_call_begins_on_no_host(team, /, keeps):
     hosts = await up(team, CRANES + CALLS, RULES.replace("guest:", "foreman:"), keeps=keeps)
     log = lambda: "".join(running.log for running in hosts)  # noqa: E731
     await team.until(lambda: "through" in log())
@@ -97,12 +98,12 @@ async def test_an_uncaught_refusal_ends_its_coordinator_with_the_rule_in_its_rep
 
 
 @pytest.mark.parametrize("theirs", ["", RULES.replace("[hoist]", "all")])
-async def test_hosts_that_disagree_about_the_rules_do_not_talk(team, /, theirs):
+async def test_hosts_with_different_access_rules_do_not_link(team, /, theirs):
     other = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=theirs)
     mission = team.mission(IDLE, TWO_HOSTS, capabilities=CAPABILITIES, access=RULES)
     (bravo,) = await team.up(other, "bravo")
     (alpha,) = await team.up(mission, "alpha")
     words = "start both from the same .access.yaml file, or from one bundle"
     await team.until(lambda: words in alpha.log and words in bravo.log)
-    said = other.access.digest.hex()[:12] or "(none)"
-    assert f"bravo has access rules {said};" in alpha.log.replace(" and alpha", ";")
+    digest = other.access.digest.hex()[:12] or "(none)"
+    assert f"bravo has access rules {digest};" in alpha.log.replace(" and alpha", ";")

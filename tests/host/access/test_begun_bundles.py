@@ -1,4 +1,4 @@
-"""What a host keeps of the signed bundle that it runs: a restart in flight asks nobody to sign again."""
+"""The record of the signed bundle that a host runs: a restart in flight needs no new signature."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ENDLESS, DONE = (f"//Caller:tom@alpha{words}\n//Echo:echo@alpha\n//Echo:far@brav
 DIGEST = b"b" * 32
 
 
-def kept(team, host):
+def kept_digests(team, host):
     return [page.digest for page in team.disks[host].pages() if isinstance(page, BundleRecord)]
 
 
@@ -43,51 +43,51 @@ def signed(mission, by="anna"):
 
 
 @pytest.mark.parametrize(("deployment", "left"), [(DONE, [b""]), (ENDLESS, [DIGEST])])
-async def test_a_signed_bundle_is_kept_until_its_mission_has_ended_in_order(team, /, deployment, left):
+async def test_a_signed_bundle_is_kept_until_its_mission_has_ended_regularly(team, /, deployment, left):
     mission = signed(team.mission(PROGRAM, deployment))
     alpha, bravo = await team.up(mission, keeps=True)
     if deployment == DONE:
         await team.ended("tom")
-    await team.until(lambda: kept(team, "alpha") == kept(team, "bravo") == [DIGEST])
+    await team.until(lambda: kept_digests(team, "alpha") == kept_digests(team, "bravo") == [DIGEST])
     await alpha.host.stop()
-    assert kept(team, "alpha") == left
-    # A host without coordinators of its own has begun it as well, and has to go on with it as long.
-    assert kept(team, "bravo") == [DIGEST]
+    assert kept_digests(team, "alpha") == left
+    # A host without its own coordinators has started the bundle as well, and keeps it as long.
+    assert kept_digests(team, "bravo") == [DIGEST]
     await bravo.host.stop()
-    assert kept(team, "bravo") == left
+    assert kept_digests(team, "bravo") == left
 
 
-async def test_a_host_that_holds_a_coordinator_of_another_home_goes_on_with_its_bundle(team, /):
+async def test_a_host_with_a_coordinator_of_another_home_keeps_its_bundle(team, /):
     mission = signed(team.mission(GUEST, "//Caller:tom@alpha?go\n//Echo:echo@bravo\n"))
     alpha, bravo = await team.up(mission, keeps=True)
     await team.until(lambda: bravo.holds("tom"))
     await bravo.host.stop()
     await alpha.host.stop()
-    assert [kept(team, host) for host in ("alpha", "bravo")] == [[DIGEST], [DIGEST]]
+    assert [kept_digests(team, host) for host in ("alpha", "bravo")] == [[DIGEST], [DIGEST]]
 
 
-async def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(team, /):
+async def test_an_end_in_an_earlier_run_does_not_end_the_bundle_of_this_run(team, /):
     once = signed(team.mission(GUEST, "//Caller:tom@alpha\n//Echo:echo@bravo\n"))
     alpha, bravo = await team.up(once, keeps=True)
     await team.ended("tom")
     await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.known_states()))
     await bravo.host.stop()
     await alpha.host.stop()
-    assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
+    assert [kept_digests(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
     # The devices of another computer are not open yet, so no event of it arrives.
     (bravo,) = await team.up(once, "bravo", keeps=True)
-    await team.until(lambda: kept(team, "bravo") == [DIGEST])
+    await team.until(lambda: kept_digests(team, "bravo") == [DIGEST])
     await bravo.host.stop()
-    assert kept(team, "bravo") == [DIGEST]
+    assert kept_digests(team, "bravo") == [DIGEST]
 
 
-def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
+def test_ends_before_a_restart_in_flight_count_after_it():
     pages = [CoordinatorRecord("tom", 1, "EXITED", 1, 1, outcome="done")]
     tom, ann = CoordinatorState("tom", 1, 1, 1, "EXITED"), CoordinatorState("ann", 1, 1, 1, "EXITED")
     again = JournalContents([*pages, BundleRecord(DIGEST)], b"", DIGEST)
     assert again.is_mission_over(("tom",), [tom])
     assert again.is_mission_over(("tom", "ann"), [tom, ann])
-    # Nothing is heard of ann; tom runs again.
+    # No record of ann has been received; tom runs again.
     assert not again.is_mission_over(("tom", "ann"), [tom])
     assert not again.is_mission_over(("tom",), [tom, CoordinatorState("tom", 2, 1, 1, "RUN")])
     for other in (b"", b"c" * 32):
@@ -96,14 +96,14 @@ def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
         )
 
 
-async def test_of_a_bundle_that_nobody_had_to_sign_nothing_is_kept(team, /):
+async def test_a_bundle_that_needs_no_signature_is_not_kept(team, /):
     mission = signed(team.mission(PROGRAM, DONE), by="")
     await team.up(mission, keeps=True)
     await team.ended("tom")
-    assert kept(team, "alpha") == []
+    assert kept_digests(team, "alpha") == []
 
 
-async def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_take(team, /, tmp_path):
+async def test_after_a_restart_in_flight_a_revoked_signature_is_accepted_with_a_warning(team, /, tmp_path):
     ring = Keyring(tmp_path / "keys")
     anna, host = ring.made("person", "anna", Right.COMMAND), ring.made("host", "alpha")
 
@@ -127,7 +127,7 @@ async def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_
     assert again.bundle == first.bundle
     assert "are revoked (list 4)" in again.warning
     # The person who made the keys for this run has stated which bundle runs.
-    vouched = BundleId(DIGEST, by="whoever started it", at=1.0)
+    vouched = BundleId(DIGEST, by="the person who started it", at=1.0)
     assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
     other = replace(mission, release=BundleId(b"c" * 32))
     with pytest.raises(SignatureError, match="it is not signed"):

@@ -1,4 +1,4 @@
-"""Persons on real hosts: a mission leaves them less than their certificates say, and always the stop."""
+"""Rights of persons on real hosts: a mission may limit their certificates, but never the stop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ people:
 
 @pytest.fixture
 def named(monkeypatch, tmp_path):
-    """`named()`: what judges whoever calls, by who is at the machine of that name."""
+    """`named()`: the admission of a host, where each address names its peer."""
 
     def at(address: str) -> Identity:
         name, now = address.partition(":")[0], time.time()
@@ -60,11 +60,11 @@ async def asked(team, who, request):
     return await send_request(team.network.transport(who), "alpha:8181", request)
 
 
-async def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(team, /, named):
+async def test_a_limited_person_gets_the_line_of_the_rule_and_may_still_stop(team, /, named):
     alpha = await up(team, named, PEOPLE)
     assert (await asked(team, "anna", SNAPSHOT)).snapshot.host == "alpha"
-    told = "anna may not operate in this mission: mission.access.yaml:2 limits anna to: observe, stop"
-    with pytest.raises(HandshakeError, match=told):
+    reason = "anna may not operate in this mission: mission.access.yaml:2 limits anna to: observe, stop"
+    with pytest.raises(HandshakeError, match=reason):
         await asked(team, "anna", pause(lift=True))
     with pytest.raises(
         HandshakeError, match=r"bob may not observe in this mission: .*:3 limits bob to: nothing"
@@ -77,7 +77,7 @@ async def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(te
 FORGED = "fire\nalpha | bravo is safe"
 
 
-async def test_nobody_puts_a_line_into_the_log_that_looks_like_another(team, /, named):
+async def test_a_text_cannot_imitate_another_log_line(team, /, named):
     program = PROGRAM.replace("while (true)", 'print("out\\nalpha is up"); while (true)')
     mission = team.mission(program, ALONE)
     (alpha,) = await team.up(mission, "alpha", admission=named())
@@ -88,20 +88,20 @@ async def test_nobody_puts_a_line_into_the_log_that_looks_like_another(team, /, 
     assert alpha.host.core.coordinators.stopped == "fire\\nalpha | bravo is safe"
 
 
-async def test_without_a_line_a_person_has_what_the_certificate_says(team, /, named):
+async def test_a_person_without_a_line_has_the_rights_of_the_certificate(team, /, named):
     await up(team, named, PEOPLE)
     await asked(team, "carl", pause())
     await asked(team, "carl", pause(lift=True))
 
 
-async def test_others_are_whoever_has_no_line(team, /, named):
+async def test_the_line_others_applies_to_persons_without_a_line(team, /, named):
     await up(team, named, PEOPLE + "  others: [stop]\n")
     with pytest.raises(HandshakeError, match=r"carl may not operate .*:4 limits others to: stop"):
         await asked(team, "carl", emergency_stop("", lift=True))
 
 
-class Greeted:
-    """Whoever calls, and keeps the greeting that comes."""
+class HelloClient:
+    """A client that keeps the Hello of the host."""
 
     def __init__(self) -> None:
         self.hello: Hello | None = None
@@ -113,15 +113,15 @@ class Greeted:
         pass
 
 
-async def test_a_greeting_tells_nobody_but_hosts_of_the_mission(team, /, named):
-    """Who may look asks, with a right that this mission may take away."""
+async def test_a_hello_tells_mission_data_only_to_hosts_of_the_mission(team, /, named):
+    """An observer has to ask, with a right that this mission may remove."""
     alpha = await up(team, named, PEOPLE)
     for name in ("bob", "anna"):
-        heard = Greeted()
-        await team.network.transport(name).connect("alpha:8181", heard)
-        await team.until(lambda heard=heard: heard.hello)
+        client = HelloClient()
+        await team.network.transport(name).connect("alpha:8181", client)
+        await team.until(lambda client=client: client.hello)
         own = alpha.host.hello()
-        said = msgspec.structs.replace(heard.hello, time=0.0)
+        received = msgspec.structs.replace(client.hello, time=0.0)
         # A person needs the epochs for an order to stop.
-        assert said == Hello("host", "alpha", own.incarnation, epochs=own.epochs)
+        assert received == Hello("host", "alpha", own.incarnation, epochs=own.epochs)
         assert own.coordinators

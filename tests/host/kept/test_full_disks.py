@@ -1,4 +1,4 @@
-"""A host whose disk is full takes nobody in; senders hear of it, and wait with what they have."""
+"""A host whose disk is full accepts no coordinators; senders are informed and wait."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ coordinator Guest {
 DEPLOYMENT = "//Post:near@home\n//Post:far@away\n//Guest:guest@home\n"
 
 
-async def test_senders_wait_for_room_on_the_disk(team, /):
+async def test_senders_wait_until_the_disk_has_space(team, /):
     home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
     await team.until(lambda: len(away.output) > 2)
     team.disks["away"].full = True
@@ -41,14 +41,14 @@ async def test_senders_wait_for_room_on_the_disk(team, /):
     assert waiting.generation == 1
 
 
-async def test_what_waits_too_long_is_told_why(team, /):
+async def test_a_transfer_that_waits_too_long_fails_with_the_reason(team, /):
     home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
     await team.until(lambda: away.output)
     team.disks["away"].full = True
     await team.until(lambda: "guest: away could not store guest within 3 s: its disk is full" in home.log)
 
 
-async def test_where_nothing_can_be_kept_no_call_that_acts_begins(team, /):
+async def test_no_acting_call_begins_while_the_journal_fails(team, /):
     program = PROGRAM.replace("UnreachableResourceException", "LimitException")
     home, _ = await team.up(
         team.mission(program, DEPLOYMENT.replace("away", "home") + "//Post:third@away\n"), keeps=True

@@ -1,4 +1,4 @@
-"""What waits for the disk, and what does not."""
+"""The write-ahead queue: which effects wait for the disk, and which do not."""
 
 from __future__ import annotations
 
@@ -18,44 +18,42 @@ KEPT = PersistRecord("w", CoordinatorRecord("w", 1, "EXITED"))
 ANSWER = Send("bravo", TransferAccepted("w", 1, 2))
 
 
-def test_an_answer_waits_for_the_page_before_it_and_other_coordinators_do_not() -> None:
-    keeping = WriteAheadQueue()
-    assert keeping.put([KEPT, ANSWER, ResumeCopy("w", 1), ResumeCopy("v", 1)], 0.0) == [ResumeCopy("v", 1)]
-    batch = keeping.next_batch(0.0)
+def test_an_answer_waits_for_the_record_before_it_and_other_coordinators_do_not() -> None:
+    queue = WriteAheadQueue()
+    assert queue.put([KEPT, ANSWER, ResumeCopy("w", 1), ResumeCopy("v", 1)], 0.0) == [ResumeCopy("v", 1)]
+    batch = queue.next_batch(0.0)
     assert batch is not None
-    assert keeping.on_durable(batch[0]) == [ANSWER, ResumeCopy("w", 1)]
+    assert queue.on_durable(batch[0]) == [ANSWER, ResumeCopy("w", 1)]
 
 
-def test_what_nobody_needs_goes_with_what_is_kept_meanwhile_and_is_not_written_before() -> None:
-    keeping = WriteAheadQueue()
-    begun = PendingCallRecord("w", 1, 3, "arm", "lift")
-    keeping.add_record(begun, 0.0)
-    keeping.put([KEPT], 0.0)
-    keeping.delete_records([key_of(begun)], 0.0)
-    assert keeping.next_batch(0.0) == (1, [KEPT.record], [key_of(begun)])
-    # By itself it is in no hurry.
-    keeping.delete_records([key_of(begun)], 1.0)
-    assert keeping.next_batch(1.0) is None
-    assert keeping.due is not None
-    assert keeping.next_batch(keeping.due) == (2, [], [key_of(begun)])
+def test_deletions_are_written_with_the_next_record_or_when_they_are_due() -> None:
+    queue = WriteAheadQueue()
+    pending = PendingCallRecord("w", 1, 3, "arm", "lift")
+    queue.add_record(pending, 0.0)
+    queue.put([KEPT], 0.0)
+    queue.delete_records([key_of(pending)], 0.0)
+    assert queue.next_batch(0.0) == (1, [KEPT.record], [key_of(pending)])
+    # A deletion alone is not urgent.
+    queue.delete_records([key_of(pending)], 1.0)
+    assert queue.next_batch(1.0) is None
+    assert queue.due is not None
+    assert queue.next_batch(queue.due) == (2, [], [key_of(pending)])
 
 
-def test_what_stops_a_copy_waits_for_nothing() -> None:
-    # Held back, it would let the copy run to an end that has been told as another one already.
-    keeping = WriteAheadQueue()
+def test_an_effect_that_stops_a_copy_does_not_wait() -> None:
+    # Delayed, it would let the copy run to an end although another end has been reported.
+    queue = WriteAheadQueue()
     stops = [TerminateCopy("w", 1, "recovered elsewhere"), DropTerminated("w", 1, "done", "", "bravo")]
-    assert keeping.put([KEPT, ANSWER, *stops], 0.0) == stops
+    assert queue.put([KEPT, ANSWER, *stops], 0.0) == stops
 
 
-def test_a_copy_that_is_stopped_is_let_go_by_nothing_that_waited() -> None:
-    keeping = WriteAheadQueue()
+def test_a_stopped_copy_is_not_released_by_delayed_effects() -> None:
+    queue = WriteAheadQueue()
     assert (
-        keeping.put(
-            [KEPT, CoordinatorStarted("w", 1), ANSWER, ResumeCopy("w", 1), ResumeCopy("w", 65537)], 0.0
-        )
+        queue.put([KEPT, CoordinatorStarted("w", 1), ANSWER, ResumeCopy("w", 1), ResumeCopy("w", 65537)], 0.0)
         == []
     )
-    keeping.put([TerminateCopy("w", 1, "recovered elsewhere")], 0.0)
-    batch = keeping.next_batch(0.0)
+    queue.put([TerminateCopy("w", 1, "recovered elsewhere")], 0.0)
+    batch = queue.next_batch(0.0)
     assert batch is not None
-    assert keeping.on_durable(batch[0]) == [ANSWER, ResumeCopy("w", 65537)]
+    assert queue.on_durable(batch[0]) == [ANSWER, ResumeCopy("w", 65537)]

@@ -1,4 +1,4 @@
-"""A home that has lost its disk does not begin anew what the team goes on with from a shadow."""
+"""A home with a new disk does not start a coordinator again that the team recovers from a shadow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DEPLOYMENT = "//Guest:guest@home\n//Post:near@home\n//Post:far@away\n//@tower\n"
 
 
 async def with_a_new_disk(team, first):
-    """guest has come back home from away; then home is started again with another disk."""
+    """guest has returned home from away; then home is restarted with another disk."""
     mission = team.mission(PROGRAM.replace("FIRST", first), DEPLOYMENT)
     hosts = {running.host.core.name: running for running in await team.up(mission, keeps=True)}
     home, away = hosts["home"], hosts["away"]
@@ -32,16 +32,16 @@ async def with_a_new_disk(team, first):
     return again, away
 
 
-async def test_what_runs_under_leases_goes_on_from_its_shadow(team, /):
+async def test_a_coordinator_under_leases_is_recovered_from_its_shadow(team, /):
     home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
-    told = "guest not started again: it has left away, where a copy of it is kept"
-    await team.until(lambda: told in home.log)
+    expected = "guest not started again: it has left away, where a copy of it is kept"
+    await team.until(lambda: expected in home.log)
     await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
     assert not home.holds("guest")
     assert away.output == ["counted"]
 
 
-async def test_what_nobody_goes_on_with_is_begun_anew(team, /):
+async def test_a_coordinator_without_leases_is_started_again(team, /):
     home, away = await with_a_new_disk(team, "")
     await team.until(lambda: "arrived" in home.output)
     assert away.output == ["counted", "counted"]

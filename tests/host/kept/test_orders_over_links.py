@@ -30,7 +30,7 @@ A, B, C = b"a" * 16, b"b" * 16, b"c" * 16
 
 
 class Desk:
-    """Sends orders to the host of a fleet, exactly as they are."""
+    """Sends orders to the host of a fleet, unchanged."""
 
     def __init__(self, folder: Path) -> None:
         (folder / "mission.L").write_text(PROGRAM)
@@ -43,7 +43,7 @@ class Desk:
         self.fleet.run(3.0)
 
     def send(self, message: object) -> None:
-        """The host answers."""
+        """Record the answer of the host."""
         assert isinstance(message, EmergencyStopResult | OrderChallenge)
         self.answers.append(message)
 
@@ -80,7 +80,7 @@ def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
 
 
-def test_an_order_is_executed_once_and_then_only_confirmed(desk: Desk) -> None:
+def test_a_repeated_order_is_executed_once_and_confirmed_again(desk: Desk) -> None:
     first = desk.stop(A, desk.epochs.hold)
     assert first == EmergencyStopResult({"p.fc": ""}, "", A, desk.epochs)
     assert desk.stop(A, bytes(8)) == first
@@ -88,7 +88,7 @@ def test_an_order_is_executed_once_and_then_only_confirmed(desk: Desk) -> None:
     assert desk.kept() == {A}
 
 
-def test_a_copy_of_a_stop_after_its_lift_does_nothing_and_says_so(desk: Desk) -> None:
+def test_a_copy_of_a_stop_after_its_lift_does_nothing_and_reports_it(desk: Desk) -> None:
     before = desk.epochs.hold
     desk.stop(A, before)
     desk.lift(B, desk.epochs.end)
@@ -102,7 +102,7 @@ def test_a_copy_of_a_stop_after_its_lift_does_nothing_and_says_so(desk: Desk) ->
     assert desk.stopped == "fog"
 
 
-def test_a_lift_that_was_given_before_a_stop_or_a_pause_does_not_end_it(desk: Desk) -> None:
+def test_a_lift_given_before_a_stop_or_a_pause_does_not_end_it(desk: Desk) -> None:
     desk.stop(A, desk.epochs.hold)
     seen = desk.epochs.end
     desk.say(Pause(B, epoch=desk.epochs.hold))
@@ -117,7 +117,7 @@ def test_a_lift_that_was_given_before_a_stop_or_a_pause_does_not_end_it(desk: De
     assert desk.fleet.lives["alpha"].host.status().paused
 
 
-def test_a_lift_that_comes_twice_is_confirmed_and_ends_no_newer_stop(desk: Desk) -> None:
+def test_a_repeated_lift_is_confirmed_and_ends_no_newer_stop(desk: Desk) -> None:
     desk.stop(A, desk.epochs.hold)
     seen = desk.epochs.end
     assert desk.lift(B, seen) == desk.lift(B, seen) == EmergencyStopResult({"p.fc": ""}, "", B, desk.epochs)
@@ -128,7 +128,7 @@ def test_a_lift_that_comes_twice_is_confirmed_and_ends_no_newer_stop(desk: Desk)
     assert desk.stopped == "fog"
 
 
-def test_after_a_restart_the_journal_knows_the_last_order_and_no_epoch_is_left(desk: Desk) -> None:
+def test_after_a_restart_the_last_order_is_known_and_old_epochs_are_not(desk: Desk) -> None:
     before = desk.epochs
     desk.stop(A, before.hold)
     desk.fleet.crash("alpha")
@@ -141,7 +141,7 @@ def test_after_a_restart_the_journal_knows_the_last_order_and_no_epoch_is_left(d
     assert desk.stopped == "fog"
 
 
-def test_a_pause_takes_the_same_way(desk: Desk) -> None:
+def test_a_pause_follows_the_same_rules(desk: Desk) -> None:
     before = desk.epochs
     assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopResult)
     assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopResult)

@@ -1,4 +1,4 @@
-"""A coordinator of another mission waits, wherever it is kept: nobody begins it anew or writes over it."""
+"""A coordinator parked for another mission is kept on every host: it is neither restarted nor overwritten."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ async def park_at_away(team):
     await home.host.stop()
 
 
-async def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(team, /):
+async def test_a_home_with_a_new_disk_does_not_start_a_coordinator_parked_elsewhere(team, /):
     await park_at_away(team)
     del team.disks["home"]
     home, away = await team.up(team.mission(CHANGED, FROM_HOME), keeps=True)
@@ -54,7 +54,7 @@ async def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(te
     await team.until(lambda: "guest resumed from the journal" in away.log)
 
 
-async def test_a_home_that_was_changed_does_not_begin_it_either(team, /):
+async def test_a_changed_home_does_not_start_a_coordinator_parked_elsewhere(team, /):
     home, away = await team.up(team.mission(PROGRAM, FROM_AWAY), "home", "away", keeps=True)
     await team.until(lambda: away.output)
     await away.host.stop()
@@ -65,8 +65,9 @@ async def test_a_home_that_was_changed_does_not_begin_it_either(team, /):
     assert parked(away) == [("guest", 1, "RUN")]
 
 
-async def test_its_number_is_not_given_out_again(team, /):
-    """A person says that there was no earlier start: what comes is not taken, and nothing is lost."""
+async def test_the_number_of_a_parked_start_is_not_overwritten(team, /):
+    """An operator states that there was no earlier start: the arriving copy is refused, and nothing is
+    lost."""
     await park_at_away(team)
     other = team.mission(CHANGED, FROM_HOME, without=("away",))
     del team.disks["home"]
@@ -82,7 +83,7 @@ async def test_its_number_is_not_given_out_again(team, /):
     assert parked(again) == [("guest", 1, "RUN")]
 
 
-def test_a_program_of_which_no_block_is_left_is_not_kept():
+def test_a_program_without_blocks_is_outdated():
     old, new, waits = (ProgramRecord(bytes([n]) * 32, b"") for n in range(3))
     copies = [
         CoordinatorRecord("guest", 1, "RUN", program=waits.digest, block=b"..."),
@@ -93,8 +94,8 @@ def test_a_program_of_which_no_block_is_left_is_not_kept():
     assert (found.parked, found.copies) == ([copies[0]], [copies[1]])
 
 
-def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
-    """Two starts of two missions; and one under whose number something came, which was not taken."""
+def test_declare_lost_ends_all_parked_starts_of_an_agent():
+    """Two starts of two missions, and one whose number is used by a transfer that was refused."""
     own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, journal_id=5)
     mobility = Mobility(own, peers=["home", "away"], agents=["guest"])
     agents = [("other", 1, b"a"), ("other", 2, b"b"), ("guest", 1, b"a"), ("third", 1, b"a")]
@@ -105,7 +106,7 @@ def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
     (refusal,) = mobility.on_transfer("home", came, b"new", lambda *_: None)
     assert "has another start of guest under that number" in refusal.message.reason
     for agent, starts in (("guest", [1]), ("other", [1, 2])):
-        ended, effects = mobility.declare_lost(agent, "by a word")
+        ended, effects = mobility.declare_lost(agent, "by an operator")
         pages = [effect.record for effect in effects if isinstance(effect, PersistRecord)]
         assert ended == starts == [page.generation for page in pages]
         assert {(page.state, page.outcome, page.block) for page in pages} == {("EXITED", "lost", b"")}
@@ -113,8 +114,8 @@ def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
     assert [page.agent for page in mobility.parked] == ["third"]
 
 
-def test_one_that_was_ended_while_it_was_parked_is_known_to_have_come():
-    """Whoever sent it and was down meanwhile asks once more: it does not do again what was done here."""
+def test_a_start_ended_while_parked_still_answers_that_it_arrived():
+    """A sender that was down meanwhile asks again: it does not repeat actions that were done here."""
     own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, journal_id=5)
     mobility = Mobility(own, peers=["home"], agents=["other"])
     mobility.restore([], [CoordinatorRecord("guest", 1, "RUN", 2, 2, program=b"a" * 32, block=b"...")])

@@ -1,4 +1,4 @@
-"""A mission that is paused: no agent runs, nobody's patience ends, and all goes on when it is resumed."""
+"""A paused mission: no agent runs, no time limit expires, and everything continues after the resume."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n//Late:late@home?post\n
 TOLD = "guest: told: the mission was paused; this call may have begun"
 
 
-async def said(team, host, *, lift=False):
+async def send_pause(team, host, *, lift=False):
     return await send_request(team.network.transport("desk"), f"{host}:8181", pause(lift=lift))
 
 
@@ -50,65 +50,61 @@ def waits(running, agent):
     return (agent, "FROZEN") in [(one.agent, one.state) for one in known]
 
 
-async def begun(team):
+async def call_started(team):
     home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
     await team.until(lambda: "begins 1" in away.log)
     return home, away
 
 
-async def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_of(team, /):
-    home, away = await begun(team)
+async def test_no_agent_runs_until_resume_and_the_pending_call_is_interrupted(team, /):
+    home, away = await call_started(team)
     for host in ("home", "away"):
-        assert (await said(team, host)).devices == {}
+        assert (await send_pause(team, host)).devices == {}
     assert status_data(states_of({"away": away.host.status()}))["away"]["paused"]
     before = away.log
     await asyncio.sleep(300.0)
     assert away.log == before
     assert "late" not in home.log
-    await said(team, "away")  # Again is nothing new.
+    await send_pause(team, "away")  # A repeated pause changes nothing.
     for host in ("home", "away"):
-        await said(team, host, lift=True)
+        await send_pause(team, host, lift=True)
     await team.until(lambda: TOLD in away.log)
     # The resource has kept its field.
     await team.until(lambda: "begins 2" in away.log and "begins 3" in away.log)
     await team.until(lambda: "late: late came" in away.log)
     assert not away.host.status().paused
-    await said(team, "away", lift=True)
+    await send_pause(team, "away", lift=True)
     assert away.log.count("mission resumed") == 1
 
 
-async def test_who_is_on_its_way_to_a_paused_host_waits_and_does_not_give_up(team, /):
-    home, away = await begun(team)
-    await said(team, "away")
-    await team.until(
-        lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
-    )
+async def test_a_transfer_to_a_paused_host_waits(team, /):
+    home, away = await call_started(team)
+    await send_pause(team, "away")
+    await team.until(lambda: waits(home, "late"))
     await asyncio.sleep(60.0)
     assert "late gave up" not in home.log
-    await said(team, "away", lift=True)
+    await send_pause(team, "away", lift=True)
     await team.until(lambda: "late: late came" in away.log)
 
 
-async def test_who_is_on_its_way_to_a_paused_host_that_is_gone_gives_up(team, /):
-    home, away = await begun(team)
-    await said(team, "away")
-    await team.until(
-        lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
-    )
+async def test_a_transfer_to_a_paused_host_that_ends_gives_up(team, /):
+    home, away = await call_started(team)
+    await send_pause(team, "away")
+    await team.until(lambda: waits(home, "late"))
     await away.host.stop()
     await team.until(lambda: "late gave up" in home.log)
 
 
-async def test_a_host_that_is_started_again_is_still_paused(team, /):
-    _, away = await begun(team)
-    await said(team, "away")
+async def test_a_restarted_host_is_still_paused(team, /):
+    _, away = await call_started(team)
+    await send_pause(team, "away")
     await away.host.stop()
     (again,) = await team.up(away.host.mission, "away", keeps=True)
     assert again.host.status().paused
     assert "mission still paused: no agent runs here until 'lfield resume'" in again.log
     await asyncio.sleep(20.0)
     assert "told" not in again.log
-    await said(team, "away", lift=True)
+    await send_pause(team, "away", lift=True)
     await team.until(lambda: "guest: told: away restarted; this call" in again.log)
     await again.host.stop()
     (last,) = await team.up(away.host.mission, "away", keeps=True)

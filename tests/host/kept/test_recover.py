@@ -1,4 +1,5 @@
-"""A person says that the host of a coordinator is gone for good: another host goes on from its shadow."""
+"""`lfield recover`: the host of a coordinator is permanently lost, and another host continues from its
+shadow."""
 
 from __future__ import annotations
 
@@ -37,12 +38,12 @@ HOSTS = ("home", "away")
 NAMES = {HostRef("", host): host for host in HOSTS}
 
 
-async def looked(team, *hosts):
-    """What the hosts say; those that are not named do not answer."""
+async def team_states(team, *hosts):
+    """The states of the hosts; those that are not named do not answer."""
     answers = await ask_all(
         team.network.transport("desk"), {host: f"{host}:8181" for host in hosts}, SNAPSHOT
     )
-    silent = {host: AddressError(f"{host}:8181", "nobody listens there") for host in HOSTS}
+    silent = {host: AddressError(f"{host}:8181", "no listener") for host in HOSTS}
     return host_states({HostRef("", host): {**silent, **answers}[host] for host in HOSTS})
 
 
@@ -57,10 +58,10 @@ async def with_guest_away(team):
     return home, away
 
 
-async def test_the_home_goes_on_and_the_host_that_comes_back_does_not(team, /):
+async def test_the_home_continues_and_the_returned_host_does_not(team, /):
     home, away = await with_guest_away(team)
     await away.host.stop()
-    answers = await looked(team, "home")
+    answers = await team_states(team, "home")
     assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
         "guest: start away again; if it is permanently lost, continue without it: lfield recover guest, "
         "or end it: lfield forget guest"
@@ -74,11 +75,11 @@ async def test_the_home_goes_on_and_the_host_that_comes_back_does_not(team, /):
     answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
     assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
     assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
-    told = (
+    expected = (
         "told: guest was recovered on home from its departure for away; this call may have begun, "
         "and later actions are unknown"
     )
-    await team.until(lambda: told in home.log)
+    await team.until(lambda: expected in home.log)
     pages = team.disks["home"].pages()
     running = [page.generation for page in pages if getattr(page, "state", "") == "RUN"]
     assert running == [answer.generation]
@@ -89,18 +90,18 @@ async def test_the_home_goes_on_and_the_host_that_comes_back_does_not(team, /):
     assert home.holds("guest")
 
 
-async def test_one_that_is_alive_is_not_recovered_and_whoever_asks_is_told_where(team, /):
+async def test_a_live_coordinator_is_not_recovered_and_its_host_is_named(team, /):
     _, away = await with_guest_away(team)
     with pytest.raises(
         CoordinatorAlive, match=r"guest is alive on away \(start 1\), in a portal: nothing was"
     ):
-        best_candidate("guest", await looked(team, *HOSTS), NAMES)
-    everybody = await looked(team, *HOSTS)
-    assert list(doubt_advice({place.host: answer for place, answer in everybody.items()})) == []
+        best_candidate("guest", await team_states(team, *HOSTS), NAMES)
+    states = await team_states(team, *HOSTS)
+    assert list(doubt_advice({place.host: answer for place, answer in states.items()})) == []
     with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
-        best_candidate("geust", await looked(team, *HOSTS), NAMES)
-    word = RecoverRequest("guest", 1, 1, 1)
-    answer = await send_request(team.network.transport("desk"), "away:8181", recover(word))
+        best_candidate("geust", await team_states(team, *HOSTS), NAMES)
+    request = RecoverRequest("guest", 1, 1, 1)
+    answer = await send_request(team.network.transport("desk"), "away:8181", recover(request))
     assert (answer.generation, answer.reason) == (
         0,
         "away has no copy of guest to resume, or it is alive there",
@@ -108,7 +109,7 @@ async def test_one_that_is_alive_is_not_recovered_and_whoever_asks_is_told_where
     assert away.holds("guest")
 
 
-async def test_what_has_changed_since_the_person_was_told_is_not_gone_on_with(team, /):
+async def test_a_copy_that_changed_since_the_query_is_not_recovered(team, /):
     home, away = await with_guest_away(team)
     await away.host.stop()
     answer = await send_request(
@@ -126,28 +127,28 @@ async def test_what_has_changed_since_the_person_was_told_is_not_gone_on_with(te
     assert "it is alive there" in again.reason
 
 
-async def test_one_that_is_kept_for_another_mission_is_named(team, /):
+async def test_a_coordinator_kept_for_another_mission_is_named(team, /):
     _, away = await with_guest_away(team)
     await away.host.stop()
     other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
     await team.up(other, "away", keeps=True)
-    answers = await looked(team, "away")
+    answers = await team_states(team, "away")
     with pytest.raises(CoordinatorAlive, match="away keeps guest for another mission"):
         best_candidate("guest", answers, NAMES)
     hints = list(doubt_advice({place.host: answer for place, answer in answers.items()}))
     assert hints == ["guest: start its own mission again, or end it: lfield forget guest"]
 
 
-async def test_a_shadow_that_is_of_another_mission_is_gone_on_with_in_that_mission(team, /):
+async def test_a_shadow_of_another_mission_can_only_be_recovered_there(team, /):
     for running in await with_guest_away(team):
         await running.host.stop()
     await team.up(team.mission(PROGRAM, "//Post:other@home\n"), "home", keeps=True)
-    answers = await looked(team, "home")
+    answers = await team_states(team, "home")
     with pytest.raises(UsageError, match=r"guest is of another mission .* home keeps a copy: start that"):
         best_candidate("guest", answers, NAMES)
     assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [1]
     with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): it cannot be recovered"):
-        best_candidate("guest", await looked(team, "home"), NAMES)
+        best_candidate("guest", await team_states(team, "home"), NAMES)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ TRIP = PROGRAM.replace("findPost(arg[1]).stay(1000.0)", "FIRST; findPost(arg[2])
 LONGER = "//Guest:guest@home?post&last\n//Post:post@away\n//Post:last@far\n"
 
 
-async def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_copy(team, /):
+async def test_an_unreadable_copy_is_reported_and_an_older_one_can_be_recovered(team, /):
     home, away, far = await team.up(team.mission(TRIP, LONGER), keeps=True)
     await team.until(lambda: far.output)
     await team.until(lambda: outcomes(away) == {1: "MOVED"})
@@ -179,11 +180,11 @@ async def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_
     names = {HostRef("", host): host for host in ("home", "away", "far")}
     desk = team.network.transport("desk")
 
-    async def told():
+    async def reached_states():
         answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
         return host_states({HostRef("", host): answer for host, answer in answers.items()})
 
-    belief = best_candidate("guest", await told(), names)
+    belief = best_candidate("guest", await reached_states(), names)
     assert belief.host_ref == HostRef("", "away")
     copy = away.host.mobility.newest_copy("guest")
     copy.block = bytes(len(copy.block))
@@ -194,10 +195,10 @@ async def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_
     )
     out = io.StringIO()
     Console(file=out, width=200).print(
-        team_tables({place.host: answer for place, answer in (await told()).items()})
+        team_tables({place.host: answer for place, answer in (await reached_states()).items()})
     )
     assert "in doubt: its stored copy here cannot be read" in out.getvalue()
-    belief = best_candidate("guest", await told(), names)
+    belief = best_candidate("guest", await reached_states(), names)
     assert belief.host_ref == HostRef("", "home")
     assert belief.lines[1] == (
         "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
@@ -209,13 +210,13 @@ async def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_
     assert not away.host.mobility.newest_copy("guest")
 
 
-async def test_when_nothing_can_be_read_a_person_is_told_where_it_is(team, /):
+async def test_without_a_readable_copy_the_host_with_the_copy_is_named(team, /):
     home, away = await with_guest_away(team)
     await away.host.stop()
     copy = home.host.mobility.newest_copy("guest")
     copy.block = bytes(len(copy.block))
     await send_request(team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1)))
-    answers = await looked(team, "home")
+    answers = await team_states(team, "home")
     with pytest.raises(UsageError, match="the copy of guest on home cannot be read: it cannot"):
         best_candidate("guest", answers, NAMES)
     assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [

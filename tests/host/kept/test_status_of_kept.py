@@ -1,4 +1,4 @@
-"""What `lfield ps` is told of coordinators that are kept, and of the journal that keeps them."""
+"""`lfield ps`: the coordinators in a journal, and the state of the journal."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def shown(*hosts) -> str:
     return out.getvalue()
 
 
-async def test_a_journal_and_its_trouble_are_told(team, /):
+async def test_the_status_shows_the_journal_and_its_errors(team, /):
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
     await team.until(lambda: len(home.output) == 3)
     journal = home.host.status().journal
@@ -47,7 +47,7 @@ async def test_a_journal_and_its_trouble_are_told(team, /):
     assert "in the last minute" in shown(home)
 
 
-async def test_a_coordinator_whose_disk_fails_waits_for_it(team, /):
+async def test_a_coordinator_waits_for_a_failing_disk(team, /):
     home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
     team.disks["home"].broken = True
     await team.until(lambda: home.host.status().journal.trouble)
@@ -60,17 +60,17 @@ async def test_a_coordinator_whose_disk_fails_waits_for_it(team, /):
     assert home.host.status().journal.trouble == ""
 
 
-async def test_a_coordinator_that_is_being_kept_does_not_leave(team, /):
+async def test_a_coordinator_does_not_leave_while_it_is_persisted(team, /):
     home = team.make(team.mission(PROGRAM, DEPLOYMENT), "home", keeps=True)
     team.disks["home"].sync = 0.5
     await home.host.start()
     states = set()
 
-    def seen() -> bool:
+    def has_output() -> bool:
         states.update(agent.state for agent in home.host.status().agents if agent.id == "guest")
         return len(home.output) == 3
 
-    await team.until(seen)
+    await team.until(has_output)
     assert "persisting" in states
     assert "leaving" not in states
 
@@ -95,7 +95,7 @@ async def test_a_coordinator_of_another_program_is_parked_and_explained(team, /)
     assert (explained.digest, explained.members) == (digest, ("guest", "post"))
 
 
-async def test_a_revocation_list_that_is_not_kept_is_told(team, /):
+async def test_an_unstored_revocation_list_is_shown(team, /):
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
     assert "failing" not in shown(home)
     home.host.options.admission.persist_error = "revocation list 3 is not kept: the disk is full"
@@ -105,13 +105,13 @@ async def test_a_revocation_list_that_is_not_kept_is_told(team, /):
     )
 
 
-async def test_a_host_that_keeps_nothing_says_so(team, /):
+async def test_a_host_without_a_journal_is_shown_as_not_saved(team, /):
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
     assert home.host.status().journal is None
     assert "not saved" in shown(home)
 
 
-async def test_how_earlier_starts_ended_is_past(team, /):
+async def test_ends_of_earlier_starts_are_shown_once(team, /):
     mission = team.mission("coordinator Guest { init(string[] arg) { } }", "//Guest:guest@home\n")
     for run in range(1, 4):
         (home,) = await team.up(mission, keeps=True)

@@ -1,4 +1,4 @@
-"""An emergency stop outlives the host that was told of it, until somebody lifts it. In virtual time."""
+"""An emergency stop outlasts a restart of its host until it is lifted. In virtual time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, Pause, with_epoch
 
-#: It climbs for ever, and releases its copter whenever it may.
+#: It climbs repeatedly, and releases its copter whenever it is permitted.
 PROGRAM = """
 resource Post {
     Mavlink fc;
@@ -56,7 +56,7 @@ STILL = f"EMERGENCY STOP still active: {WHY}; end it with 'lfield estop --lift'"
 
 
 class Person:
-    """Presses and lifts the stop of the host of a fleet; `kept` is what was on the disk at each answer."""
+    """Sends and lifts the stop of the host of a fleet; `kept` is the reason on the disk at each answer."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet, self.who = fleet, Identity("person", "anna", ALL_RIGHTS)
@@ -64,7 +64,7 @@ class Person:
         self.kept: list[str] = []
 
     def send(self, message: object) -> None:
-        """The host answers."""
+        """Record the answer of the host."""
         assert isinstance(message, EmergencyStopResult)
         assert len(message.id) == 16
         self.answers.append(EmergencyStopResult(message.devices, message.trouble))
@@ -102,12 +102,12 @@ def latched(fleet: Fleet) -> str:
     return device.latched
 
 
-def said(fleet: Fleet, words: str, since: int) -> bool:
+def is_logged(fleet: Fleet, words: str, since: int) -> bool:
     return any(words in text for _, _, text in fleet.log[since:])
 
 
 def climbs(fleet: Fleet, since: int) -> bool:
-    return said(fleet, "climbs", since)
+    return is_logged(fleet, "climbs", since)
 
 
 def started_again(fleet: Fleet) -> int:
@@ -118,16 +118,16 @@ def started_again(fleet: Fleet) -> int:
     return began
 
 
-def test_a_host_that_is_started_again_holds_its_devices_until_the_stop_is_lifted(tmp_path: Path) -> None:
+def test_a_restarted_host_holds_its_devices_until_the_stop_is_lifted(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path)
     person.stop()
     fleet.run(5.0)
     assert (person.answers, person.kept) == ([EmergencyStopResult({"p.fc": ""})], [WHY])
     for _ in range(2):
         began = started_again(fleet)
-        assert said(fleet, STILL, began)
+        assert is_logged(fleet, STILL, began)
         assert latched(fleet) == WHY
-        assert said(fleet, f"{WHY}; 'lfield estop --lift' must come first", began)
+        assert is_logged(fleet, f"{WHY}; 'lfield estop --lift' must come first", began)
         assert not climbs(fleet, began)
     person.stop(lift=True)
     lifted = len(fleet.log)
@@ -135,11 +135,11 @@ def test_a_host_that_is_started_again_holds_its_devices_until_the_stop_is_lifted
     assert (person.answers[-1], person.kept[-1]) == (EmergencyStopResult({"p.fc": ""}), "")
     assert climbs(fleet, lifted)
     began = started_again(fleet)
-    assert not said(fleet, "EMERGENCY", began)
+    assert not is_logged(fleet, "EMERGENCY", began)
     assert climbs(fleet, began)
 
 
-def test_the_stop_itself_waits_for_no_disk_and_its_answer_does(tmp_path: Path) -> None:
+def test_a_stop_is_executed_at_once_and_confirmed_when_it_is_stored(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path)
     fleet.disks["alpha"].sync = 1.5
     person.stop()
@@ -150,7 +150,7 @@ def test_the_stop_itself_waits_for_no_disk_and_its_answer_does(tmp_path: Path) -
     assert person.kept == [WHY]
 
 
-def test_a_disk_that_takes_nothing_is_told_of_and_the_stop_holds(tmp_path: Path) -> None:
+def test_a_stop_holds_when_the_disk_fails_and_the_failure_is_reported(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path)
     fleet.disks["alpha"].broken = True
     person.stop()
@@ -162,7 +162,7 @@ def test_a_disk_that_takes_nothing_is_told_of_and_the_stop_holds(tmp_path: Path)
         "emergency stop not stored: cannot use the journal of a simulation: its disk fails; after a restart "
         "this host would not restore it"
     )
-    assert said(fleet, answer.trouble, 0)
+    assert is_logged(fleet, answer.trouble, 0)
     person.stop(lift=True)
     fleet.run(4.0)
     assert person.answers[-1].trouble.startswith("end of the emergency stop not stored: ")
@@ -174,17 +174,17 @@ def test_a_disk_that_takes_nothing_is_told_of_and_the_stop_holds(tmp_path: Path)
     assert person.kept[-1] == WHY
 
 
-def test_a_host_without_a_journal_forgets_it_and_waits_for_no_disk(tmp_path: Path) -> None:
+def test_a_host_without_a_journal_drops_the_stop_at_a_restart(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path, keeps=False)
     person.stop()
     fleet.run(5.0)
     assert person.answers == [EmergencyStopResult({"p.fc": ""})]
     began = started_again(fleet)
     assert latched(fleet) == ""
-    assert not said(fleet, "EMERGENCY", began)
+    assert not is_logged(fleet, "EMERGENCY", began)
 
 
-def test_a_host_without_a_journal_stands_still_while_it_is_paused(tmp_path: Path) -> None:
+def test_a_paused_host_without_a_journal_does_not_spin(tmp_path: Path) -> None:
     fleet, person = flying(tmp_path, keeps=False)
     person.pause()
     fleet.run(5.0)
@@ -194,7 +194,7 @@ def test_a_host_without_a_journal_stands_still_while_it_is_paused(tmp_path: Path
     def counted() -> float | None:
         nonlocal turns
         turns += 1
-        assert turns < 10_000, "it turns without end"
+        assert turns < 10_000, "the core runs without a pause"
         return run()
 
     core.run = counted  # type: ignore[method-assign]

@@ -1,4 +1,4 @@
-"""Hosts that must not talk: both say why, in one sentence."""
+"""Hosts that refuse a link: both report the reason in one sentence."""
 
 from __future__ import annotations
 
@@ -29,32 +29,32 @@ coordinator Caller {
 DEPLOYMENT = "//Caller:tom@alpha?echo\n//Echo:echo@bravo\n"
 
 
-def _told(running, words):
+def _log_lines(running, words):
     return [line for line in running.log.splitlines() if words in line]
 
 
 async def _stays_refused(team, alpha, bravo, words):
-    await team.until(lambda: _told(alpha, words) and _told(bravo, words))
-    assert len(_told(alpha, words)) == 1
+    await team.until(lambda: _log_lines(alpha, words) and _log_lines(bravo, words))
+    assert len(_log_lines(alpha, words)) == 1
     await asyncio.sleep(5.0)
-    assert len(_told(alpha, words)) == 1, "told once, however often it is tried"
+    assert len(_log_lines(alpha, words)) == 1, "reported once for all attempts"
     assert bravo.output == []
 
 
-async def test_hosts_of_two_programs(team, /):
+async def test_hosts_of_two_programs_do_not_link(team, /):
     (bravo,) = await team.up(team.mission(PROGRAM.replace("here", "there"), DEPLOYMENT), "bravo")
     (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
     await _stays_refused(team, alpha, bravo, "start both from the same program file")
     assert "link to bravo refused" in alpha.log
 
 
-async def test_hosts_of_two_deployments(team, /):
+async def test_hosts_of_two_deployments_do_not_link(team, /):
     (bravo,) = await team.up(team.mission(PROGRAM, DEPLOYMENT + "//Echo:more@alpha\n"), "bravo")
     (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
     await _stays_refused(team, alpha, bravo, "start both from the same .dL file")
 
 
-async def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(team, /):
+async def test_hosts_whose_bundles_differ_only_in_bindings_do_not_link(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT, without=("bravo",))
     one, other = (replace(mission, release=BundleId(digest * 32, by="anna")) for digest in (b"1", b"2"))
     (bravo,) = await team.up(other, "bravo")
@@ -62,7 +62,7 @@ async def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(team, /)
     await _stays_refused(team, alpha, bravo, "copy one of the two to both")
 
 
-async def test_a_host_of_files_and_one_of_a_bundle_talk(team, /):
+async def test_a_host_of_files_and_one_of_a_bundle_link(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     files = replace(mission, release=BundleId(b"1" * 32, by="anna", is_from_files=True))
     (bravo,) = await team.up(files, "bravo")
@@ -71,28 +71,28 @@ async def test_a_host_of_files_and_one_of_a_bundle_talk(team, /):
     assert bravo.output == ["here"]
 
 
-async def test_a_wrong_address_leads_to_another_host(team, /):
+async def test_a_wrong_address_is_reported_by_both_hosts(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT + "//Echo:third@carol\n", without=("bravo", "carol"))
     (carol,) = await team.up(mission, "carol", address="bravo:8181")
     (alpha,) = await team.up(mission, "alpha", unreachable_after=3.0)
-    await team.until(lambda: _told(alpha, "carol answered at the address of bravo"))
-    assert _told(carol, "correct the address or the --map")
+    await team.until(lambda: _log_lines(alpha, "carol answered at the address of bravo"))
+    assert _log_lines(carol, "correct the address or the --map")
     assert await team.ended("tom") == "died"
 
 
-async def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(team, /):
+async def test_a_second_host_with_the_same_name_is_refused_and_the_first_continues(team, /):
     mission = team.mission(PROGRAM.replace("findEcho", "sleep(30.0); findEcho"), DEPLOYMENT)
     alpha, bravo = await team.up(mission)
     (second,) = await team.up(mission, "alpha", address="elsewhere:8181")
     words = "bravo already has a link to another alpha"
-    await team.until(lambda: _told(second, words) and _told(bravo, words))
+    await team.until(lambda: _log_lines(second, words) and _log_lines(bravo, words))
     assert await team.ended("tom") == "done"
     assert bravo.output.count("here") == 1
-    assert not _told(alpha, words)
+    assert not _log_lines(alpha, words)
 
 
-class StrangersPeers:
-    """Who keeps a link of a caller that never greets."""
+class UnknownPeers:
+    """Has a link of a client that never sends a Hello."""
 
     def __init__(self, note):
         self.log_once = RateLimitedLog(note, self.now).write
@@ -104,9 +104,9 @@ class StrangersPeers:
         pass
 
 
-def test_a_caller_that_resets_again_and_again_is_told_once():
+def test_repeated_resets_of_one_client_are_reported_once():
     log = []
-    peers = StrangersPeers(log.append)
+    peers = UnknownPeers(log.append)
     for port in (40001, 40002, 40003):
         session = Session(peers, None)
         session.link = type("Reset", (), {"peer": f"192.0.2.7:{port}"})()
@@ -115,7 +115,7 @@ def test_a_caller_that_resets_again_and_again_is_told_once():
 
 
 class EagerTransport:
-    """Hands out what has come on a new link before its caller gets its turn, as TCP may."""
+    """Delivers the first data of a new link before `connect` returns, as TCP may."""
 
     def __init__(self, network, machine):
         self.network, self.machine = network, machine
@@ -129,7 +129,7 @@ class EagerTransport:
         return link
 
 
-async def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(team, /):
+async def test_a_hello_may_be_read_before_connect_returns(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     (bravo,) = await team.up(mission, "bravo")
     alpha = team.make(mission, "alpha")
@@ -142,7 +142,7 @@ async def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(team, /):
 
 
 class SlowTransport(EagerTransport):
-    """Connects after a while, as where the first packets get lost."""
+    """Connects after a while, as if the first packets were lost."""
 
     async def connect(self, address, handler, host=""):
         await asyncio.sleep(6.0)
@@ -160,8 +160,8 @@ coordinator Caller {
 """
 
 
-async def test_a_greeting_tells_what_is_known_when_the_call_is_taken(team, /):
-    """Not when it began: what came meanwhile, nobody else may know any more."""
+async def test_a_hello_has_the_state_at_the_time_of_the_connection(team, /):
+    """A coordinator that arrived during the attempt may be unknown to all other hosts."""
     away = "//Echo:last@away\n//Echo:first@carol\n//Caller:tom@home?first&last&last&last\n"
     mission = team.mission(ROUND, away)
     away, carol, home = await team.up(mission)
@@ -171,13 +171,13 @@ async def test_a_greeting_tells_what_is_known_when_the_call_is_taken(team, /):
     await team.until(lambda: away.output)
     await carol.host.stop()
     _, home = await team.up(mission, "carol", "home", first_start=False)
-    await team.until(lambda: _told(home, "link to away established"))
-    assert _told(home, "tom not started again: it is alive on another host")
+    await team.until(lambda: _log_lines(home, "link to away established"))
+    assert _log_lines(home, "tom not started again: it is alive on another host")
     assert not home.holds("tom")
 
 
 class Caller:
-    """Whoever calls at a door: says hello, asks for a snapshot, and keeps what comes back."""
+    """A client that sends a Hello, requests a snapshot, and keeps the answers."""
 
     def __init__(self, hello):
         self.hello, self.heard, self.ends = hello, [], []
@@ -192,7 +192,7 @@ class Caller:
         self.ends.append(error)
 
 
-async def calls(team, address, hello):
+async def last_answer(team, address, hello):
     caller = Caller(hello)
     link = await team.network.transport("bravo").connect(address, caller)
     link.send(hello)
@@ -201,65 +201,65 @@ async def calls(team, address, hello):
     return caller.heard[-1]
 
 
-async def test_a_user_of_this_computer_gives_commands_and_is_no_host(team, /, monkeypatch):
-    """What the kernel says of whoever calls at a Unix socket; here the network says it."""
+async def test_a_local_user_may_send_commands_and_is_refused_as_a_host(team, /, monkeypatch):
+    """The identity comes from the kernel for a Unix socket; here it comes from the network."""
     mission = team.mission(PROGRAM, DEPLOYMENT)
     (alpha,) = await team.up(mission, "alpha", control_socket="alpha:1")
     monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", ALL_RIGHTS))
-    assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), EventBatch)
+    assert isinstance(await last_answer(team, "alpha:1", Hello("observer", "observer", 0)), EventBatch)
     known = alpha.host.hello()
     bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
-    refused = await calls(team, "alpha:1", bravo)
+    refused = await last_answer(team, "alpha:1", bravo)
     assert isinstance(refused, HandshakeRefused)
     assert "and user bob of this computer may only send commands" in refused.reason
-    assert _told(alpha, "may only send commands")
+    assert _log_lines(alpha, "may only send commands")
     assert "bravo" not in alpha.host.peers.incarnations
     monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", NO_RIGHTS))
-    refused = await calls(team, "alpha:1", Hello("observer", "observer", 0))
+    refused = await last_answer(team, "alpha:1", Hello("observer", "observer", 0))
     assert "user bob of this computer has no permission here" in refused.reason
 
 
-async def test_a_host_without_its_door_says_so_and_runs(team, /):
+async def test_a_host_without_its_control_socket_reports_it_and_runs(team, /):
     mission = team.mission(PROGRAM, DEPLOYMENT)
     await team.up(mission, "bravo")
     (alpha,) = await team.up(mission, "alpha", control_socket="bravo:8181")
-    assert _told(alpha, " without control socket: ")
+    assert _log_lines(alpha, " without control socket: ")
     assert await team.ended("tom") == "done"
 
 
-async def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(team, /, monkeypatch):
-    """Also of two at one address: behind one router, or on one computer."""
+async def test_the_connection_limit_of_one_observer_does_not_affect_others(team, /, monkeypatch):
+    """Also if both have the same address: behind one router, or on one computer."""
     mission = team.mission(PROGRAM, DEPLOYMENT)
     await team.up(mission, "alpha", control_socket="alpha:1")
     desk, hello = team.network.transport("desk"), Hello("observer", "observer", 0)
 
-    async def looks(name):
+    async def observe(name):
         caller = Caller(hello)
         monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", name, ALL_RIGHTS))
         (await desk.connect("alpha:1", caller)).send(hello)
         await team.until(lambda: any(isinstance(said, EventBatch) for said in caller.heard))
         return caller
 
-    ben = await looks("ben")
-    annas = [await looks("anna") for _ in range(5 * MAX_OBSERVERS)]
+    ben = await observe("ben")
+    annas = [await observe("anna") for _ in range(5 * MAX_OBSERVERS)]
     await team.until(lambda: sum(not anna.ends for anna in annas) == MAX_OBSERVERS - 1)
     assert ben.ends == []
 
 
-async def test_a_host_that_stops_leaves_no_link_behind_of_whoever_has_said_nothing(team, /):
+async def test_a_stopping_host_closes_silent_links(team, /):
     (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", control_socket="alpha:1")
     silent = Quiet()
     await team.network.transport("desk").connect("alpha:1", silent)
     await asyncio.sleep(1.0)
     assert not silent.ended
     await alpha.host.stop()
-    # Not when it would have been too long without a greeting.
+    # The time limit for a Hello has not expired.
     await asyncio.sleep(1.0)
     assert silent.ended
 
 
 class Quiet:
-    """A caller that says nothing."""
+    """A client that sends nothing."""
 
     ended = False
 

@@ -1,4 +1,4 @@
-"""Certificates that end, begin or are revoked while hosts run: who loses a link, and who may finish."""
+"""Certificates that expire, begin or are revoked while hosts run: which links close, and which may finish."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from lfield.wire.subscription_messages import Subscribe
 
 OBSERVER = Hello("observer", "observer", 0)
 
-#: A coordinator that ends when it is told nothing.
+#: A coordinator that ends at once without an argument.
 PROGRAM = """
 resource Echo {
     init(string[] arg) { }
@@ -40,8 +40,8 @@ ENDLESS, DONE = (f"//Caller:tom@alpha{words}\n//Echo:echo@bravo\n" for words in 
 DAY = 86400.0
 
 
-class Wall(LoopClock):
-    """Jumps as the loop does, from a day on that is ours."""
+class OffsetClock(LoopClock):
+    """The virtual clock with another wall time."""
 
     def __init__(self, begin: float) -> None:
         self._begin = begin
@@ -50,8 +50,8 @@ class Wall(LoopClock):
         return self._begin + self.monotonic()
 
 
-class Judges:
-    """Who is who on the network of a test, as certificates would say it. Seconds count from its beginning."""
+class CertificateWorld:
+    """The identities on the network of a test, as in certificates. Seconds count from its beginning."""
 
     def __init__(self, folder, monkeypatch) -> None:
         self.ring = Keyring(folder)
@@ -78,7 +78,7 @@ class Judges:
 
     def admission(self, name: str, data: bytes = b"", begin: float | None = None) -> CertificateAdmission:
         revoked = revoked_in(data, self.keys.authority) if data else NONE_REVOKED
-        clock = Wall(self.now if begin is None else begin)
+        clock = OffsetClock(self.now if begin is None else begin)
         return CertificateAdmission(
             self.keys,
             self.who[name],
@@ -90,14 +90,14 @@ class Judges:
 
 
 @pytest.fixture
-def judges(tmp_path, monkeypatch):
-    return Judges(tmp_path / "keys", monkeypatch)
+def certificates(tmp_path, monkeypatch):
+    return CertificateWorld(tmp_path / "keys", monkeypatch)
 
 
-async def both_up(team, judges, deployment, alpha=b"", bravo=b""):
+async def both_up(team, certificates, deployment, alpha=b"", bravo=b""):
     mission = team.mission(PROGRAM, deployment)
     lists = {"alpha": alpha, "bravo": bravo}
-    options = {name: {"admission": judges.admission(name, data)} for name, data in lists.items()}
+    options = {name: {"admission": certificates.admission(name, data)} for name, data in lists.items()}
     started = [team.make(mission, name, **more) for name, more in options.items()]
     await asyncio.gather(*(running.host.start() for running in started))
     return started
@@ -107,9 +107,9 @@ def linked(running):
     return bool(running.host.peers.incarnations)
 
 
-async def test_in_flight_a_known_peer_whose_certificate_ends_may_finish(team, /, judges):
-    judges.ends("bravo", 20.0)
-    alpha, bravo = await both_up(team, judges, ENDLESS)
+async def test_in_flight_a_known_peer_with_an_expired_certificate_may_finish(team, /, certificates):
+    certificates.ends("bravo", 20.0)
+    alpha, bravo = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
     await asyncio.sleep(60.0)
     assert linked(alpha)
@@ -122,19 +122,17 @@ async def test_in_flight_a_known_peer_whose_certificate_ends_may_finish(team, /,
     await team.until(lambda: "renew it with 'lfield keys renew host bravo'" in bravo.log)
 
 
-async def test_a_peer_that_nobody_has_heard_before_and_whose_certificate_has_ended_gets_no_link(
-    team, /, judges
-):
-    judges.ends("bravo", -1.0)
-    alpha, bravo = await both_up(team, judges, ENDLESS)
+async def test_an_unknown_peer_with_an_expired_certificate_gets_no_link(team, /, certificates):
+    certificates.ends("bravo", -1.0)
+    alpha, bravo = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: "the certificate of host bravo expired" in alpha.log + bravo.log)
     await asyncio.sleep(20.0)
     assert not linked(alpha)
 
 
-async def test_when_the_mission_is_over_a_certificate_that_ended_is_no_link_any_more(team, /, judges):
-    judges.ends("bravo", 20.0)
-    alpha, _ = await both_up(team, judges, DONE)
+async def test_after_the_mission_a_peer_with_an_expired_certificate_loses_its_link(team, /, certificates):
+    certificates.ends("bravo", 20.0)
+    alpha, _ = await both_up(team, certificates, DONE)
     await team.until(lambda: linked(alpha))
     await asyncio.sleep(15.0)
     assert linked(alpha)
@@ -142,12 +140,12 @@ async def test_when_the_mission_is_over_a_certificate_that_ended_is_no_link_any_
     assert not linked(alpha)
 
 
-async def test_a_revocation_list_travels_with_greetings_and_is_kept(team, /, judges):
-    new = judges.list(4, "ff")
-    alpha, bravo = await both_up(team, judges, DONE, alpha=new, bravo=judges.list(3))
+async def test_a_revocation_list_is_exchanged_and_stored(team, /, certificates):
+    new = certificates.list(4, "ff")
+    alpha, bravo = await both_up(team, certificates, DONE, alpha=new, bravo=certificates.list(3))
     await team.until(lambda: "revocation list 4 received" in bravo.log)
-    assert judges.kept == [new]
-    assert bravo.host.hello().revoked == 0, "what links say of it is theirs"
+    assert certificates.kept == [new]
+    assert bravo.host.hello().revoked == 0, "links exchange the list themselves"
     assert linked(alpha)
     assert linked(bravo)
     await asyncio.sleep(20.0)
@@ -155,15 +153,13 @@ async def test_a_revocation_list_travels_with_greetings_and_is_kept(team, /, jud
 
 
 @pytest.mark.parametrize(("first", "second"), [(7, 8), (7, 7), (8, 7)])
-async def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_told(
-    team, /, judges, first, second
-):
-    """As where a copy of the authority was put back, from before the first."""
-    alpha, bravo = await both_up(team, judges, ENDLESS)
+async def test_revocations_are_merged_and_differing_lists_are_reported(team, /, certificates, first, second):
+    """As after the restoration of an authority from an old copy."""
+    alpha, bravo = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    desk = await _looks(team, "desk")
+    desk = await _observer(team, "desk")
     for number, serial in ((first, "aa11"), (second, "bb22"), (second, "bb22")):
-        desk.link.send(RevocationUpdate(judges.list(number, serial)))
+        desk.link.send(RevocationUpdate(certificates.list(number, serial)))
     missing, has, newest = ("aa11", first, second) if second > first else ("bb22", second, first)
     other = f"list {has}" if first != second else "another one of that number"
     line = f"list {newest} incomplete: it does not revoke {missing}, and {other} does"
@@ -174,18 +170,18 @@ async def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_t
         assert f"'lfield keys revoke serial {missing}'" in host.log
         admission = host.host.options.admission
         assert (admission.number, admission.revoked.serials) == (newest, {"aa11", "bb22"})
-        assert admission.list == judges.list(newest, "aa11" if newest == first else "bb22")
-    both = judges.list(9, "aa11", "bb22")
+        assert admission.list == certificates.list(newest, "aa11" if newest == first else "bb22")
+    both = certificates.list(9, "aa11", "bb22")
     desk.link.send(RevocationUpdate(both))
     await team.until(lambda: "revocation list 9 received\n" in bravo.log)
-    assert judges.kept[-2:] == [both, both]
+    assert certificates.kept[-2:] == [both, both]
 
 
-async def test_a_revoked_peer_loses_its_link_unless_something_flies(team, /, judges):
+async def test_a_revoked_peer_loses_its_link_except_in_flight(team, /, certificates):
     for deployment, stays in ((DONE, False), (ENDLESS, True)):
-        alpha, bravo = await both_up(team, judges, deployment)
+        alpha, bravo = await both_up(team, certificates, deployment)
         await team.until(lambda alpha=alpha: linked(alpha))
-        desk = await _says(team, judges.list(7, judges.who["bravo"].serial))
+        desk = await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
         await asyncio.sleep(5.0)
         assert linked(alpha) == stays
         assert "the keys of host bravo are revoked (list 7)" in alpha.log
@@ -194,44 +190,48 @@ async def test_a_revoked_peer_loses_its_link_unless_something_flies(team, /, jud
         await alpha.host.stop()
 
 
-async def test_a_revoked_host_is_not_linked_anew_even_in_flight(team, /, judges):
-    alpha, _ = await both_up(team, judges, ENDLESS)
+async def test_a_revoked_host_gets_no_new_link_even_in_flight(team, /, certificates):
+    alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    await _says(team, judges.list(7, judges.who["bravo"].serial))
+    await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
     await team.until(lambda: "are revoked" in alpha.log)
     team.network.cut("alpha", "bravo")
     await asyncio.sleep(20.0)
     assert not linked(alpha)
 
 
-async def test_a_revoked_host_keeps_no_link_on_which_it_only_looks_even_in_flight(team, /, judges):
-    alpha, _ = await both_up(team, judges, ENDLESS)
+async def test_a_revoked_host_loses_its_observer_link_even_in_flight(team, /, certificates):
+    alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    looks = await _looks(team, "bravo", Subscribe())
-    desk = await _looks(team, "desk")
-    desk.link.send(RevocationUpdate(judges.list(7, judges.who["bravo"].serial)))
+    looks = await _observer(team, "bravo", Subscribe())
+    desk = await _observer(team, "desk")
+    desk.link.send(RevocationUpdate(certificates.list(7, certificates.who["bravo"].serial)))
     await team.until(lambda: looks.over)
     assert "the keys of host bravo are revoked (list 7)" in looks.refused
     assert linked(alpha), "the link of the host itself stays, to finish"
     assert not desk.over
 
 
-async def test_a_link_that_is_not_taken_yet_when_the_list_comes_is_none(team, /, judges):
-    (alpha,) = await team.up(team.mission(PROGRAM, ENDLESS), "alpha", admission=judges.admission("alpha"))
-    slow = await _looks(team, "bravo", greets=alpha.host.hello())
+async def test_a_list_received_during_a_handshake_refuses_the_link(team, /, certificates):
+    (alpha,) = await team.up(
+        team.mission(PROGRAM, ENDLESS), "alpha", admission=certificates.admission("alpha")
+    )
+    slow = await _observer(team, "bravo", greets=alpha.host.hello())
     await team.until(lambda: slow.heard)
-    await _says(team, judges.list(7, judges.who["bravo"].serial))
+    await _send_list(team, certificates.list(7, certificates.who["bravo"].serial))
     await team.until(lambda: slow.over)
     assert "are revoked (list 7)" in slow.refused
     assert not linked(alpha)
 
 
 @pytest.mark.parametrize("name", ["bravo", "desk"])
-async def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(team, /, judges, name):
-    judges.ends(name, 5.0)
-    alpha, _ = await both_up(team, judges, ENDLESS)
+async def test_with_an_expired_certificate_a_peer_may_still_observe_and_stop_in_flight(
+    team, /, certificates, name
+):
+    certificates.ends(name, 5.0)
+    alpha, _ = await both_up(team, certificates, ENDLESS)
     await team.until(lambda: linked(alpha))
-    looks, lifts = [await _looks(team, name) for _ in range(2)]
+    looks, lifts = [await _observer(team, name) for _ in range(2)]
     await asyncio.sleep(30.0)
     assert not looks.over
     lifts.link.send(EmergencyStop(bytes(16), "", lift=True))
@@ -240,29 +240,29 @@ async def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(
     epoch = alpha.host.core.orders.epochs.hold
     looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
     await team.until(lambda: looks.over)
-    assert f"the certificate of {judges.who[name]} expired" in looks.refused
+    assert f"the certificate of {certificates.who[name]} expired" in looks.refused
     assert "EMERGENCY STOP" in alpha.log
 
 
-async def test_a_list_that_the_authority_has_not_signed_closes_that_link_and_no_other(team, /, judges):
-    alpha, _ = await both_up(team, judges, DONE)
+async def test_a_list_with_a_wrong_signature_closes_only_its_link(team, /, certificates):
+    alpha, _ = await both_up(team, certificates, DONE)
     await team.until(lambda: linked(alpha))
-    for data in (b"no list", Keyring(judges.ring.folder).revocation_list(9, "a1", at=judges.now)):
-        await _says(team, data)
+    for data in (b"no list", Keyring(certificates.ring.folder).revocation_list(9, "a1", at=certificates.now)):
+        await _send_list(team, data)
         await team.until(lambda: "link from desk closed: the revocation list" in alpha.log)
     assert linked(alpha)
     assert alpha.host.options.admission.number == 0
 
 
-async def test_a_revoked_person_may_nothing(team, /, judges):
-    await both_up(team, judges, ENDLESS, alpha=judges.list(1, judges.who["desk"].serial))
+async def test_a_revoked_person_is_refused(team, /, certificates):
+    await both_up(team, certificates, ENDLESS, alpha=certificates.list(1, certificates.who["desk"].serial))
     with pytest.raises(HandshakeError, match="the keys of desk are revoked"):
         await send_request(team.network.transport("desk"), "alpha:8181", SNAPSHOT)
 
 
-async def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_what_flies(team, /, judges):
-    judges.ends("desk", 5.0)
-    alpha, _ = await both_up(team, judges, ENDLESS)
+async def test_a_person_with_an_expired_certificate_may_stop_a_flight(team, /, certificates):
+    certificates.ends("desk", 5.0)
+    alpha, _ = await both_up(team, certificates, ENDLESS)
     desk = team.network.transport("desk")
     await send_request(desk, "alpha:8181", SNAPSHOT)
     await asyncio.sleep(30.0)
@@ -275,20 +275,22 @@ async def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_w
     assert "EMERGENCY STOP by desk: enough" in alpha.log
 
 
-async def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_say(team, /, judges):
+async def test_a_clock_that_is_years_behind_uses_the_time_of_the_authority_and_the_team(
+    team, /, certificates
+):
     mission = team.mission(PROGRAM, DONE)
-    old = judges.admission("alpha", begin=0.0)
+    old = certificates.admission("alpha", begin=0.0)
     (alpha,) = await team.up(mission, "alpha", admission=old)
     assert "system clock behind: it shows 1970-01-01" in alpha.log
     assert "since the certificate of host alpha began then" in alpha.log
-    (bravo,) = await team.up(mission, "bravo", admission=judges.admission("bravo"))
+    (bravo,) = await team.up(mission, "bravo", admission=certificates.admission("bravo"))
     await team.until(lambda: linked(alpha) and linked(bravo))
     assert "since host bravo has sent that time" in alpha.log
-    assert abs(old.time.now() - judges.now - LoopClock().monotonic()) < 5.0
+    assert abs(old.time.now() - certificates.now - LoopClock().monotonic()) < 5.0
 
 
-class Looker:
-    """Keeps its link, and notes how that ends."""
+class ObserverClient:
+    """Keeps its link, and records how it ends."""
 
     def __init__(self) -> None:
         self.refused, self.heard, self.over = "", False, False
@@ -303,18 +305,18 @@ class Looker:
         self.over = True
 
 
-async def _looks(team, name, *words, greets=None):
-    """Somebody who has a link to alpha, as an observer; or `greets` so and then says nothing more."""
-    looker = Looker()
-    looker.link = await team.network.transport(name).connect("alpha:8181", looker)
+async def _observer(team, name, *words, greets=None):
+    """A client with a link to alpha, as an observer; or as a host with the Hello `greets`."""
+    client = ObserverClient()
+    client.link = await team.network.transport(name).connect("alpha:8181", client)
     for message in (
         msgspec.structs.replace(greets, host=name, incarnation=9) if greets else OBSERVER,
         *words,
     ):
-        looker.link.send(message)
-    return looker
+        client.link.send(message)
+    return client
 
 
-async def _says(team, data):
-    """A person brings a revocation list."""
-    return (await _looks(team, "desk", RevocationUpdate(data))).link
+async def _send_list(team, data):
+    """A person sends a revocation list."""
+    return (await _observer(team, "desk", RevocationUpdate(data))).link

@@ -1,4 +1,4 @@
-"""With what a host proves who it is: which keys it takes, what time it believes, where it keeps a list."""
+"""The credentials of a host: which keys it accepts, what time it believes, where it stores a list."""
 
 from __future__ import annotations
 
@@ -29,24 +29,26 @@ def ring(tmp_path):
 
 
 def now(at: float = 0.0) -> ManualClock:
-    """A clock that says it is so many seconds from now."""
+    """A clock that is `at` seconds ahead."""
     return ManualClock(time.time() + at)
 
 
-def judged(proof: HostCredentials, clock: ManualClock | None = None, times=()) -> CertificateAdmission:
+def certificate_admission(
+    proof: HostCredentials, clock: ManualClock | None = None, times=()
+) -> CertificateAdmission:
     _, admission = admission_for(proof, "alpha", clock or now(), times)
     assert isinstance(admission, CertificateAdmission)
     return admission
 
 
-def test_good_keys_are_taken(ring):
+def test_valid_keys_are_accepted(ring):
     keys = ring.made("host", "alpha")
     tls, admission = admission_for(HostCredentials(keys), "alpha", now(), ())
     assert str(tls.own_identity()) == "host alpha"
     assert (admission.number, admission.list, admission.clock_warning()) == (0, b"", None)
 
 
-def test_keys_of_somebody_else_are_not(ring):
+def test_keys_of_another_holder_are_refused(ring):
     for keys, sentence in (
         (ring.made("host", "bravo"), "these are the keys of host bravo, not of host alpha"),
         (ring.made("person", "alpha"), "keys rejected for a host"),
@@ -56,13 +58,13 @@ def test_keys_of_somebody_else_are_not(ring):
             admission_for(HostCredentials(keys), "alpha", now(), ())
 
 
-def test_keys_that_end_before_the_mission_does_are_not(ring):
+def test_keys_that_expire_before_the_mission_ends_are_refused(ring):
     keys = ring.made("host", "alpha", lasts=3600.0)
-    judged(HostCredentials(keys, min_lifetime=3000.0))
+    certificate_admission(HostCredentials(keys, min_lifetime=3000.0))
     with pytest.raises(KeysError, match=r"the mission may last 4000 s from .*--lasts"):
-        judged(HostCredentials(keys, min_lifetime=4000.0))
+        certificate_admission(HostCredentials(keys, min_lifetime=4000.0))
     with pytest.raises(KeysError, match=r"expired .*renew the keys with 'lfield keys renew host alpha'"):
-        judged(HostCredentials(keys), now(3601.0))
+        certificate_admission(HostCredentials(keys), now(3601.0))
 
 
 def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring):
@@ -76,17 +78,17 @@ def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring)
 
 
 def test_a_clock_before_the_certificate_is_not_believed(ring):
-    admission = judged(
+    admission = certificate_admission(
         HostCredentials(ring.made("host", "alpha"), min_lifetime=VALIDITY - 3600.0), ManualClock(0.0)
     )
     assert abs(admission.time.now() - time.time()) < 5.0
     assert "since the certificate of host alpha began then; set the clock" in admission.clock_warning()
 
 
-def test_what_the_journal_kept_counts_unless_it_is_after_the_keys_have_ended(ring):
+def test_the_time_in_the_journal_counts_unless_it_is_after_the_end_of_the_keys(ring):
     proof = HostCredentials(ring.made("host", "alpha"))
     later = time.time() + DAY
-    admission = judged(proof, times=(5.0, later, later + 10 * VALIDITY))
+    admission = certificate_admission(proof, times=(5.0, later, later + 10 * VALIDITY))
     assert abs(admission.time.now() - later) < 5.0
     assert "the journal of this host has that time" in admission.clock_warning()
 
@@ -96,25 +98,25 @@ def store_in(monkeypatch, *folders):
     monkeypatch.setattr(CrlStore, "store", lambda _, data, on_stored: on_stored(write_crl(folders, data)))
 
 
-def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_path, monkeypatch):
+def test_the_newest_list_counts_and_a_new_one_is_stored(ring, tmp_path, monkeypatch):
     keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
     keys = replace(keys, revoked=ring.revocation_list(2, "ff"))
     own = tmp_path / "own"
     keystore.write_keys(own, keys)
     keystore.write_crl(kept, ring.revocation_list(5, "fe"))
     store_in(monkeypatch, own, kept)
-    admission = judged(HostCredentials(keys, (own, kept)))
+    admission = certificate_admission(HostCredentials(keys, (own, kept)))
     assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe", "ff"}))
     assert admission.on_revocation_list(ring.revocation_list(6, "fd", "fe", "ff")) == (
         "certificate revocation list 6 received",
     )
-    assert judged(HostCredentials(keystore.read_keys(own, "host"))).number == 6
-    assert not admission.on_revocation_list(ring.revocation_list(5)), "an older one that revokes nobody else"
+    assert certificate_admission(HostCredentials(keystore.read_keys(own, "host"))).number == 6
+    assert not admission.on_revocation_list(ring.revocation_list(5)), "an older list without new revocations"
     assert keystore.read_crl(own) == admission.list
 
 
-def test_an_old_list_is_read_once_however_often_it_comes(ring, tmp_path, monkeypatch):
-    admission = judged(
+def test_an_old_list_is_read_once(ring, tmp_path, monkeypatch):
+    admission = certificate_admission(
         HostCredentials(replace(ring.made("host", "alpha"), revoked=ring.revocation_list(5, "fe", "ff")))
     )
     read = []
@@ -128,34 +130,34 @@ def test_an_old_list_is_read_once_however_often_it_comes(ring, tmp_path, monkeyp
     for _ in range(3):
         assert not admission.on_revocation_list(old)
     assert read == [old]
-    assert admission.on_revocation_list(other), "it revokes one more"
+    assert admission.on_revocation_list(other), "it revokes one more certificate"
     assert not admission.on_revocation_list(other)
     assert not admission.on_revocation_list(other)
     assert read == [old, other, other]
 
 
-def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path, monkeypatch):
+def test_a_list_is_stored_in_the_next_folder_if_the_first_is_not_writable(ring, tmp_path, monkeypatch):
     keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
     unwritable = tmp_path / "file"
     unwritable.write_text("no folder can be made here")
     store_in(monkeypatch, unwritable / "keys", kept)
-    admission = judged(HostCredentials(keys, (kept,)))
+    admission = certificate_admission(HostCredentials(keys, (kept,)))
     assert admission.on_revocation_list(ring.revocation_list(1, "ff"))
     assert keystore.read_crl(kept) == admission.list
 
 
 @pytest.mark.parametrize("length", [0, 100])
-def test_a_list_that_was_kept_and_is_damaged_is_named(ring, tmp_path, length):
+def test_a_damaged_stored_list_is_named(ring, tmp_path, length):
     kept = tmp_path / "kept"
     keystore.write_crl(kept, ring.revocation_list(5, "fe"))
     path = kept / "revoked.crl"
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(KeysError, match=f"{path}.* copy it again"):
-        judged(HostCredentials(ring.made("host", "alpha"), (kept,)))
+        certificate_admission(HostCredentials(ring.made("host", "alpha"), (kept,)))
 
 
-def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monkeypatch):
-    """Whom it revokes this host would let in after a restart."""
+def test_a_list_that_cannot_be_stored_is_reported_and_retried(ring, tmp_path, monkeypatch):
+    """After a restart this host would accept the revoked certificates."""
     monkeypatch.setattr(crl_store, "RETRY_AFTER", 0.001)
     keys, kept, lines = ring.made("host", "alpha"), tmp_path / "kept", []
     tries = []
@@ -165,7 +167,7 @@ def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monk
         return write_crl(folders, data)
 
     monkeypatch.setattr(crl_store, "write_crl", keep)
-    admission = judged(HostCredentials(keys, (kept,)))
+    admission = certificate_admission(HostCredentials(keys, (kept,)))
     admission.note = lines.append
     anna = identity_in(ring.made("person", "anna").certificate, keys.authority)
     kept.write_text("no folder can be made here")
@@ -191,25 +193,25 @@ def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monk
     asyncio.run(story())
 
 
-def test_a_revoked_host_does_not_begin(ring):
+def test_a_revoked_host_does_not_start(ring):
     keys = ring.made("host", "alpha")
     with pytest.raises(
         KeysError, match=r"are revoked \(list 3\): make new ones with 'lfield keys host alpha'"
     ):
-        judged(
+        certificate_admission(
             HostCredentials(
                 replace(keys, revoked=ring.revocation_list(3, TlsIdentity(keys).own_identity().serial))
             )
         )
 
 
-def test_a_list_of_another_authority_is_no_list(ring):
+def test_a_list_of_another_authority_is_refused(ring):
     other = Keyring(ring.folder).revocation_list(9, "ff")
     with pytest.raises(KeysError, match="the revocation list is not signed by this authority"):
-        judged(HostCredentials(replace(ring.made("host", "alpha"), revoked=other)))
+        certificate_admission(HostCredentials(replace(ring.made("host", "alpha"), revoked=other)))
 
 
-def test_only_a_host_that_is_alone_needs_no_keys():
+def test_only_a_single_host_needs_no_keys():
     require_credentials("alpha", ["alpha"])
     with pytest.raises(UsageError, match="alpha has no keys, which it needs to listen on a network"):
         require_credentials("alpha", ["alpha", "bravo"])

@@ -1,4 +1,4 @@
-"""Hosts and desks that exchange datagrams over a network that loses and delays them; time is given."""
+"""Hosts and desks that exchange datagrams over a network that loses and delays them, in virtual time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lfield.host.stop_orders.datagram_limits import Sender
 from lfield.operator.orders.order_protocol import OrderProtocol, OutgoingDatagram
 from lfield.wire.order_messages import Epochs, OrderKind, RelayedAnswer, RelayedOrder
 
-#: Seconds since 1970 UTC, when all certificates begin, and when they end.
+#: When all certificates begin and end, in seconds since 1970 UTC.
 AT, ENDS = 1795464000.0, 1795464000.0 + 86400.0
 
 
@@ -39,7 +39,7 @@ def person(name: str = "anna", may: frozenset[Right] = ALL_RIGHTS, number: int =
 
 
 class World:
-    """The network. Each datagram is lost with a probability and takes a time; `cut` holds (from, to)."""
+    """The network. Each datagram is lost with a probability and has a delay; `cut` holds (from, to)."""
 
     def __init__(self, *hosts: str, loss: float = 0.0, delay: float = 0.01, seed: int = 1) -> None:
         self.now, self.loss, self.delay = 0.0, loss, delay
@@ -98,7 +98,7 @@ class Post(OrderHost):
 
 
 class OrderingPerson:
-    """A person at a desk, who gives one order to hosts."""
+    """A person at a desk who gives one order to hosts."""
 
     def __init__(
         self,
@@ -120,14 +120,14 @@ class OrderingPerson:
         self.given_up = False
         self.done_at: float | None = None
         self.asking.start(world.now)
-        self._go_on()
+        self._continue()
 
     def on_datagram(self, data: bytes) -> None:
         if not self.given_up:
             self.asking.on_datagram(data, self.world.now)
-            self._go_on()
+            self._continue()
 
-    def _go_on(self) -> None:
+    def _continue(self) -> None:
         for send in self.asking.drain_effects():
             self._put(send)
         if self.asking.due is not None:
@@ -139,7 +139,7 @@ class OrderingPerson:
         due = self.asking.due
         if due is not None and due <= self.world.now and not self.given_up:
             self.asking.tick(self.world.now)
-            self._go_on()
+            self._continue()
 
     def _put(self, send: OutgoingDatagram) -> None:
         taken = partial(self.world.posts[send.host].came, send.datagram, self.name)

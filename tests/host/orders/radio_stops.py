@@ -1,4 +1,4 @@
-"""Stops over the radios of the benchmark in virtual time: a desk, hosts, and what else the radio carries.
+"""Stops over the radios of the benchmark in virtual time: a desk, hosts, and other traffic on the radio.
 
 `make bench ONLY=radio PARTS=virtual` prints the figures, and test_delay_of_stops.py has their bounds.
 """
@@ -38,23 +38,24 @@ DESK = "desk"
 EXECUTES, PAUSE = 0.05, 1.5
 #: Bytes/s that the links of each of five hosts carry at rest.
 AT_REST = 560.0
-#: What an open `lfield watch` adds for each vehicle: bytes of a batch of telemetry with its headers, of what
-#: the desk answers, and seconds between two batches at least. That makes 6.3 kB/s on a fast path, as measured
+#: The traffic of an open `lfield watch` per vehicle: bytes of a batch of telemetry with its headers and of
+#: the
+#: answer of the desk, and least seconds between two batches. That makes 6.3 kB/s on a fast path, as measured
 #: (PARTS=idle of `make bench ONLY=radio`); on a slower one a batch waits as in `EventSubscription`.
 BATCH, SEEN, EVERY = 500, 130, 0.1
-#: A batch that is not seen is sent again after so many round trips, and then after twice the time.
+#: A batch that is not acknowledged is repeated after so many round trips, then after twice the time.
 RESENT = 2.0
 
 
 class _Packet(bytes):
-    """A packet, and what is called where it arrives."""
+    """A packet, and the function that is called where it arrives."""
 
     arrived: object
 
 
 class RadioWorld(World):
     """A team whose datagrams share the emulated radio. `noise`: bytes/s that each host sends beside them, in
-    packets of `NOISE` bytes. With `watched` each sends telemetry to the desk."""
+    packets of `NOISE` bytes. With `watched` each host sends telemetry to the desk."""
 
     NOISE = 71
 
@@ -78,7 +79,7 @@ class RadioWorld(World):
         #: The round trip of telemetry, in seconds.
         self._trips: dict[str, float] = {}
         self.bytes = 0
-        #: Whether `sent` has what was sent.
+        #: Whether `sent` keeps the sent datagrams.
         self._keeps = keeps
         for post in self.posts.values():
             post.slow = executes
@@ -181,7 +182,7 @@ class RadioDesk:
         yield from done.values()
 
     def lifted(self) -> None:
-        """Somebody lifts the stop, and the desk learns that over its connections."""
+        """Another person lifts the stop, and the desk learns it over its connections."""
         for name, post in self.world.posts.items():
             post.orders.mark_executed("lift", self.world.rng.randbytes(16))
             post.held["stop"] = False
@@ -208,7 +209,7 @@ class RadioDesk:
 
 
 class Unsigned(OrderSigner):
-    """Signs nothing: that would take most of the time, and none of it is measured in virtual time."""
+    """Signs nothing: signatures would take most of the time, and virtual time does not measure them."""
 
     known: dict[bytes, VerifiedCertificate] = {}
 
@@ -243,7 +244,7 @@ def unsigned() -> Iterator[None]:
 def stops(
     cell: str, hosts: int, count: int, *, at_rest: float = 0.0, watched: bool = False, again: int = 10
 ) -> tuple[list[float], float]:
-    """Seconds of each stop but the first of each desk, sorted, and the mean of bytes that one takes."""
+    """Seconds of each stop but the first of each desk, sorted, and the mean number of bytes of a stop."""
     found: list[float] = []
     size = 0
     for seed in range(count // again):

@@ -1,4 +1,4 @@
-"""The hold of a vote, and the pause of a person: two reasons for one rest, and neither ends the other."""
+"""The hold of a vote, and the pause of a person: neither ends the other."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Team:
 
     @property
     def pauses(self) -> tuple[bool, bool]:
-        """What the host reports: a pause of a person, a hold of a ballot."""
+        """The reported pauses: a pause of a person, a hold of a ballot."""
         status = self.host.status()
         return status.paused, bool(status.ballot)
 
@@ -75,7 +75,7 @@ class Team:
 
 @pytest.fixture
 def flight(lfield_mission: Callable[..., Any]) -> Team:
-    """Before the first take-off: lead waits until it is ready."""
+    """The team before the first take-off: lead waits until it is ready."""
     made = lfield_mission(FLIGHT)
     made.run(2.0)
     return Team(made)
@@ -132,7 +132,7 @@ def test_the_end_of_an_earlier_ballot_does_not_end_the_hold_of_a_later_one(fligh
     assert (flight.pauses, flight.latched) == ((False, False), False)
 
 
-def test_only_the_robot_itself_may_hold_a_host() -> None:
+def test_only_a_local_service_may_hold_a_host() -> None:
     person = Identity("person", "anna", ALL_RIGHTS)
     for message in (BallotHold(FIRST), BallotHold(FIRST, lift=True)):
         assert missing_permission(person, ALLOWED, message)

@@ -1,6 +1,6 @@
-"""How long a stop takes over poor radio, in virtual time: the delay of the protocol without any computer's.
+"""The delay of a stop over poor radio, in virtual time: that of the protocol without that of computers.
 
-Signatures are not made and not checked here: that would take most of the time of the test, and none of it is
+Signatures are neither made nor checked here: they would take most of the time of the test, and are not
 measured. `test_order_datagrams` has them.
 """
 
@@ -35,13 +35,13 @@ def percentile(samples, percent):
         ("200 ms + 5 %", 5, 0.0, 0.8, 5000),
     ],
 )
-def test_of_100_stops_one_takes_longer(cell, hosts, at_rest, within, most):
+def test_99_of_100_stops_are_confirmed_within_the_bound(cell, hosts, at_rest, within, most):
     took, size = stops(cell, hosts, 50 if at_rest else 200, at_rest=at_rest)
     assert percentile(took, 99) <= within
     assert size <= most
 
 
-def test_a_slow_radio_that_is_full_at_rest_is_not_flooded_by_stops():
+def test_a_full_slow_radio_is_not_flooded_by_stops():
     took, size = stops("57.6 kbit/s + 100 ms + 5 %", 5, 20, at_rest=1000.0)
     assert took[-1] <= 4.0
     assert size <= 9000
@@ -50,7 +50,7 @@ def test_a_slow_radio_that_is_full_at_rest_is_not_flooded_by_stops():
 @pytest.mark.parametrize(
     ("cell", "hosts", "within"), [("20 %", 1, 0.8), ("57.6 kbit/s + 100 ms + 5 %", 5, 4.0)]
 )
-def test_a_desk_that_knows_nothing_of_the_hosts_takes_longer(cell, hosts, within):
+def test_a_desk_without_earlier_contacts_confirms_within_the_bound(cell, hosts, within):
     found = []
     for seed in range(30):
         desk = RadioDesk(RadioWorld(CELLS[cell], hosts, seed, executes=EXECUTES))
@@ -59,7 +59,7 @@ def test_a_desk_that_knows_nothing_of_the_hosts_takes_longer(cell, hosts, within
 
 
 def confirmations(world):
-    """How many confirmations each host has sent."""
+    """The number of confirmations that each host has sent."""
     counts = {}
     for source, _, data in world.sent:
         datagram = decode_datagram(data)
@@ -68,7 +68,7 @@ def confirmations(world):
     return counts
 
 
-def test_a_confirmation_is_sent_twice_and_then_only_when_it_is_asked_for():
+def test_a_confirmation_is_sent_twice_then_only_on_request():
     world = RadioWorld(CELLS["50 ms"], 1, 1, executes=EXECUTES, keeps=True)
     desk = RadioDesk(world)
     list(desk.stop())
@@ -81,7 +81,7 @@ def test_a_confirmation_is_sent_twice_and_then_only_when_it_is_asked_for():
     assert confirmations(world) == {"h0": 2}
 
 
-def test_the_time_that_devices_need_is_not_taken_for_a_round_trip():
+def test_the_execution_time_of_devices_does_not_count_as_round_trip():
     world = RadioWorld(CELLS["50 ms"], 3, 1, executes=0.6)
     desk = RadioDesk(world)
     list(desk.stop())

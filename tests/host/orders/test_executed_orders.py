@@ -24,7 +24,7 @@ def give(orders: ExecutedOrders, kind: OrderKind, id: bytes, epoch: bytes | None
     return found
 
 
-def test_a_stop_leaves_the_epoch_of_stops_and_changes_that_of_ends():
+def test_a_stop_keeps_the_hold_epoch_and_changes_the_end_epoch():
     orders = executed()
     before = orders.epochs
     assert give(orders, "stop", b"1" * 16) == "new"
@@ -37,7 +37,7 @@ def test_a_stop_leaves_the_epoch_of_stops_and_changes_that_of_ends():
     assert give(orders, "pause", b"4" * 16, before.hold) == "old"
 
 
-def test_what_was_executed_is_only_confirmed_and_says_whether_it_holds():
+def test_a_repeated_order_is_confirmed_with_its_present_effect():
     orders = executed()
     give(orders, "stop", b"1" * 16)
     give(orders, "pause", b"2" * 16)
@@ -47,7 +47,7 @@ def test_what_was_executed_is_only_confirmed_and_says_whether_it_holds():
     assert give(orders, "lift", b"3" * 16, bytes(8)) == "done"
 
 
-def test_an_order_that_names_nothing_is_not_executed_and_no_host_draws_that():
+def test_the_unknown_epoch_is_never_drawn_and_never_executed():
     class Nothing:
         def __init__(self) -> None:
             self.left = [bytes(8), bytes(8), b"a" * 8, b"b" * 8]
@@ -60,7 +60,7 @@ def test_an_order_that_names_nothing_is_not_executed_and_no_host_draws_that():
     assert [give(orders, kind, b"1" * 16, UNKNOWN_EPOCH) for kind in KINDS] == ["unknown"] * 4
 
 
-def test_a_lock_out_is_ended_by_no_order_that_was_given_before():
+def test_a_lock_out_is_not_ended_by_an_earlier_lift():
     orders = executed()
     before = orders.epochs
     orders.on_lock_out()
@@ -72,39 +72,39 @@ def test_a_lock_out_is_ended_by_no_order_that_was_given_before():
     st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 5), st.integers(0, 30)), max_size=40),
     st.integers(0, 1000),
 )
-def test_after_an_end_no_earlier_order_is_executed(orders_given, seed):
-    """Orders name any epoch that a desk has ever heard: what precedes an end does nothing after it, and an
-    end does nothing to what came after it was given."""
+def test_no_order_is_executed_after_an_order_that_ends_its_epoch(orders_given, seed):
+    """Orders name any epoch that a desk has ever received: a hold given before an end has no effect after it,
+    and an end has no effect on later holds."""
     orders = executed(seed)
-    heard: list[Epochs] = [orders.epochs]
+    received: list[Epochs] = [orders.epochs]
     known: set[bytes] = set()
     last_end = last_hold = 0
     for kind, id, at in orders_given:
-        named = min(at, len(heard) - 1)
-        found = give(orders, kind, bytes([id, KINDS.index(kind)]) * 8, heard[named].of(kind))
+        named = min(at, len(received) - 1)
+        found = give(orders, kind, bytes([id, KINDS.index(kind)]) * 8, received[named].of(kind))
         if found == "new":
             assert named >= (last_end if kind in HOLDS else last_hold)
             known.add(bytes([id, KINDS.index(kind)]) * 8)
-            heard.append(orders.epochs)
+            received.append(orders.epochs)
             if kind in HOLDS:
-                last_hold = len(heard) - 1
+                last_hold = len(received) - 1
             else:
-                last_end = len(heard) - 1
+                last_end = len(received) - 1
         else:
-            assert orders.epochs == heard[-1]
+            assert orders.epochs == received[-1]
 
 
-def test_two_ends_that_are_given_at_one_time_are_both_executed():
+def test_two_ends_of_one_epoch_are_both_executed():
     orders = executed()
     give(orders, "stop", b"1" * 16)
     give(orders, "pause", b"2" * 16)
-    told = orders.epochs.end
+    epoch = orders.epochs.end
     assert [
-        give(orders, kind, bytes([number]) * 16, told) for number, kind in ((3, "lift"), (4, "resume"))
+        give(orders, kind, bytes([number]) * 16, epoch) for number, kind in ((3, "lift"), (4, "resume"))
     ] == ["new", "new"]
 
 
-def test_the_ids_that_are_remembered_are_bounded_and_forgetting_does_no_harm():
+def test_remembered_ids_are_bounded_and_dropped_ones_stay_harmless():
     orders = executed()
     first = orders.epochs
     for number in range(MAX_ORDERS + 10):

@@ -42,7 +42,7 @@ def taught(world: World) -> World:
 # --- the usual case ----------------------------------------------------------------------------------
 
 
-def test_a_present_epoch_is_executed_in_one_round_trip_with_a_small_datagram():
+def test_an_order_with_a_present_epoch_takes_one_round_trip_of_small_datagrams():
     world = taught(World(*TEAM))
     desk = OrderingPerson(world, "stop", present(world), reason="person on the field")
     world.run(5.0)
@@ -50,13 +50,13 @@ def test_a_present_epoch_is_executed_in_one_round_trip_with_a_small_datagram():
     confirmed = [found for found in desk.asking.results.values() if isinstance(found, OrderConfirmed)]
     assert [found.safe for found in confirmed] == [("p.fc",)] * 5
     assert desk.asking.results.keys() == set(TEAM)
-    # One way, the check, the device, and one way back.
+    # The way there, the check, the device, and the way back.
     assert desk.done_at == pytest.approx(2 * 0.01 + 0.001 + 0.05)
     assert max(len(data) for host in TEAM for data in orders_to(world, host)) <= 300
     assert [len(orders_to(world, host)) for host in TEAM] == [1] * 5
 
 
-def test_without_an_epoch_and_a_known_certificate_it_takes_two_round_trips():
+def test_without_epoch_and_certificate_an_order_takes_two_round_trips():
     world = World("alpha")
     desk = OrderingPerson(world, "stop", {"alpha": Epochs()})
     world.run(5.0)
@@ -75,7 +75,7 @@ def test_an_old_epoch_is_challenged_and_signed_again():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_half_of_all_datagrams_lost_only_delays(seed):
+def test_a_loss_of_half_the_datagrams_only_delays_a_stop(seed):
     world = taught(World(*TEAM, loss=0.5, seed=seed))
     desk = OrderingPerson(world, "stop", present(world))
     world.run(20.0, lambda: desk.is_done)
@@ -83,7 +83,7 @@ def test_half_of_all_datagrams_lost_only_delays(seed):
     assert all(post.executed == [("stop", "fog")] for post in world.posts.values())
 
 
-def test_a_slow_device_is_announced_so_that_the_desk_repeats_less():
+def test_a_slow_device_is_announced_and_the_order_still_confirmed():
     world = taught(World("alpha"))
     world.posts["alpha"].slow = 3.0
     desk = OrderingPerson(world, "stop", present(world))
@@ -95,7 +95,7 @@ def test_a_slow_device_is_announced_so_that_the_desk_repeats_less():
     assert world.posts["alpha"].executed == [("stop", "fog")]
 
 
-def test_a_host_that_is_out_of_reach_is_reached_through_another():
+def test_an_unreachable_host_is_reached_through_a_relay():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("bravo", "desk")}
     desk = OrderingPerson(world, "stop", present(world))
@@ -108,7 +108,7 @@ def test_a_host_that_is_out_of_reach_is_reached_through_another():
     assert set(relayed) <= set(orders_to(world, "alpha")), "a datagram is relayed unchanged"
 
 
-def test_a_challenge_comes_back_through_the_relay_too():
+def test_a_challenge_returns_through_the_relay():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("bravo", "desk")}
     desk = OrderingPerson(world, "stop", present(world, "alpha") | {"bravo": Epochs(b"o" * 8, b"o" * 8)})
@@ -117,7 +117,7 @@ def test_a_challenge_comes_back_through_the_relay_too():
     assert desk.is_done
 
 
-def test_what_is_relayed_ends_though_hosts_are_in_a_circle():
+def test_relayed_orders_do_not_circulate():
     world = taught(World(*TEAM))
     world.cut = {("desk", "echo"), ("echo", "desk")} | {(host, "echo") for host in TEAM}
     desk = OrderingPerson(world, "stop", present(world))
@@ -130,14 +130,14 @@ def test_what_is_relayed_ends_though_hosts_are_in_a_circle():
     assert world.posts["echo"].executed == []
 
 
-# --- what does nothing -------------------------------------------------------------------------------
+# --- orders without effect ---------------------------------------------------------------------------
 
 
 def captured(world: World, host: str) -> bytes:
     return orders_to(world, host)[0]
 
 
-def test_a_stop_replayed_after_a_lift_does_nothing():
+def test_a_stop_replayed_after_a_lift_has_no_effect():
     world = taught(World("alpha", "bravo"))
     OrderingPerson(world, "stop", present(world))
     world.run(2.0)
@@ -153,7 +153,7 @@ def test_a_stop_replayed_after_a_lift_does_nothing():
     assert not alpha.held["stop"]
 
 
-def test_a_replay_to_a_host_that_has_never_seen_it_is_challenged_and_nobody_signs():
+def test_a_replayed_stop_that_is_new_to_a_host_is_only_challenged():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("alpha", "bravo")}
     OrderingPerson(world, "stop", present(world))
@@ -169,7 +169,7 @@ def test_a_replay_to_a_host_that_has_never_seen_it_is_challenged_and_nobody_sign
     assert not bravo.held["stop"]
 
 
-def test_a_lift_does_not_end_a_stop_that_came_after_it_was_given():
+def test_a_lift_does_not_end_a_stop_given_after_it():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     OrderingPerson(world, "stop", present(world))
@@ -187,7 +187,7 @@ def test_a_lift_does_not_end_a_stop_that_came_after_it_was_given():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_of_two_desks_that_stop_and_lift_at_once_the_one_that_is_still_asking_stops(seed):
+def test_a_stop_given_together_with_a_lift_prevails(seed):
     world = taught(World("alpha", loss=0.3, seed=seed))
     alpha = world.posts["alpha"]
     first = OrderingPerson(world, "stop", present(world), name="first")
@@ -200,7 +200,7 @@ def test_of_two_desks_that_stop_and_lift_at_once_the_one_that_is_still_asking_st
     assert alpha.executed.count(("stop", "again")) == 1
 
 
-def test_a_host_that_restarts_before_it_confirms_is_stopped_again_and_nothing_old_is_executed():
+def test_a_host_restarted_before_its_confirmation_executes_only_the_present_stop():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     alpha.slow = 0.5
@@ -221,7 +221,7 @@ def test_a_host_that_restarts_before_it_confirms_is_stopped_again_and_nothing_ol
     assert alpha.executed[-1] == ("lift", "fog")
 
 
-def test_a_host_whose_journal_has_the_stop_only_confirms_it_again():
+def test_a_host_whose_journal_has_the_stop_only_confirms_it():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     alpha.slow = 0.5
@@ -233,10 +233,10 @@ def test_a_host_whose_journal_has_the_stop_only_confirms_it_again():
     assert isinstance(desk.asking.results["alpha"], OrderConfirmed)
 
 
-# --- who may -----------------------------------------------------------------------------------------
+# --- rights ------------------------------------------------------------------------------------------
 
 
-def test_an_observer_without_the_right_is_denied():
+def test_a_person_without_the_right_to_stop_is_denied():
     world = World("alpha")
     desk = OrderingPerson(world, "stop", present(world), person("oli", frozenset({Right.OBSERVE})))
     world.run(3.0)
@@ -246,7 +246,7 @@ def test_an_observer_without_the_right_is_denied():
     assert world.posts["alpha"].executed == []
 
 
-def test_who_may_stop_may_not_lift():
+def test_a_person_with_only_the_right_to_stop_may_not_lift():
     world = World("alpha")
     who = person("sam", frozenset({Right.OBSERVE, Right.STOP}))
     OrderingPerson(world, "stop", present(world), who)
@@ -268,7 +268,7 @@ def test_a_host_may_stop_another_and_not_lift():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_revoked_person_is_denied_also_with_a_datagram_from_before(known):
+def test_a_revoked_person_is_denied(known):
     world = taught(World("alpha")) if known else World("alpha")
     alpha = world.posts["alpha"]
     serial = OrderSigner(person()).who.serial
@@ -306,7 +306,7 @@ def test_a_datagram_for_another_host_is_dropped_before_any_check():
 # --- bad input and floods ----------------------------------------------------------------------------
 
 
-def genuine() -> tuple[World, bytes]:
+def sent_order() -> tuple[World, bytes]:
     world = taught(World("alpha"))
     OrderingPerson(world, "stop", present(world))
     world.sent, sent = [], world.sent
@@ -314,8 +314,8 @@ def genuine() -> tuple[World, bytes]:
     return world, sent[0][2]
 
 
-def test_every_truncation_and_every_bent_bit_does_nothing():
-    world, data = genuine()
+def test_truncated_and_changed_datagrams_are_not_executed():
+    world, data = sent_order()
     alpha = world.posts["alpha"]
     bent = [data[:end] for end in range(len(data))]
     bent += [data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :] for at in range(len(data))]
@@ -325,7 +325,7 @@ def test_every_truncation_and_every_bent_bit_does_nothing():
         alpha.came(one, f"attacker {number}", f"network {number}")
         world.run(0.05)
         if alpha.executed:
-            # What is not signed may be another: the number of the attempt, say.
+            # Unsigned fields, such as the number of the attempt, may differ.
             found = decode_datagram(one)
             assert isinstance(found, SignedOrder)
             assert (found.order, found.signature) == (signed.order, signed.signature)
@@ -337,7 +337,7 @@ def test_every_truncation_and_every_bent_bit_does_nothing():
     assert alpha.executed == []
 
 
-def test_what_is_not_verified_is_answered_by_less_than_it_has():
+def test_the_answer_to_an_unverified_datagram_is_not_larger():
     world = World("alpha")
     desk = OrderingPerson(world, "stop", present(world))
     data = captured(world, "alpha")
@@ -347,20 +347,20 @@ def test_what_is_not_verified_is_answered_by_less_than_it_has():
     assert desk.asking.results == {}
 
 
-def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_stop():
-    world, data = genuine()
+def test_a_flood_of_forged_datagrams_from_one_address_does_not_delay_a_stop():
+    world, data = sent_order()
     alpha = world.posts["alpha"]
     signed = decode_datagram(data)
     assert isinstance(signed, SignedOrder)
-    looked = 0
+    decoded = 0
     for number in range(20_000):
         if alpha.datagrams.may_decode(Sender("there", "flooder")):
-            looked += 1
+            decoded += 1
             forged = replace(signed, signature=number.to_bytes(64))
             alpha.came(encode_datagram(forged), "flooder", "there")
         if number % 100 == 0:
             world.run(0.01)
-    assert looked <= 64 + 32 * 2 + 1
+    assert decoded <= 64 + 32 * 2 + 1
     assert alpha.checks <= 6 + 3 * 2 + 1
     desk = OrderingPerson(world, "stop", present(world), name="real")
     world.run(5.0, lambda: desk.is_done)
@@ -369,15 +369,15 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
     assert alpha.executed == [("stop", "fog")]
 
 
-def test_of_a_flood_from_thousands_of_ports_of_one_address_few_are_looked_at():
+def test_few_datagrams_of_a_flood_from_many_ports_are_decoded():
     world = taught(World("alpha"))
     datagrams = world.posts["alpha"].datagrams
-    looked = sum(datagrams.may_decode(Sender("there", number % 3_000)) for number in range(20_000))
-    assert looked <= 256
+    decoded = sum(datagrams.may_decode(Sender("there", number % 3_000)) for number in range(20_000))
+    assert decoded <= 256
     assert datagrams.may_decode(Sender("elsewhere", "desk"))
 
 
-def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_verified_before():
+def test_a_flood_from_many_ports_does_not_affect_a_verified_sender():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     OrderingPerson(world, "pause", present(world))
@@ -394,7 +394,7 @@ def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_veri
     assert alpha.executed[-1] == ("stop", "fog")
 
 
-def test_no_clock_counts(monkeypatch):
+def test_orders_do_not_depend_on_the_wall_clock(monkeypatch):
     monkeypatch.setattr("time.time", lambda: 0.0)
     world = taught(World("alpha"))
     desk = OrderingPerson(world, "stop", present(world))
@@ -402,7 +402,7 @@ def test_no_clock_counts(monkeypatch):
     assert desk.is_done
 
 
-def test_an_answer_is_believed_from_the_host_alone():
+def test_an_answer_is_accepted_only_from_its_host():
     world = taught(World("alpha", "bravo"))
     desk = OrderingPerson(world, "stop", present(world, "alpha"))
     answer = OrderConfirmed(desk.asking.id, Epochs(), ("p.fc",), {})
@@ -411,7 +411,7 @@ def test_an_answer_is_believed_from_the_host_alone():
     assert desk.asking.results == {}
 
 
-def test_the_signature_of_an_order_is_none_of_an_answer():
+def test_a_signature_of_an_answer_is_invalid_for_an_order():
     signer = OrderSigner(keys("host", "alpha"))
     answer = signer.answer(OrderDenied(bytes(16), ""), unknown=True)
     forged = SignedOrder(answer.answer, answer.signer, answer.signature, answer.certificate)

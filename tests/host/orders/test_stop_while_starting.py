@@ -1,4 +1,4 @@
-"""A stop that arrives before a host has opened its devices: it confirms those alone that are open."""
+"""A stop that arrives before a host has opened its devices: only open devices are confirmed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ID = bytes(16)
 
 
 class GuardsStub:
-    """The guards of those devices that are open."""
+    """The guards of the devices that are open."""
 
     def __init__(self, devices: dict[str, str]) -> None:
         self.devices = devices
@@ -32,7 +32,7 @@ class GuardsStub:
 
 
 def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
-    """What a host with a copter, an arm and a sensor answers to a stop, and to the same one again."""
+    """The answers of a host with a copter, an arm and a sensor to a stop, and to the same stop again."""
     devices = [
         SimpleNamespace(name="lead.fc", is_sensor=False),
         SimpleNamespace(name="lead.arm", is_sensor=False),
@@ -68,14 +68,14 @@ def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
 
 
 @pytest.mark.parametrize(
-    ("open_now", "told"),
+    ("open_now", "confirmed"),
     [
         ({}, {"lead.fc": NOT_OPEN, "lead.arm": NOT_OPEN}),
         ({"lead.fc": ""}, {"lead.fc": "", "lead.arm": NOT_OPEN}),
         ({"lead.fc": "", "lead.arm": ""}, {"lead.fc": "", "lead.arm": ""}),
     ],
 )
-def test_a_device_that_is_not_open_yet_is_not_confirmed(open_now, told):
+def test_a_device_that_is_not_open_yet_is_not_confirmed(open_now, confirmed):
     guards, answers = stopped(open_now)
     assert guards.inhibited == "fog"
-    assert answers == [told, told]
+    assert answers == [confirmed, confirmed]

@@ -35,7 +35,7 @@ class CallingPerson:
         self._number = 0
 
     def send(self, message: Control) -> None:
-        """An answer of the host."""
+        """Record an answer of the host."""
         if isinstance(message, PortalCallResult):
             self.results.append(message)
 
@@ -71,7 +71,7 @@ class CallingPerson:
         self.enter(with_epoch(order, self._life.core.orders.epochs))
 
     def result(self, portal: str, *arguments: object, seconds: float = 3.0, **changes: object):
-        """The result of a call, and its values; asserts that there is one answer."""
+        """The result of a call; asserts that there is one answer."""
         before = len(self.results)
         self.call(portal, *arguments, **changes)
         self._fleet.run(seconds)

@@ -29,7 +29,7 @@ def vehicle(folder: Path, hold: str = IDLE, deployment: str = DEPLOYMENT, **file
     return fleet_of(folder, VEHICLE.replace("HOLD", hold), deployment, **files)
 
 
-def test_an_emergency_stop_refuses_the_device_as_it_does_to_coordinators(tmp_path: Path) -> None:
+def test_an_emergency_stop_makes_device_calls_of_persons_fail(tmp_path: Path) -> None:
     fleet = vehicle(tmp_path)
     anna = CallingPerson(fleet)
     anna.enter(with_epoch(EmergencyStop(b"s" * 16, "fire"), fleet.lives["alpha"].core.orders.epochs))
@@ -43,7 +43,7 @@ def test_an_emergency_stop_refuses_the_device_as_it_does_to_coordinators(tmp_pat
 RESERVES = 'Post p = findPost()[0]; reserve (p) { print("held"); sleep(20.0); } print("free"); sleep(1e4);'
 
 
-def test_a_reserved_resource_makes_the_person_wait_or_refuses(tmp_path: Path) -> None:
+def test_a_call_of_a_reserved_resource_waits_until_its_limit(tmp_path: Path) -> None:
     fleet = vehicle(tmp_path, RESERVES, devices="reservations: {wait: 60}\n")
     assert "held" in log_of(fleet)
     anna = CallingPerson(fleet)
@@ -56,7 +56,7 @@ def test_a_reserved_resource_makes_the_person_wait_or_refuses(tmp_path: Path) ->
     assert [found.outcome for found in anna.results] == ["thrown", "returned"]
 
 
-def test_without_a_wait_the_reservation_refuses_at_once(tmp_path: Path) -> None:
+def test_without_a_wait_a_reserved_resource_refuses_at_once(tmp_path: Path) -> None:
     fleet = vehicle(tmp_path, RESERVES, devices="reservations: {wait: 0}\n")
     found = CallingPerson(fleet).result("fine")
     assert (found.outcome, found.kind) == ("thrown", "ReservedException")
@@ -136,7 +136,7 @@ coordinator Safe {
 """
 
 
-def test_a_host_without_a_lease_refuses_calls_and_ends_those_under_way(tmp_path: Path) -> None:
+def test_a_host_without_a_lease_refuses_calls_and_ends_pending_ones(tmp_path: Path) -> None:
     fleet = fleet_of(
         tmp_path,
         LEASED,

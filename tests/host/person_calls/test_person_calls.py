@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from calling_person import CALLS, CallingPerson, fleet_of, log_of
+from calling_person import CallingPerson, fleet_of, log_of
 
 from lfield.host.person_calls import person_calls
 from lfield.host.person_calls.call_limits import RUNNING_OF_ONE
@@ -50,7 +50,7 @@ def fleet(tmp_path: Path):
     return fleet_of(tmp_path, PROGRAM, DEPLOYMENT)
 
 
-def test_values_go_there_and_back_and_the_log_names_the_caller(fleet) -> None:
+def test_values_are_passed_and_returned_and_the_log_names_the_caller(fleet) -> None:
     anna = CallingPerson(fleet)
     assert anna.value("add", 2) == 2
     assert anna.value("add", 2.0) == "real"
@@ -65,7 +65,7 @@ def test_an_exception_of_the_portal_is_the_result(fleet) -> None:
     assert (found.outcome, found.kind) == ("thrown", "IndexException")
 
 
-def test_a_repeated_call_is_made_once_and_answered_each_time(fleet) -> None:
+def test_a_repeated_call_is_executed_once_and_answered_each_time(fleet) -> None:
     anna = CallingPerson(fleet)
     order = anna.call("wait", 1.0)
     fleet.run(0.5)
@@ -81,14 +81,14 @@ def test_a_repeated_call_is_made_once_and_answered_each_time(fleet) -> None:
     assert [found.kind for found in bob.results] == ["not-permitted"]
 
 
-def test_a_call_of_an_earlier_incarnation_is_not_made(fleet) -> None:
+def test_a_call_of_an_earlier_incarnation_is_not_executed(fleet) -> None:
     anna = CallingPerson(fleet)
     found = anna.result("add", 1, incarnation=1)
     assert (found.outcome, found.kind) == ("unknown", "restarted")
     assert anna.value("add", 0) == 0
 
 
-def test_ids_are_dropped_later_than_clients_repeat_them(fleet) -> None:
+def test_ids_are_kept_longer_than_clients_repeat_them(fleet) -> None:
     anna = CallingPerson(fleet)
     order = anna.call("add", 1, limit=5.0)
     fleet.run(5.0 + person_calls.KEEP_ID - 10.0)
@@ -111,12 +111,12 @@ def test_ids_are_dropped_later_than_clients_repeat_them(fleet) -> None:
         ("mix", ("a", [1.0], LObject("Other"), True), "arguments"),
     ],
 )
-def test_a_call_that_fits_no_portal_is_refused(fleet, portal, arguments, kind) -> None:
+def test_a_call_without_a_matching_portal_is_refused(fleet, portal, arguments, kind) -> None:
     found = CallingPerson(fleet).result(portal, *arguments)
     assert (found.outcome, found.kind) == ("refused", kind)
 
 
-def test_bytes_that_are_no_values_are_refused(fleet) -> None:
+def test_invalid_encoded_values_are_refused(fleet) -> None:
     anna = CallingPerson(fleet)
     for data in (b"", b"\x91", b"\xc1", b"\xa1a", b"\x91\xc4\x01a", b"\x91\xd4\x02a", b"\x91" * 5000):
         order = anna.order("add")
@@ -134,14 +134,14 @@ def test_agents_of_other_hosts_and_coordinators_are_refused(tmp_path: Path) -> N
         assert (found.outcome, found.kind) == ("refused", "no-portal")
 
 
-def test_without_a_line_nothing_may_be_called(tmp_path: Path) -> None:
+def test_without_a_rule_every_call_is_refused(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, PROGRAM, DEPLOYMENT, "")
     for person in (CallingPerson(fleet), CallingPerson(fleet, "joe", kind="local")):
         found = person.result("add", 1)
         assert (found.outcome, found.kind) == ("refused", "not-permitted")
 
 
-def test_lines_decide_and_an_assistant_needs_one(tmp_path: Path) -> None:
+def test_rules_apply_per_caller_and_an_assistant_needs_its_own(tmp_path: Path) -> None:
     access = "calls:\n  anna: {post: [add]}\n  bob: {}\n  others: {Post: [wait]}\nassistants: [anna]\n"
     fleet = fleet_of(tmp_path, PROGRAM, DEPLOYMENT, access)
     anna, bob, carl = (CallingPerson(fleet, name) for name in ("anna", "bob", "carl"))
@@ -163,7 +163,7 @@ def test_a_time_limit_cancels_the_portal(fleet) -> None:
     assert anna.value("add", 0) == 0
 
 
-def test_a_cancelled_call_ends_and_one_that_arrives_later_does_not_start(fleet) -> None:
+def test_a_cancelled_call_ends_and_a_late_one_does_not_start(fleet) -> None:
     anna = CallingPerson(fleet)
     order = anna.call("wait", 100.0)
     fleet.run(1.0)
@@ -173,9 +173,9 @@ def test_a_cancelled_call_ends_and_one_that_arrives_later_does_not_start(fleet) 
     anna.cancel(order)
     fleet.run(1.0)
     assert [(found.outcome, found.kind) for found in anna.results] == [("thrown", "CancelledException")]
-    late = anna.order("add", 1)
-    anna.cancel(late)
-    anna.enter(late)
+    order_after_cancel = anna.order("add", 1)
+    anna.cancel(order_after_cancel)
+    anna.enter(order_after_cancel)
     fleet.run(1.0)
     assert (anna.results[-1].outcome, anna.results[-1].kind) == ("refused", "cancelled")
     assert anna.value("add", 0) == 0
@@ -194,7 +194,7 @@ def test_a_pause_ends_running_calls_and_refuses_new_ones(fleet) -> None:
     assert (anna.results[-1].outcome, anna.results[-1].kind) == ("refused", "paused")
     anna.pause(lift=True)
     fleet.run(1.0)
-    # A copy of the refused call that was delayed on the way.
+    # A delayed copy of the refused call.
     anna.enter(order)
     fleet.run(1.0)
     assert anna.results[-1].kind == "paused"
@@ -221,7 +221,7 @@ def test_calls_are_limited_by_caller(tmp_path: Path) -> None:
     assert anna.value("add", 0) == 1 + RUNNING_OF_ONE
 
 
-def test_results_are_bounded(fleet, monkeypatch) -> None:
+def test_the_size_of_results_is_limited(fleet, monkeypatch) -> None:
     anna = CallingPerson(fleet)
     found = anna.result("long", 10000)
     assert (found.outcome, found.kind) == ("thrown", "LimitException")
@@ -237,8 +237,7 @@ def test_results_are_bounded(fleet, monkeypatch) -> None:
     ]
 
 
-def test_events_show_the_call(fleet) -> None:
-    assert CALLS.startswith("calls")
+def test_the_running_call_is_listed_with_its_caller(fleet) -> None:
     core = fleet.lives["alpha"].core
     anna = CallingPerson(fleet)
     anna.call("wait", 2.0)

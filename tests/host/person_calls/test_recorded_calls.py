@@ -1,4 +1,5 @@
-"""A recording with calls of persons is replayed to the same effects, from its start and each checkpoint."""
+"""The replay of a recording with calls of persons has the same effects, from its start and each
+checkpoint."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ coordinator Holder {
 """
 
 
-def test_calls_are_inputs_of_the_core(tmp_path: Path, monkeypatch) -> None:
+def test_calls_of_persons_are_replayed_from_a_recording(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.5)
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("//Post:post@alpha\n//Holder:holder@alpha\n")

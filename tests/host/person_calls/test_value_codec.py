@@ -1,4 +1,4 @@
-"""Values of portal calls as bytes: they come back equal, and bytes of a peer cost bounded work."""
+"""Values of portal calls as bytes: decoding restores them, and bytes of a peer cost bounded work."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ VALUES = st.recursive(
 
 
 @given(st.lists(VALUES, max_size=4))
-def test_values_come_back_equal(values: list[object]) -> None:
+def test_values_are_restored_by_decoding(values: list[object]) -> None:
     assert decode_values(encode_values(values, 1 << 20)) == values
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_are_values_or_refused(data: bytes) -> None:
+def test_any_bytes_are_decoded_or_refused(data: bytes) -> None:
     try:
         values = decode_values(data)
     except UnsendableValue:
@@ -58,12 +58,12 @@ def nested(depth: int) -> list[object]:
     [nested(MAX_DEPTH + 1), [0] * MAX_VALUES, object(), {None: 1}, {LObject("A"): 1}, 1 << 70, "\ud800"],
     ids=["deep", "many", "foreign", "key", "object key", "large", "surrogate"],
 )
-def test_what_has_no_encoding_is_refused(value: object) -> None:
+def test_a_value_without_an_encoding_is_refused(value: object) -> None:
     with pytest.raises(UnsendableValue):
         encode_values([value], 1 << 20)
 
 
-def test_a_value_that_contains_itself_and_one_of_many_aliases_are_refused() -> None:
+def test_cyclic_values_and_many_aliases_are_refused() -> None:
     ring: list[object] = []
     ring.append(ring)
     many: list[object] = [1]
@@ -80,7 +80,7 @@ def test_hostile_bytes_are_refused(data: bytes) -> None:
         decode_values(data)
 
 
-def test_the_size_is_limited() -> None:
+def test_the_encoded_size_is_limited() -> None:
     assert encode_values(["a" * 100], 110)
     with pytest.raises(UnsendableValue):
         encode_values(["a" * 100], 100)

@@ -1,4 +1,4 @@
-"""Who has a resource of one host: grants, queues, leases, and what is on the disk before it is told."""
+"""Reservations of the resources of one host: grants, queues, leases, and durability before a grant."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEASE, WAIT = 6.0, 5.0
 
 
 class Desk:
-    """A host whose disk is as fast as `write` is called."""
+    """A host whose disk writes when `write` is called."""
 
     def __init__(self, wait: float = WAIT) -> None:
         self.busy: set[str] = set()
@@ -36,7 +36,7 @@ class Desk:
         self.core.on_durable(resource, number, self.now)
 
     def has(self, start: tuple[str, int], now: float) -> int:
-        """Reserve what is free."""
+        """Reserve a free resource."""
         self.now = now
         assert self.core.acquire(start, "arm", now, nested=False) == 0
         number = next(e.number for e in self.effects() if isinstance(e, PersistHolder) and e.holder == start)
@@ -57,7 +57,7 @@ def refused(desk: Desk, kind: str, words: str, *asked: object) -> None:
     assert found.value.kind == kind
 
 
-def test_a_number_is_told_when_its_page_is_on_the_disk(desk: Desk) -> None:
+def test_a_number_is_granted_only_after_its_record_is_durable(desk: Desk) -> None:
     assert desk.core.acquire(PILOT, "arm", 0.0, nested=False) == 0
     assert desk.effects() == [PersistHolder("arm", 101, PILOT, is_lazy=False)]
     assert desk.core.acquire(PILOT, "arm", 0.0, nested=False) == 0
@@ -75,7 +75,7 @@ def test_only_its_holder_is_served_and_only_by_its_number(desk: Desk) -> None:
     refused(desk, LOST, "was reserved by pilot 1.0 s ago", ROVER, "arm", 7, 1.0)
 
 
-def test_who_comes_after_another_has_had_it_hears_of_that(desk: Desk) -> None:
+def test_a_former_holder_is_informed_of_the_later_reservation(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.has(ROVER, 7.0) == number + 1
     desk.core.release("arm", number + 1, 9.0)
@@ -91,12 +91,12 @@ def test_who_comes_after_another_has_had_it_hears_of_that(desk: Desk) -> None:
     refused(desk, LOST, "ended 2.5 s ago: it has left the block", ROVER, "arm", number + 1, 11.5)
 
 
-def test_nobody_has_it_and_everybody_is_served(desk: Desk) -> None:
+def test_without_a_reservation_every_start_is_served(desk: Desk) -> None:
     assert desk.core.may_serve(ROVER, "arm", 0, 0.0)
     assert not desk.core.is_contended("arm")
 
 
-def test_others_wait_and_are_told_who_has_it(desk: Desk) -> None:
+def test_waiting_starts_are_denied_with_the_holder_after_the_wait(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert not desk.core.may_serve(ROVER, "arm", 0, 1.0)
     assert desk.core.acquire(SCOUT, "arm", 2.0, nested=False) == 0
@@ -108,15 +108,16 @@ def test_others_wait_and_are_told_who_has_it(desk: Desk) -> None:
     assert desk.effects() == [DenyWaiter(SCOUT, "arm", "arm is reserved by pilot for 7.0 s")]
 
 
-def test_who_has_something_else_does_not_wait(desk: Desk) -> None:
+def test_a_nested_request_does_not_wait(desk: Desk) -> None:
     desk.has(PILOT, 0.0)
     for nested in (desk.core.acquire, partial(desk.core.may_serve, number=0)):
-        with pytest.raises(ReservationDenied, match=r"arm is reserved by pilot for 1\.0 s"):
+        with pytest.raises(ReservationDenied, match=r"arm is reserved by pilot for 1\.0 s") as found:
             nested(ROVER, "arm", now=1.0, nested=True)
+        assert found.value.kind == RESERVED
     assert desk.core.waits_for(ROVER) == ""
 
 
-def test_first_come_first_served(desk: Desk) -> None:
+def test_waiting_starts_are_served_in_order(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert not desk.core.may_serve(ROVER, "arm", 0, 1.0)
     assert desk.core.acquire(SCOUT, "arm", 1.1, nested=False) == 0
@@ -133,7 +134,7 @@ def test_first_come_first_served(desk: Desk) -> None:
     assert desk.effects() == [PersistHolder("arm", number + 1, SCOUT, is_lazy=False)]
 
 
-def test_who_may_call_and_does_not_keeps_nobody_waiting_for_long(desk: Desk) -> None:
+def test_a_waiting_caller_that_does_not_call_delays_others_only_shortly(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert not desk.core.may_serve(ROVER, "arm", 0, 1.0)
     assert desk.core.acquire(SCOUT, "arm", 1.0, nested=False) == 0
@@ -143,7 +144,7 @@ def test_who_may_call_and_does_not_keeps_nobody_waiting_for_long(desk: Desk) -> 
     assert desk.effects() == [PersistHolder("arm", number + 1, SCOUT, is_lazy=False)]
 
 
-def test_a_call_waits_behind_who_waits_to_reserve(desk: Desk) -> None:
+def test_a_call_waits_behind_a_waiting_reservation(desk: Desk) -> None:
     desk.busy = {"rover"}
     assert desk.core.acquire(PILOT, "arm", 0.0, nested=False) == 0
     assert desk.effects() == []
@@ -156,15 +157,7 @@ def test_a_call_waits_behind_who_waits_to_reserve(desk: Desk) -> None:
     assert desk.core.may_serve(SCOUT, "arm", 0, 5.0)
 
 
-def test_nested_never_waits(desk: Desk) -> None:
-    desk.has(PILOT, 0.0)
-    with pytest.raises(ReservationDenied, match=r"arm is reserved by pilot for 1\.0 s") as found:
-        desk.core.acquire(ROVER, "arm", 1.0, nested=True)
-    assert found.value.kind == RESERVED
-    assert desk.core.waits_for(ROVER) == ""
-
-
-def test_where_nobody_is_to_wait_nobody_does() -> None:
+def test_with_a_wait_of_zero_requests_are_denied_at_once() -> None:
     desk = Desk(wait=0.0)
     desk.has(PILOT, 0.0)
     with pytest.raises(ReservationDenied, match="reserved by pilot"):
@@ -172,7 +165,7 @@ def test_where_nobody_is_to_wait_nobody_does() -> None:
     refused(desk, RESERVED, "reserved by pilot", ROVER, "arm", 0, 1.0)
 
 
-def test_it_ends_with_its_lease(desk: Desk) -> None:
+def test_a_reservation_ends_with_its_lease(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.due == LEASE
     desk.core.renew(PILOT, "arm", number, 2.0)
@@ -184,7 +177,7 @@ def test_it_ends_with_its_lease(desk: Desk) -> None:
     assert desk.core.may_serve(ROVER, "arm", 0, 11.0)
 
 
-def test_a_renewal_that_comes_too_late_or_of_another_renews_nothing(desk: Desk) -> None:
+def test_a_late_or_foreign_renewal_has_no_effect(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     desk.core.renew(("pilot", 2), "arm", number, 5.0)
     desk.core.renew(PILOT, "arm", number + 1, 5.0)
@@ -192,20 +185,20 @@ def test_a_renewal_that_comes_too_late_or_of_another_renews_nothing(desk: Desk) 
     refused(desk, LOST, "its lease has expired", PILOT, "arm", number, 6.0)
 
 
-def test_a_call_is_a_sign_of_its_holder(desk: Desk) -> None:
+def test_a_call_with_the_number_renews_the_lease(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.may_serve(PILOT, "arm", number, 5.0)
     assert desk.core.may_serve(PILOT, "arm", number, 10.0)
 
 
-def test_a_call_without_the_number_is_made_outside_of_the_block(desk: Desk) -> None:
+def test_a_call_without_the_number_ends_the_reservation(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.may_serve(PILOT, "arm", 0, 1.0)
     assert desk.core.held == {}
     refused(desk, LOST, "it has left the block", PILOT, "arm", number, 1.0)
 
 
-def test_who_asks_again_for_what_it_has_got_gets_a_number_that_no_old_word_ends(desk: Desk) -> None:
+def test_a_repeated_request_gets_a_new_number_that_old_releases_do_not_end(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.has(PILOT, 1.0) == number + 1
     desk.core.release("arm", number, 1.1)
@@ -220,7 +213,7 @@ def test_a_later_start_takes_over_and_an_earlier_one_waits(desk: Desk) -> None:
     assert desk.effects() == []
 
 
-def test_an_earlier_start_that_waits_for_its_page_hears_of_the_later_one(desk: Desk) -> None:
+def test_an_earlier_start_that_waits_for_its_record_is_denied_for_a_later_one(desk: Desk) -> None:
     assert desk.core.acquire(PILOT, "arm", 0.0, nested=False) == 0
     assert desk.core.acquire(("pilot", 2), "arm", 0.1, nested=False) == 0
     assert desk.effects() == [
@@ -232,7 +225,7 @@ def test_an_earlier_start_that_waits_for_its_page_hears_of_the_later_one(desk: D
     assert desk.effects() == []
 
 
-def test_it_ends_with_its_holder(desk: Desk) -> None:
+def test_a_reservation_ends_with_its_holder(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.acquire(ROVER, "arm", 1.0, nested=False) == 0
     desk.core.on_start_ended(PILOT, "pilot has ended (died)", 2.0)
@@ -244,7 +237,7 @@ def test_it_ends_with_its_holder(desk: Desk) -> None:
     assert desk.core.concerned == set()
 
 
-def test_who_gives_up_has_not_got_it(desk: Desk) -> None:
+def test_an_abandoned_wait_gets_no_reservation(desk: Desk) -> None:
     assert desk.core.acquire(PILOT, "arm", 0.0, nested=False) == 0
     assert desk.core.acquire(ROVER, "arm", 0.0, nested=False) == 0
     assert desk.core.abandon_wait(PILOT, 1.0)
@@ -257,7 +250,7 @@ def test_who_gives_up_has_not_got_it(desk: Desk) -> None:
     assert not desk.core.abandon_wait(ROVER, 1.0)
 
 
-def test_what_the_disk_has_goes_on_for_one_lease(desk: Desk) -> None:
+def test_a_restored_reservation_lasts_for_one_lease(desk: Desk) -> None:
     desk.core.restore("arm", 41, PILOT, 0.0)
     desk.core.restore("leg", 7, None, 0.0)
     assert desk.core.may_serve(PILOT, "arm", 41, 1.0)
@@ -269,7 +262,7 @@ def test_what_the_disk_has_goes_on_for_one_lease(desk: Desk) -> None:
     assert desk.effects() == [PersistHolder("leg", 8, ROVER, is_lazy=False)]
 
 
-def test_who_has_something_through_a_pause_keeps_it_for_one_more_lease(desk: Desk) -> None:
+def test_a_holder_keeps_its_reservation_for_one_lease_after_a_pause(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     desk.core.postpone(100.0)
     desk.core.tick(100.0 + LEASE - 0.1)
@@ -278,7 +271,7 @@ def test_who_has_something_through_a_pause_keeps_it_for_one_more_lease(desk: Des
     assert desk.core.holder_of("arm") is None
 
 
-def test_who_waits_through_a_pause_has_all_its_time_again(desk: Desk) -> None:
+def test_a_waiting_start_gets_its_full_wait_after_a_pause(desk: Desk) -> None:
     number = desk.has(PILOT, 0.0)
     assert desk.core.acquire(ROVER, "arm", 1.0, nested=False) == 0
     desk.core.renew(PILOT, "arm", number, 5.0)

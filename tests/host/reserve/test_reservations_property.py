@@ -1,7 +1,7 @@
-"""Reservations under all that can happen to them in any order, crashes of their host included.
+"""Reservations under all events in any order, including crashes of their host.
 
-What is promised is judged from what was asked and told, not from what the core keeps. The same test is run on
-cores broken on purpose, to show that it can fail.
+The promise is judged by the requests and answers, not by the state of the core. The same test is run on
+cores that are broken on purpose, to show that it can fail.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ starts = st.tuples(st.sampled_from(["pilot", "rover", "scout"]), st.integers(1, 
 
 
 class Reserving(RuleBasedStateMachine):
-    """One resource. A coordinator has what it was told until its lease is over, it gives it back or ends."""
+    """One resource. A coordinator holds it from its grant until its lease expires, it releases it or ends."""
 
     core_type = Reservations
 
     def __init__(self) -> None:
         super().__init__()
         self.now, self.first = 0.0, 100
-        #: What is on the disk, and what is on its way there.
+        #: The durable record, and the records on their way to the disk.
         self.disk: PersistHolder | None = None
         self.pages: list[PersistHolder] = []
         self.busy: set[str] = set()
-        #: The numbers that were told, and who was promised the resource, until when.
-        self.told: dict[int, StartKey] = {}
+        #: The numbers that were granted, and the holder of the resource, with its number and end.
+        self.granted: dict[int, StartKey] = {}
         self.promised: tuple[StartKey, int, float] | None = None
         self.waiting: dict[StartKey, float] = {}
         self.asked: dict[StartKey, str] = {}
@@ -47,7 +47,7 @@ class Reserving(RuleBasedStateMachine):
     def _made(self) -> Reservations:
         return self.core_type(self.first, LEASE, lambda _: WAIT, lambda _, agent: bool(self.busy - {agent}))
 
-    # --- what happens ---------------------------------------------------------------------------------
+    # --- events ---------------------------------------------------------------------------------------
 
     @rule(start=starts, nested=st.booleans())
     def take(self, start: StartKey, nested: bool) -> None:
@@ -56,50 +56,50 @@ class Reserving(RuleBasedStateMachine):
         try:
             number = self.core.acquire(start, "arm", self.now, nested=nested)
         except ReservationDenied:
-            self._goes_on(start)
+            self._continue(start)
             self._carry_out()
             return
         self._carry_out()
         if number:
-            self._is_told(start, number)
+            self._on_granted(start, number)
         elif not nested:
             self._waits(start, "take")
 
     def _waits(self, start: StartKey, wants: str) -> None:
-        """Frozen where it stands, so it asks for nothing else."""
+        """A waiting start is frozen, so it requests nothing else."""
         self.asked[start] = wants
         self.waiting.setdefault(start, self.now)
 
-    def _goes_on(self, start: StartKey) -> None:
+    def _continue(self, start: StartKey) -> None:
         self.waiting.pop(start, None)
         self.asked.pop(start, None)
 
-    def _is_told(self, start: StartKey, number: int) -> None:
-        self._goes_on(start)
+    def _on_granted(self, start: StartKey, number: int) -> None:
+        self._continue(start)
         assert self.disk is not None
         assert (self.disk.number, self.disk.holder) == (number, start)
-        assert number > max(self.told, default=0)
-        self._nobody_else_has_it(start)
-        assert not self.busy - {start[0]} or self.told.get(number - 1, ("", 0))[0] == start[0]
-        self.told[number] = start
+        assert number > max(self.granted, default=0)
+        self._check_no_other_holder(start)
+        assert not self.busy - {start[0]} or self.granted.get(number - 1, ("", 0))[0] == start[0]
+        self.granted[number] = start
         self.promised = start, number, self.now + LEASE
 
-    def _nobody_else_has_it(self, start: StartKey) -> None:
+    def _check_no_other_holder(self, start: StartKey) -> None:
         if self.promised is not None and self.now < self.promised[2]:
             holder = self.promised[0]
             later = holder[0] == start[0] and holder[1] <= start[1]
-            assert later, f"{holder} has it, and {start} gets it"
+            assert later, f"{holder} holds it, and {start} gets it"
 
     @rule(start=starts, number=st.integers(0, 3))
     def call(self, start: StartKey, number: int) -> None:
-        """With one of the last numbers, or none."""
+        """With one of the last numbers, or without one."""
         if self.asked.get(start, "call") != "call":
             return
-        given = sorted(self.told)[-number] if 0 < number <= len(self.told) else 0
+        given = sorted(self.granted)[-number] if 0 < number <= len(self.granted) else 0
         try:
             begins = self.core.may_serve(start, "arm", given, self.now)
         except ReservationDenied:
-            self._goes_on(start)
+            self._continue(start)
             begins = None
         self._carry_out()
         if begins:
@@ -108,7 +108,7 @@ class Reserving(RuleBasedStateMachine):
             self._waits(start, "call")
 
     def _begins(self, start: StartKey, given: int) -> None:
-        self._goes_on(start)
+        self._continue(start)
         if given:
             assert self.promised is not None
             assert self.promised[:2] == (start, given)
@@ -121,8 +121,8 @@ class Reserving(RuleBasedStateMachine):
 
     @rule(start=starts, back=st.integers(1, 2))
     def renew(self, start: StartKey, back: int) -> None:
-        if len(self.told) >= back:
-            number = sorted(self.told)[-back]
+        if len(self.granted) >= back:
+            number = sorted(self.granted)[-back]
             self.core.renew(start, "arm", number, self.now)
             self._carry_out()
             if self.promised and self.promised[:2] == (start, number) and self.now < self.promised[2]:
@@ -130,8 +130,8 @@ class Reserving(RuleBasedStateMachine):
 
     @rule(back=st.integers(1, 2))
     def release(self, back: int) -> None:
-        if len(self.told) >= back:
-            number = sorted(self.told)[-back]
+        if len(self.granted) >= back:
+            number = sorted(self.granted)[-back]
             if self.promised and self.promised[1] == number:
                 self.promised = None
             self.core.release("arm", number, self.now)
@@ -139,7 +139,7 @@ class Reserving(RuleBasedStateMachine):
 
     @rule(start=starts)
     def ends(self, start: StartKey) -> None:
-        self._goes_on(start)
+        self._continue(start)
         if self.promised and self.promised[0] == start:
             self.promised = None
         self.core.on_start_ended(start, "it has ended", self.now)
@@ -147,13 +147,13 @@ class Reserving(RuleBasedStateMachine):
 
     @rule(start=starts)
     def gives_up(self, start: StartKey) -> None:
-        self._goes_on(start)
+        self._continue(start)
         self.core.abandon_wait(start, self.now)
         self._carry_out()
 
     @rule(agent=st.sampled_from(["pilot", "rover"]), begins=st.booleans())
     def works(self, agent: str, begins: bool) -> None:
-        """Portal calls begin while nobody has it, and come to their ends."""
+        """Portal calls begin while the resource is not reserved, and end."""
         self.busy = {agent} if begins and not self.core.held else set()
 
     @precondition(lambda self: self.pages)
@@ -174,17 +174,17 @@ class Reserving(RuleBasedStateMachine):
             self.core.tick(self.now)
             self._carry_out()
             ticks += 1
-            assert ticks < 100, "it is due again and again"
+            assert ticks < 100, "the core is due without end"
         self.now = until
         self.core.tick(self.now)
         self._carry_out()
         held = self.core.held.get("arm")
         if held is not None and self.promised is not None and held.number == self.promised[1]:
-            assert self.now < self.promised[2], f"{held.holder} has it after its lease"
+            assert self.now < self.promised[2], f"{held.holder} holds it after its lease"
         for start, since in self.waiting.items():
             pending = any(page.holder == start for page in self.pages)
             assert pending or self._is_next(start) or self.now < since + WAIT + 0.01, (
-                f"{start} waits for ever"
+                f"{start} waits without end"
             )
 
     def _is_next(self, start: StartKey) -> bool:
@@ -201,10 +201,10 @@ class Reserving(RuleBasedStateMachine):
             self.core.restore("arm", self.disk.number, self.disk.holder, self.now)
             self.promised = None
         if self.disk is not None and self.disk.holder is not None:
-            self.told[self.disk.number] = self.disk.holder
+            self.granted[self.disk.number] = self.disk.holder
             self.promised = self.disk.holder, self.disk.number, self.now + LEASE
 
-    # --- what comes of it -----------------------------------------------------------------------------
+    # --- effects --------------------------------------------------------------------------------------
 
     def _carry_out(self) -> None:
         for effect in self.core.drain_effects():
@@ -215,10 +215,10 @@ class Reserving(RuleBasedStateMachine):
             case PersistHolder():
                 self.pages.append(effect)
                 if effect.holder and self.promised and effect.holder[0] == self.promised[0][0]:
-                    # A later start takes over, also when it does not wait for the number then.
+                    # A later start takes over, also if it does not wait for the number then.
                     self.promised = None
             case DenyWaiter() | RetryWaiter():
-                self._goes_on(effect.start)
+                self._continue(effect.start)
 
 
 class GrantedBeforeItIsOnDisk(Reservations):
@@ -244,7 +244,7 @@ class NumbersRestartAt1(Reservations):
     """Does not restore the numbers of the journal."""
 
     def restore(self, resource: str, number: int, holder: StartKey | None, now: float) -> None:
-        """Nothing is known of it."""
+        """Restore nothing."""
 
 
 REPEATABLE = settings(
@@ -257,7 +257,7 @@ REPEATABLE = settings(
 QUICK = settings(REPEATABLE, phases=[Phase.generate], max_examples=2000)
 
 
-def test_nobody_has_what_another_has() -> None:
+def test_a_resource_never_has_two_holders() -> None:
     run_state_machine_as_test(Reserving, settings=REPEATABLE)
 
 

@@ -1,4 +1,4 @@
-"""What a mission sees of reservations: whole hosts on virtual time, cut links, hosts that die and return."""
+"""Reservations in missions: whole hosts in virtual time, cut links, hosts that crash and return."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ coordinator {0} {{
     }}
 }}
 """
-#: Two arms, and two coordinators that begin on other hosts than their arms and where they are.
+#: Two arms, and two coordinators that start on the hosts of these arms.
 TEAM = "//Arm:a@alpha\n//Arm:b@bravo\n//Pilot:pilot@alpha\n//Rover:rover@bravo\n"
 
 
 @pytest.fixture
 def open_team(tmp_path: Path, lfield_mission):  # type: ignore[no-untyped-def]
-    """Makes the team of what its two coordinators do."""
+    """Make the team from the code of its two coordinators."""
 
     def made(pilot: str, rover: str, devices: str = "", **options: object) -> MissionTeam:
         program = RESOURCE + HEAD.format("Pilot", pilot) + HEAD.format("Rover", rover)
@@ -57,12 +57,12 @@ def open_team(tmp_path: Path, lfield_mission):  # type: ignore[no-untyped-def]
 
 
 def at(team: MissionTeam, words: str, who: str = "") -> float:
-    """When somebody has said that first."""
+    """The time of the first line with this text."""
     return next(line.at for line in team.log if words in line.text and line.text.startswith(who))
 
 
 def overlap(team: MissionTeam) -> list[tuple[str, str]]:
-    """Calls of two coordinators of one arm that went on at one time."""
+    """Overlapping calls of two coordinators at one arm."""
     calls = [call for call in team.calls if call.portal == "work"]
     return [
         (one.caller, other.caller)
@@ -76,7 +76,7 @@ def overlap(team: MissionTeam) -> list[tuple[str, str]]:
 TWICE = "reserve ({0}) {{ a.work(1.0); b.work(1.0); a.work(1.0); b.work(1.0); }}"
 
 
-def test_two_that_take_the_same_two_have_them_one_after_the_other(open_team):
+def test_two_coordinators_that_reserve_the_same_two_arms_take_turns(open_team):
     team = open_team(TWICE.format("all"), TWICE.format("all"), "reservations: {wait: 60}\n")
     team.run(until_done=True)
     assert team.ended == {"pilot": "done", "rover": "done"}
@@ -87,7 +87,7 @@ def test_two_that_take_the_same_two_have_them_one_after_the_other(open_team):
     assert callers == sorted(callers) or callers == sorted(callers)[::-1]
 
 
-def test_two_that_take_them_in_opposite_orders_do_not_wait_for_each_other(open_team):
+def test_nested_reservations_in_opposite_order_do_not_deadlock(open_team):
     nested = "reserve ({0}) {{ {0}.work(1.0); reserve ({1}) {{ {1}.work(1.0); {0}.work(1.0); }} }}"
     team = open_team(nested.format("a", "b"), nested.format("b", "a"), "reservations: {wait: 600}\n")
     team.run(until_done=True)
@@ -98,23 +98,23 @@ def test_two_that_take_them_in_opposite_orders_do_not_wait_for_each_other(open_t
     assert team.said("is reserved by") >= 1
 
 
-def test_others_wait_and_then_are_told(open_team):
+def test_a_waiting_caller_is_denied_after_the_wait(open_team):
     team = open_team(
         "reserve (b) { b.work(12.0); b.work(12.0); }",
         'sleep(1.0); try { b.look(); } catch (ReservedException e) { print("no: " + e.message()); } '
         'within (1.0) { b.look(); }',
     )  # fmt: skip
     team.run(until=lambda: team.said("TimeLimit") or team.said("died"), at_most=60.0)
-    told = at(team, "no: b is reserved by pilot for ")
-    assert told == pytest.approx(6.0, abs=0.5)
-    assert at(team, "TimeLimitException") == pytest.approx(told + 1.0, abs=0.2)
+    denied_at = at(team, "no: b is reserved by pilot for ")
+    assert denied_at == pytest.approx(6.0, abs=0.5)
+    assert at(team, "TimeLimitException") == pytest.approx(denied_at + 1.0, abs=0.2)
     team.run(until=lambda: "pilot" in team.ended, at_most=60.0)
     assert team.ended["pilot"] == "done"
     assert not team.said("lost b:")
 
 
-def test_a_call_that_is_longer_than_a_lease_keeps_what_it_has(open_team):
-    """Here, and on another host than the one that is reserved."""
+def test_a_call_longer_than_a_lease_keeps_the_reservation(open_team):
+    """On this host, and on another host than the reserved one."""
     team = open_team(
         "reserve (all) { a.work(20.0); b.work(20.0); a.look(); b.look(); }",
         'sleep(19.0); for (int n = 0; n < 5; n = n + 1) { try { reserve (b) { b.look(); print("had it"); } } '
@@ -128,7 +128,7 @@ def test_a_call_that_is_longer_than_a_lease_keeps_what_it_has(open_team):
     assert not given or given[0] > max(call.ended or 0.0 for call in team.calls if call.caller == "pilot")
 
 
-def test_a_link_that_is_cut_for_less_than_a_lease_changes_nothing(open_team):
+def test_a_link_cut_for_less_than_a_lease_has_no_effect(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(8.0); b.look(); }",
         "sleep(2.0); reserve (b) { b.look(); }",
@@ -142,7 +142,7 @@ def test_a_link_that_is_cut_for_less_than_a_lease_changes_nothing(open_team):
     assert callers == ["pilot", "pilot", "rover"]
 
 
-def test_who_is_cut_off_for_longer_loses_it_and_hears_before_its_next_portal_begins(open_team):
+def test_a_holder_cut_off_for_longer_loses_the_reservation_before_its_next_portal(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(20.0); b.work(1.0); }",
         "sleep(2.0); reserve (b) { b.work(30.0); }",
@@ -159,7 +159,7 @@ def test_who_is_cut_off_for_longer_loses_it_and_hears_before_its_next_portal_beg
     assert team.ended == {"pilot": "done", "rover": "done"}
 
 
-def test_who_has_something_keeps_it_over_a_restart_of_its_host(open_team):
+def test_a_reservation_survives_a_restart_of_its_host(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(6.0); "
         'try { b.look(); } catch (RestartException e) { print("told"); }'
@@ -175,8 +175,8 @@ def test_who_has_something_keeps_it_over_a_restart_of_its_host(open_team):
     assert team.said("pilot: told") == 1
 
 
-def test_after_a_restart_nobody_else_has_it_before_its_lease_is_over(open_team):
-    """The holder is cut off, so nobody renews what the page says."""
+def test_after_a_restart_the_reservation_lasts_for_its_lease(open_team):
+    """The holder is cut off, so no host renews the restored record."""
     team = open_team(
         "reserve (b) { b.look(); a.work(60.0); }",
         "sleep(30.0);",
@@ -195,7 +195,7 @@ def test_after_a_restart_nobody_else_has_it_before_its_lease_is_over(open_team):
     assert held.held == []
 
 
-def test_it_ends_with_its_coordinator(open_team):
+def test_a_reservation_ends_with_its_coordinator(open_team):
     team = open_team(
         "reserve (all) { a.look(); int[] none = new int[0]; print(i2s(none[1])); }",
         "sleep(1.0); reserve (all) { a.work(1.0); b.work(1.0); }",
@@ -206,7 +206,7 @@ def test_it_ends_with_its_coordinator(open_team):
     assert at(team, "over", "rover") < 5.0
 
 
-def test_a_host_that_is_stopped_gives_nothing_back_and_its_lease_does(open_team):
+def test_the_reservation_of_a_crashed_host_ends_with_its_lease(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(60.0); }",
         "sleep(2.0); reserve (b) { b.look(); }",
@@ -219,18 +219,18 @@ def test_a_host_that_is_stopped_gives_nothing_back_and_its_lease_does(open_team)
     assert 6.0 < began < 8.5
 
 
-def at_host(team: MissionTeam, host: str, does: Callable[[HostCore], object]) -> None:
-    """Something that a person does there."""
+def at_host(team: MissionTeam, host: str, action: Callable[[HostCore], object]) -> None:
+    """An action of an operator at a host."""
     life = team._fleet.lives[host]
 
     def act() -> None:
-        does(life.core)
+        action(life.core)
         life.host.step()
 
     life.process.loop.enter(act)
 
 
-def test_who_is_given_up_by_a_persons_word_has_nothing_any_more(open_team):
+def test_a_forgotten_coordinator_loses_its_reservation(open_team):
     team = open_team(
         "reserve (b) { b.look(); a.work(60.0); }",
         "sleep(2.0); reserve (b) { b.look(); }",
@@ -245,8 +245,8 @@ def test_who_is_given_up_by_a_persons_word_has_nothing_any_more(open_team):
     assert team.ended["rover"] == "done"
 
 
-def test_who_goes_on_by_a_persons_word_reserves_anew_and_the_old_number_is_none(open_team):
-    """It goes back to its last call here, in the block: that one is told that it has lost what it had."""
+def test_a_recovered_coordinator_has_lost_its_reservation(open_team):
+    """It continues at its last call here, in the block: that call reports the loss."""
     team = open_team(
         "reserve (b) { b.work(0.5); a.work(60.0); b.look(); }",
         "sleep(600.0);",
@@ -302,7 +302,7 @@ providers:
 """
 
 
-def test_what_is_reserved_is_found_by_its_holder_alone(tmp_path, lfield_mission):
+def test_a_reserved_resource_is_offered_only_to_its_holder(tmp_path, lfield_mission):
     (tmp_path / "arms.L").write_text(CRANES + FINDERS)
     (tmp_path / "arms.dL").write_text(TEAM)
     (tmp_path / "arms.capabilities.yaml").write_text(CAN_LIFT)
@@ -350,8 +350,8 @@ providers:
 """
 
 
-def test_what_a_host_asks_is_nobodys_call(tmp_path, lfield_mission):
-    """Its questions are nearly always under way; who reserves waits for none of them, and they go on."""
+def test_attribute_queries_of_a_host_do_not_block_reservations(tmp_path, lfield_mission):
+    """The queries run nearly all the time; a reservation does not wait for them, and they continue."""
     (tmp_path / "arms.L").write_text(ASKED)
     (tmp_path / "arms.dL").write_text(TEAM)
     (tmp_path / "arms.capabilities.yaml").write_text(ASKED_OF)
@@ -363,7 +363,7 @@ def test_what_a_host_asks_is_nobodys_call(tmp_path, lfield_mission):
     assert team.said("and that lately") == 1
 
 
-def test_who_is_recovered_where_it_reserves_hears_of_what(open_team):
+def test_a_coordinator_recovered_in_a_block_is_informed_of_the_resource(open_team):
     team = open_team(
         "reserve (b) { b.look(); b.work(60.0); }", "sleep(600.0);", "reservations: {lease: 600}\n"
     )

@@ -1,4 +1,4 @@
-"""The events of a hop are in order whatever the clocks of its hosts show; a clock far off is reported."""
+"""The events of a hop are in order for any clocks of its hosts; a clock that is far ahead is reported."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 
 class WrongClock(LoopClock):
-    """The loop's clock with a wall clock that is `off` seconds from it, in 2023."""
+    """The loop's clock with a wall clock in 2023 that is wrong by `off` seconds."""
 
     def __init__(self, off: float) -> None:
         self.off = 1.7e9 + off
@@ -41,7 +41,7 @@ class WrongClock(LoopClock):
 
 
 async def walk(fleet, off: float):
-    """A walk of a coordinator between alpha and beta, whose wall clock is off; the hosts."""
+    """A walk of a coordinator between alpha and beta, whose wall clock is wrong; returns the hosts."""
     mission = fleet.mission(PROGRAM, TEAM)
     hosts = [fleet.make(mission, name, clock=WrongClock(by)) for name, by in (("alpha", 0.0), ("beta", off))]
     for running in hosts:
@@ -57,7 +57,7 @@ def clock_lines(running) -> list[str]:
 
 
 @pytest.mark.parametrize("off", [-0.9 * MAX_AHEAD, 0.9 * MAX_AHEAD, -300.0, 5.0])
-def test_the_log_of_hosts_with_clocks_minutes_apart_is_in_the_order_of_the_walk(fleet, off: float) -> None:
+def test_logs_of_hosts_with_clocks_minutes_apart_are_merged_in_causal_order(fleet, off: float) -> None:
     async def story(fleet) -> None:
         mission, hosts = await walk(fleet, off)
 
@@ -70,7 +70,7 @@ def test_the_log_of_hosts_with_clocks_minutes_apart_is_in_the_order_of_the_walk(
         assert lines == [f"{part} {n}" for n in range(20) for part in ("before", "visit", "after")]
         stamps = [dated.event.stamp for dated in printed]
         assert all(one < other for one, other in pairwise(stamps))
-        # What the clock of each host shows stays visible.
+        # The wall time of each host is still shown.
         behind = "alpha" if off > 0.0 else "beta"
         assert {dated.host for dated in printed if dated.within is not None} == {behind}
         assert [clock_lines(running) for running in hosts] == [[], []]
@@ -78,7 +78,7 @@ def test_the_log_of_hosts_with_clocks_minutes_apart_is_in_the_order_of_the_walk(
     fleet(story)
 
 
-def test_a_host_whose_clock_is_far_ahead_is_reported_once_by_the_host_that_does_not_follow_it(fleet) -> None:
+def test_a_clock_far_ahead_is_reported_once_and_not_followed(fleet) -> None:
     async def story(fleet) -> None:
         _, (alpha, beta) = await walk(fleet, MAX_AHEAD + 90.0)
         expected = log_messages.CLOCK_AHEAD.line(host="beta", seconds=MAX_AHEAD + 90.0)

@@ -1,4 +1,4 @@
-"""Lines of input from an observer: an agent that waits gets them, and observers see who waits."""
+"""Lines of input from an observer: a waiting agent gets them, and observers see which agent waits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ coordinator Asker {
 DEPLOYMENT = "//Asker:asker@home\n//Desk:desk@home\n"
 
 
-async def test_a_line_from_an_observer_goes_to_the_agent_that_waits(team, /):
+async def test_a_line_from_an_observer_goes_to_the_waiting_agent(team, /):
     (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
     desk = team.network.transport("desk")
     await team.until(lambda: home.host.machine.operator_input.waiting_agents)
@@ -36,9 +36,9 @@ async def test_a_line_from_an_observer_goes_to_the_agent_that_waits(team, /):
     assert await team.ended("asker") == "done"
     assert (await _snapshot(desk)).snapshot.reads == []
     assert await send_request(desk, "home:8181", input_line("late")) == InputResult(NO_READER)
-    told = [event.what for event in home.host.recorder.event_log.after(0, 1000, 1 << 20)[0]]
-    assert [what.agents for what in told if isinstance(what, InputAwaited)] == ["desk", "", "desk", ""]
-    codes = [what.code for what in told if isinstance(what, LineLogged)]
+    whats = [event.what for event in home.host.recorder.event_log.after(0, 1000, 1 << 20)[0]]
+    assert [what.agents for what in whats if isinstance(what, InputAwaited)] == ["desk", "", "desk", ""]
+    codes = [what.code for what in whats if isinstance(what, LineLogged)]
     assert [code for code in codes if code.startswith("input-")] == [
         line.code
         for line in (

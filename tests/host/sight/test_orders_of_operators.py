@@ -1,4 +1,4 @@
-"""What the buttons of a watched team do with real hosts, on jumping time."""
+"""The buttons of a watched team with real hosts, in virtual time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ agents: {arm2: {payload: 1.2}}
 
 @asynccontextmanager
 async def operated(fleet, mission, asked=None, dialled=None):
-    """`dialled` collects the addresses that the desk connects to."""
+    """`dialled` collects the addresses to which the desk connects."""
     party = TargetTeam((), mission.team.addresses_by_host)
     reach = HostLocator(party, lambda: [])
     transport = fleet.network.transport("desk")
@@ -83,7 +83,7 @@ def operate(fleet, story, asked=None, dialled=None) -> None:
     fleet(main)
 
 
-def test_a_stop_is_seen_by_whoever_watches_until_it_is_lifted(fleet) -> None:
+def test_a_stop_is_shown_until_it_is_lifted(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         done = await shown.actions.stop("a child")
         assert (done.order, done.is_complete, done.unreached) == ("stop", True, {})
@@ -97,7 +97,7 @@ def test_a_stop_is_seen_by_whoever_watches_until_it_is_lifted(fleet) -> None:
     operate(fleet, story)
 
 
-def test_orders_go_over_the_connections_that_stand_and_over_a_new_one_where_there_is_none(fleet) -> None:
+def test_orders_use_open_connections_and_dial_where_there_is_none(fleet) -> None:
     dialled: list[str] = []
 
     async def story(fleet, shown, hosts) -> None:
@@ -116,7 +116,7 @@ def test_orders_go_over_the_connections_that_stand_and_over_a_new_one_where_ther
     operate(fleet, story, dialled=dialled)
 
 
-def test_a_pause_is_seen_until_it_is_over(fleet) -> None:
+def test_a_pause_is_shown_until_it_ends(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         assert (await shown.actions.pause()).is_complete
         await fleet.until(lambda: shown.snapshot().paused == ("alpha", "beta"))
@@ -126,7 +126,7 @@ def test_a_pause_is_seen_until_it_is_over(fleet) -> None:
     operate(fleet, story)
 
 
-def test_a_host_that_is_gone_is_named_by_a_stop_and_by_the_picture(fleet) -> None:
+def test_an_unreached_host_is_named_by_a_stop_and_in_the_display(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         await hosts[1].host.stop()
         done = await shown.actions.stop()
@@ -139,7 +139,7 @@ def test_a_host_that_is_gone_is_named_by_a_stop_and_by_the_picture(fleet) -> Non
     operate(fleet, story)
 
 
-def test_a_question_is_answered_as_the_command_does_and_a_wrong_one_drawn(fleet) -> None:
+def test_a_query_is_answered_and_a_wrong_one_is_marked(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         answer = await shown.actions.query("Lift where payload >= 2.0")
         (found,) = answer.found
@@ -154,7 +154,7 @@ def test_a_question_is_answered_as_the_command_does_and_a_wrong_one_drawn(fleet)
     operate(fleet, story)
 
 
-def test_without_its_files_a_question_says_why_there_is_no_answer(fleet) -> None:
+def test_a_query_without_mission_files_reports_the_reason(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         answer = await shown.actions.query("Lift")
         assert answer.mistakes == "the files are elsewhere"

@@ -1,4 +1,4 @@
-"""The rate of a path is measured on what is sent anyway, and events and telemetry keep to a share of it."""
+"""The rate of a path is measured on normal traffic, and events and telemetry use a share of it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_fast_path_is_not_limited():
         assert (path.rate, path.pause(50_000)) == (None, 0.0)
 
 
-def test_a_batch_on_a_slow_path_is_so_small_that_the_longest_pause_keeps_to_the_share():
+def test_a_batch_on_a_slow_path_is_limited_by_the_longest_pause():
     path = measured(RADIO, 0.2)
     limit = path.batch_limit(1 << 16)
     assert limit == pytest.approx(SHARE * RADIO * MAX_PAUSE, rel=0.2)
@@ -45,11 +45,11 @@ def test_a_batch_on_a_slow_path_is_so_small_that_the_longest_pause_keeps_to_the_
     assert PathRate().batch_limit(1 << 16) == 1 << 16
 
 
-def test_no_path_is_so_slow_that_nothing_is_sent():
+def test_the_pause_has_an_upper_limit():
     assert measured(40.0, 1.0).pause(1000) == MAX_PAUSE
 
 
-def test_a_subscription_keeps_to_the_share_after_it_has_measured_the_path():
+def test_a_subscription_keeps_to_its_share_of_a_measured_path():
     log = EventLog()
     watcher = EventSubscription(log, 7, Subscribe(7), 0.0)
     up, sent, position = 0.0, [], 0

@@ -1,4 +1,4 @@
-"""Who watches where sixteen may: nobody shuts all others out."""
+"""The limit of sixteen subscriptions: no client excludes the others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lfield.host.subscriptions.subscription_server import MAX_SUBSCRIPTIONS, subscription_to_evict
 
 
-def test_who_has_all_places_gives_the_oldest_to_somebody_else() -> None:
+def test_a_client_with_all_subscriptions_loses_its_oldest_to_another() -> None:
     assert subscription_to_evict(["anna"] * MAX_SUBSCRIPTIONS, "root") == 0
     assert subscription_to_evict(["root", *["anna"] * (MAX_SUBSCRIPTIONS - 1)], "ben") == 1
     assert subscription_to_evict(["anna"] * MAX_SUBSCRIPTIONS, "anna") is None
@@ -16,14 +16,15 @@ def test_who_has_all_places_gives_the_oldest_to_somebody_else() -> None:
 
 
 @given(st.lists(st.sampled_from("abcde"), min_size=MAX_SUBSCRIPTIONS, max_size=200))
-def test_whoever_comes_often_has_no_more_than_a_share(comers: list[str]) -> None:
-    """Whoever has come as often as that has a share, give or take one: what it wants, or an equal part."""
-    taken = comers[:MAX_SUBSCRIPTIONS]
-    for comes in [*comers[MAX_SUBSCRIPTIONS:], *"abcde" * MAX_SUBSCRIPTIONS]:
-        way = subscription_to_evict(taken, comes)
-        if way is not None:
-            del taken[way]
-            taken.append(comes)
-    shares = [taken.count(name) for name in "abcde"]
+def test_subscriptions_are_shared_equally_among_clients(clients: list[str]) -> None:
+    """A client that subscribes often enough has its share, give or take one: what it requests, or an equal
+    part."""
+    subscribers = clients[:MAX_SUBSCRIPTIONS]
+    for client in [*clients[MAX_SUBSCRIPTIONS:], *"abcde" * MAX_SUBSCRIPTIONS]:
+        evicted = subscription_to_evict(subscribers, client)
+        if evicted is not None:
+            del subscribers[evicted]
+            subscribers.append(client)
+    shares = [subscribers.count(name) for name in "abcde"]
     assert sum(shares) == MAX_SUBSCRIPTIONS
     assert max(shares) - min(shares) <= 1

@@ -1,4 +1,4 @@
-"""A team of real hosts as somebody sees it who follows their streams, on jumping time."""
+"""A team of real hosts as a client sees it that follows their events, in virtual time."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ coordinator Walker {
 TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 
-class Both(TeamWatch):
-    """The picture, and the time line of the same."""
+class WatchWithTimeline(TeamWatch):
+    """The display of a team with its time line."""
 
     def __init__(self, roll, clock) -> None:
         super().__init__(roll, clock)
@@ -54,7 +54,7 @@ async def followed(fleet, mission, since=None):
     async def reach(host: str) -> str:
         return mission.team.addresses_by_host[host]
 
-    shown = Both(team_contents("team", mission.team, mission), LoopClock())
+    shown = WatchWithTimeline(team_contents("team", mission.team, mission), LoopClock())
     transport = fleet.network.transport("desk")
     follower = EventFollower(
         transport, mission.team.hosts, reach, shown, LoopClock(), FollowOptions(since=since, telemetry=5.0)
@@ -67,13 +67,13 @@ async def followed(fleet, mission, since=None):
         await asyncio.gather(task, return_exceptions=True)
 
 
-def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
+def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet) -> None:
     async def story(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM)
         await fleet.up(mission)
         async with followed(fleet, mission, since=0) as shown:
             await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
-            # The end of the coordinator is told before its last hop is confirmed.
+            # The end of the coordinator is reported before its last hop is confirmed.
             await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].seconds is not None)
             await fleet.until(lambda: len([x for x in shown.snapshot().log if "visit" in x.text]) == 6)
             seen = shown.snapshot()
@@ -86,11 +86,11 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
             assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
             assert walker.hops == 5
             assert all(host.linked for host in seen.hosts.values())
-            told = shown.timeline.drain_events()
-            # What stands beside the numbered events has the number of the last one: the first has its own.
-            numbered = reversed(list(enumerate(told)))
+            entries = shown.timeline.drain_events()
+            # Entries beside the numbered events have the number of the last one: the first has its own.
+            numbered = reversed(list(enumerate(entries)))
             times = {(d.host, d.incarnation, d.event.number): n for n, d in numbered}
-            causes = [(times[d.cause], n) for n, d in enumerate(told) if d.cause in times]
+            causes = [(times[d.cause], n) for n, d in enumerate(entries) if d.cause in times]
             assert len(causes) > 20
             assert all(cause < effect for cause, effect in causes)
 
@@ -115,23 +115,23 @@ coordinator Walker {
 """
 
 
-def test_every_hop_has_its_duration_though_who_comes_back_at_once_brings_its_own_confirmation(fleet) -> None:
+def test_every_hop_has_its_duration_when_the_return_confirms_it(fleet) -> None:
     async def story(fleet) -> None:
         mission = fleet.mission(THERE_AND_BACK, TEAM)
         await fleet.up(mission)
         async with followed(fleet, mission, since=0) as shown:
             await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
             await asyncio.sleep(3.0)
-            told = [dated.event for dated in shown.timeline.drain_events()]
-            hops = {kind: [e.what.sequence for e in told if e.kind == kind] for kind in ("left", "hopped")}
+            entries = [dated.event for dated in shown.timeline.drain_events()]
+            hops = {kind: [e.what.sequence for e in entries if e.kind == kind] for kind in ("left", "hopped")}
             assert len(hops["left"]) == 19
             assert hops["hopped"] == hops["left"]
-            assert all(e.what.seconds is not None for e in told if e.kind == "hopped")
+            assert all(e.what.seconds is not None for e in entries if e.kind == "hopped")
 
     fleet(story)
 
 
-def test_who_looks_late_has_what_was_said_before_in_one_order_and_once(fleet) -> None:
+def test_a_late_client_gets_the_earlier_log_in_order_and_once(fleet) -> None:
     async def story(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM)
         await fleet.up(mission)
@@ -150,13 +150,13 @@ def test_who_looks_late_has_what_was_said_before_in_one_order_and_once(fleet) ->
             assert [x.text for x in log if "visit" in x.text] == [f"visit {n}" for n in range(6)]
             first = next(line for line in log if "visit" in line.text)
             assert first.age == pytest.approx(shown.snapshot().log[-1].age + 5.0, abs=0.5)
-            # No hop of the past is drawn.
+            # Earlier hops are not shown.
             assert len(shown.snapshot().coordinators["walker"].trail) == 2
 
     fleet(story)
 
 
-def test_a_host_that_ends_stays_in_the_picture_and_its_next_life_is_another(fleet) -> None:
+def test_an_ended_host_stays_displayed_and_its_restart_is_counted(fleet) -> None:
     async def story(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM)
         _, beta = await fleet.up(mission)

@@ -1,4 +1,4 @@
-"""Answers to arrivals: what replaces them, what takes them along, how late they are."""
+"""Acknowledgements of arrivals: which messages replace or carry them, and their delay."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DEPLOYMENT = "//Echo:near@alpha\n//Echo:far@bravo\n//Visitor:visitor@alpha\n"
 
 
 class Host:
-    """Answers on a clock that stands still unless it is moved."""
+    """Sends acknowledgements on a manual clock."""
 
     def __init__(self) -> None:
         self.now, self.sent, self.held = 10.0, [], []
@@ -48,7 +48,7 @@ class Host:
         self.answers.on_sending(host, Transfer(agent, generation, 2, 2, b"p" * 32, 7, 0))
 
 
-def test_an_answer_is_sent_after_a_short_time():
+def test_an_acknowledgement_is_sent_after_a_short_delay():
     host = Host()
     answer = host.arrives("bravo")
     assert host.answers.due == host.now + ACK_DELAY
@@ -61,7 +61,7 @@ def test_an_answer_is_sent_after_a_short_time():
     assert host.answers.due is None
 
 
-def test_who_goes_back_brings_its_answer_and_who_goes_elsewhere_sends_it_first():
+def test_a_return_replaces_the_acknowledgement_and_another_hop_sends_it_first():
     host = Host()
     host.arrives("bravo")
     host.leaves("bravo")
@@ -71,15 +71,15 @@ def test_who_goes_back_brings_its_answer_and_who_goes_elsewhere_sends_it_first()
     assert host.sent == [answer]
 
 
-def test_another_start_of_a_coordinator_brings_nothing():
+def test_another_start_of_a_coordinator_does_not_replace_it():
     host = Host()
     answer = host.arrives("bravo", generation=1)
     host.leaves("bravo", generation=2)
-    # Though sent together with it.
+    # The acknowledgement is sent together with it.
     assert host.sent == [answer]
 
 
-def test_whatever_is_sent_to_a_host_takes_the_answers_for_it_along():
+def test_a_message_to_a_host_carries_the_acknowledgements_for_it():
     host = Host()
     tom, ann, eve = (
         host.arrives(at, agent) for at, agent in (("bravo", "tom"), ("carol", "ann"), ("bravo", "eve"))
@@ -90,7 +90,7 @@ def test_whatever_is_sent_to_a_host_takes_the_answers_for_it_along():
     assert host.sent == [tom, eve, ann]
 
 
-def test_a_later_arrival_of_the_same_start_keeps_no_answer_back():
+def test_a_later_arrival_of_the_same_start_does_not_delay_the_first():
     host = Host()
     first, second = host.arrives("bravo", sequence=1), host.arrives("carol", sequence=3)
     assert host.sent == [first]
@@ -100,9 +100,9 @@ def test_a_later_arrival_of_the_same_start_keeps_no_answer_back():
 
 
 @pytest.mark.parametrize("keeps", [False, True], ids=["without journals", "with journals"])
-async def test_hops_to_and_fro_need_no_answers(team, /, keeps):
+async def test_hops_back_and_forth_need_few_acknowledgements(team, /, keeps):
     alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", "bravo", keeps=keeps)
     await team.until(lambda: "made 99 hops" in alpha.log + bravo.log)
-    # Of 99 transfers; a busy computer may keep a few for longer than the short time.
+    # Of 99 transfers; a busy computer may keep a few for longer than the delay.
     assert team.network.sent["Transfer"] == 99
     assert team.network.sent["TransferAccepted"] <= 20

@@ -1,4 +1,4 @@
-"""The log of a host: what is written as text and as JSON, and which errors are kept."""
+"""The log of a host: lines as text and as JSON, and which errors are kept."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def written(out: io.StringIO) -> list[dict[str, object]]:
     return [json.loads(line) for line in out.getvalue().splitlines()]
 
 
-def test_each_line_of_a_program_is_an_object() -> None:
+def test_each_output_line_of_a_program_is_an_object() -> None:
     out = io.StringIO()
     book = JsonLogbook("alpha", StillClock(), out)
     book.write("one\ntw", "boss")
@@ -90,7 +90,7 @@ COMPLETED = log_messages.MISSION_COMPLETED
         (REOPENED, {"endpoint": "e", "address": "", "attempts": 2, "seconds": 3.2}, "link opened: e"),
     ],
 )
-def test_the_fields_are_plain_values_where_the_text_is_a_sentence(
+def test_a_line_has_plain_values_beside_its_sentence(
     message: LogMessage, values: dict[str, object], part: str
 ) -> None:
     line = message.line(**values)
@@ -98,7 +98,7 @@ def test_the_fields_are_plain_values_where_the_text_is_a_sentence(
     assert part in line
 
 
-def test_a_report_of_a_device_names_it() -> None:
+def test_a_device_report_names_its_device() -> None:
     coded = log_messages.SERIAL_LOST.line(reason="unplugged")
     line = log_messages.report_line("arm.servo", *log_messages.report_fields(coded))
     assert (line.code, line.template_values["device"]) == ("serial-lost", "arm.servo")

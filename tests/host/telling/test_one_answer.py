@@ -1,4 +1,4 @@
-"""A question has one answer, whoever asks: a program on a host, or `lfield query --at` that host."""
+"""A query has the same answer for a program on a host and for `lfield query --at` that host."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ CONDITIONS = [
 
 
 class Telemetry:
-    """What the devices of a host have said, at odd moments."""
+    """The telemetry of the devices of a host, at irregular times."""
 
     def __init__(self, running, number):
         self.clock, self.number, self.values = running.host.clock, number, {}
@@ -71,7 +71,7 @@ class Telemetry:
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
-async def test_from_outside_it_is_what_the_program_hears(team, /, condition):
+async def test_a_query_from_outside_equals_that_of_the_program(team, /, condition):
     mission = team.mission(PROGRAM, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
     hosts = {name: team.make(mission, name) for name in "abc"}
     devices = [Telemetry(running, number) for number, running in enumerate(hosts.values())]
@@ -87,15 +87,17 @@ async def test_from_outside_it_is_what_the_program_hears(team, /, condition):
     numbers = {member.id: member.number for member in mission.team.members}
     for name, running in hosts.items():
         status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
-        told = {name: {one.agent: one for one in status.directory}}
-        asked = Matcher(registry, roster_from_hosts(registry, mission.team.deployed, told, (), name), ways)
-        wish = compile_query(condition or "true", registry.attributes)
-        outside = asked.find("Lift", wish)
+        directory = {name: {one.agent: one for one in status.directory}}
+        asked = Matcher(
+            registry, roster_from_hosts(registry, mission.team.deployed, directory, (), name), ways
+        )
+        query = compile_query(condition or "true", registry.attributes)
+        outside = asked.find("Lift", query)
         inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
-        heard = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
-        assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
-        assert [offer.score for offer in heard] == [offer.score for offer in inside]
-        why = render_refusals(asked.explain("Lift", wish.condition))
+        found = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
+        assert [facts_of(offer) for offer in found] == [facts_of(offer) for offer in inside]
+        assert [offer.score for offer in found] == [offer.score for offer in inside]
+        why = render_refusals(asked.explain("Lift", query.condition))
         assert why in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
     assert inside or condition == "battery > 0.5 && tools == sling"
 
@@ -122,8 +124,8 @@ agents: {three: {frame: {north: 90, east: 0}}}
 @pytest.mark.parametrize(
     ("at", "nearest"), [("desk", ["three", "two", "one"]), ("a", ["one", "two", "three"])]
 )
-async def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_places(team, /, at, nearest):
-    """Nobody of the desk has a place of its own, so it is where its pose says; the best one is reserved."""
+async def test_places_and_reservations_give_the_same_answer_inside_and_outside(team, /, at, nearest):
+    """No agent is at the desk, so its pose comes from the devices file; the best offer is reserved."""
     placed = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Foreman:foreman@desk\n"
     capabilities = "registry: 1\nproviders: {Hoist: {serves: {Lift: {}}}}\n"
     mission = team.mission(PLACED, placed, PLACES, capabilities=capabilities, simulate=True)
@@ -143,14 +145,14 @@ async def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_p
     await asyncio.sleep(6.0)
     world = hosts[at].host.core.services
     status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
-    told = {at: {one.agent: one for one in status.directory}}
-    offers, why = asked(roster_from_hosts(registry, deployed, told, (), at, pose))
-    inside = world.offers(SimpleNamespace(id="somebody"), "Lift", None)
+    directory = {at: {one.agent: one for one in status.directory}}
+    offers, why = asked(roster_from_hosts(registry, deployed, directory, (), at, pose))
+    inside = world.offers(SimpleNamespace(id="other"), "Lift", None)
     assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
     assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]
     assert why.startswith("three: reserved by foreman for ")
     assert [offer.agent for offer in world.offers(NOBODY, "Lift", None)] == nearest
-    teams = world.teams(SimpleNamespace(id="somebody"), "Lift", None, 3)
+    teams = world.teams(SimpleNamespace(id="other"), "Lift", None, 3)
     assert (teams, len(world.teams(NOBODY, "Lift", None, 3))) == ([], 1)
 
 

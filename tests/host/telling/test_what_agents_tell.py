@@ -1,4 +1,4 @@
-"""What an offer says of an agent, and where it is from: its type, its binding, its devices, its portals."""
+"""The attributes of an offer and their sources: type, binding, devices, portals."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ IDLE = "coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); slee
 
 
 class Telemetry:
-    """What the devices of a host have said, by hand."""
+    """The telemetry of the devices of a host, set by the test."""
 
     def __init__(self, running):
         self.values = {}
@@ -78,8 +78,8 @@ class Telemetry:
         return None if value is None else Observation(value, self.clock.monotonic() - 0.25)
 
 
-async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
-    """alpha and bravo, linked, and what the devices of alpha say."""
+async def start_hoists(team, program=IDLE, capabilities=CAPABILITIES):
+    """alpha and bravo, linked, and the telemetry of alpha."""
     mission = team.mission(HOISTS + program, TEAM, BINDINGS, capabilities=capabilities, simulate=True)
     alpha, bravo = (team.make(mission, name) for name in ("alpha", "bravo"))
     said, _ = Telemetry(alpha), Telemetry(bravo)
@@ -92,15 +92,15 @@ async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
 
 
 def facts_of(running, agent, condition=None):
-    """What the offer of an agent says, as the coordinator sees it: texts or numbers, and sources."""
+    """The attributes of an agent's offer, as the coordinator sees it: texts or numbers, and sources."""
     found = running.host.core.services.offers(NOBODY, "Lift", condition)
     offer = next(offer for offer in found if offer.agent == agent)
     values = zip(offer.names, offer.texts, offer.numbers, offer.sources, strict=True)
     return {name: (number if text is None else text, source) for name, text, number, source in values}
 
 
-async def test_every_value_of_an_offer_says_where_it_is_from(team, /):
-    alpha, bravo, said = await hoists(team)
+async def test_every_attribute_of_an_offer_has_its_source(team, /):
+    alpha, bravo, said = await start_hoists(team)
     said.values["near.fc", "battery"], said.values["near.fc", "groundSpeed"] = 0.75, 4.0
     await asyncio.sleep(2.0)
     for asked in (alpha, bravo):
@@ -112,13 +112,13 @@ async def test_every_value_of_an_offer_says_where_it_is_from(team, /):
         assert near["mass"] == (9.0, "nominal")
         assert near["speed"] == (4.0, "reported by the device")
         assert near["battery"] == (0.75, "measured")
-        # What its device has not told is what is usual; the mission's word counts before the binding's.
+        # Without telemetry the nominal value counts; the mission's registry precedes the binding.
         assert far["speed"] == (0.5, "nominal")
         assert far["mass"] == (3.0, "stated")
 
 
-async def test_a_portal_that_only_queries_feeds_an_attribute(team, /):
-    alpha, bravo, _ = await hoists(team)
+async def test_a_query_portal_provides_an_attribute(team, /):
+    alpha, bravo, _ = await start_hoists(team)
     for asked in (alpha, bravo):
         near = facts_of(asked, "near", "level > 1.4")
         assert near["level"] == (1.5, "measured")
@@ -128,7 +128,7 @@ async def test_a_portal_that_only_queries_feeds_an_attribute(team, /):
         assert "near: near has not reported slow()" in why
 
 
-async def test_one_that_fails_makes_it_unknown_until_it_answers_again(team, /):
+async def test_a_failing_portal_makes_its_attribute_unknown_until_it_recovers(team, /):
     program = """
 coordinator Foreman {
     init(string[] arg) {
@@ -142,23 +142,23 @@ coordinator Foreman {
 }
 """
 
-    alpha, _, _ = await hoists(team, program)
+    alpha, _, _ = await start_hoists(team, program)
     await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
     why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
     assert "near: level() throws DeviceException: the rope is torn" in why
     await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 
 
-async def test_a_question_is_no_call_of_somebody(team, /):
-    alpha, _, _ = await hoists(team)
+async def test_attribute_queries_do_not_count_as_served_calls(team, /):
+    alpha, _, _ = await start_hoists(team)
     await asyncio.sleep(20.0)
     near = alpha.host.machine.agents["near"]
     assert near.served == 0
-    # One that never answers is asked once.
+    # A portal that never answers is called once.
     assert len(alpha.host.machine._scheduler.resource_queries) == 1
 
 
-async def test_the_age_of_a_value_goes_on_after_the_find(team, /):
+async def test_the_age_of_a_value_grows_after_the_query(team, /):
     program = """
 coordinator Foreman {
     init(string[] arg) {
@@ -175,7 +175,7 @@ coordinator Foreman {
 }
 """
 
-    alpha, bravo, _ = await hoists(team, program)
+    alpha, bravo, _ = await start_hoists(team, program)
     await team.until(lambda: "no younger" in alpha.log)
     assert "older by 7.0 and 0.0" in bravo.log
     assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)
@@ -194,7 +194,7 @@ coordinator Foreman {
         ("{from: level(), every: 0.1}", "Y113", "'every' must be from 1 to 3600, not 0.1"),
     ],
 )
-async def test_a_portal_that_cannot_feed_an_attribute_is_refused(team, /, source, code, told):
+async def test_an_unsuitable_portal_for_an_attribute_is_refused(team, /, source, code, told):
     capabilities = CAPABILITIES.replace("{from: level(), unit: mm, every: 2.0}", source)
     with pytest.raises(ProgramError) as error:
         team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
@@ -212,7 +212,7 @@ async def test_a_portal_that_cannot_feed_an_attribute_is_refused(team, /, source
         ("tools: [spoon]", "'spoon' is not a value of 'tools'"),
     ],
 )
-async def test_what_a_binding_states_wrongly_is_told_at_its_place(team, /, stated, told):
+async def test_a_wrong_attribute_in_a_binding_is_reported_at_its_place(team, /, stated, told):
     bindings = f"agents: {{near: {{attributes: {{{stated}}}}}}}"
     with pytest.raises(BindingError) as error:
         team.mission(HOISTS + IDLE, TEAM, bindings, capabilities=CAPABILITIES, simulate=True)
@@ -220,14 +220,14 @@ async def test_what_a_binding_states_wrongly_is_told_at_its_place(team, /, state
     assert "mission.devices.yaml:1:" in str(error.value)
 
 
-async def test_what_two_files_state_is_said(team, /):
+async def test_an_attribute_stated_in_two_files_gives_a_warning(team, /):
     mission = team.mission(HOISTS + IDLE, TEAM, BINDINGS, capabilities=CAPABILITIES, simulate=True)
     assert [w for w in mission.warnings if "stated" in w] == [
         "mass of far is stated in the devices file and in the mission's registry, which counts"
     ]
 
 
-async def test_a_frame_and_a_binding_that_state_one_place_are_told(team, /):
+async def test_a_place_stated_by_frame_and_attribute_gives_a_warning(team, /):
     pose = "frame: {north: 4, east: 2}"
     bindings = f"agents: {{near: {{{pose}}}, far: {{{pose}, attributes: {{north: 5.0}}}}}}"
     capabilities = CAPABILITIES.replace('      east: "place()[1]"\n', "")

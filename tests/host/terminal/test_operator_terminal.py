@@ -34,7 +34,7 @@ WIDE = "\N{ROBOT FACE}" * MAX_LINE
     ],
     ids=range(10),
 )
-def test_lines_of_bytes(chunks: list[bytes], lines: list[str], cuts: int) -> None:
+def test_bytes_are_split_into_lines(chunks: list[bytes], lines: list[str], cuts: int) -> None:
     found, cut = list[str](), list[int]()
     splitter = LineSplitter(found.append, lambda: cut.append(1))
     for chunk in chunks:
@@ -71,7 +71,7 @@ def test_a_process_without_standard_input_reads_nothing(monkeypatch) -> None:
     read_standard_input("alpha", print, print)
 
 
-def test_lines_come_from_the_parent_process_too() -> None:
+def test_lines_are_read_from_the_parent_pipe() -> None:
     found = list[tuple[str, str]]()
 
     async def piped() -> None:

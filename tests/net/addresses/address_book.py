@@ -1,4 +1,4 @@
-"""Names and silent addresses on loopback, and listeners for tests of ways to a host."""
+"""Names and silent addresses on loopback, and listeners for tests of host addresses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from lfield.net.tcp_transport import TcpTransport
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder
 
-#: A listener whose callers are never accepted: its queue is full, and nothing is answered.
+#: The backlog of this listener is full: a connection attempt gets no answer.
 HOLE = "127.0.0.9"
 
 
@@ -27,8 +27,8 @@ def has_ipv6() -> bool:
 needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
 
 
-class Book:
-    """What names lead to, in place of the system's list."""
+class NameTable:
+    """The addresses of host names, in place of the system's resolver."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.rows: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""Fixtures for tests of ways to a host."""
+"""Fixtures for tests of host addresses."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import socket
 from collections.abc import Callable, Iterator
 
 import pytest
-from address_book import HOLE, Book
+from address_book import HOLE, NameTable
 
 
 @pytest.fixture
-def book(monkeypatch) -> Iterator[Book]:
-    made = Book(monkeypatch)
+def name_table(monkeypatch) -> Iterator[NameTable]:
+    made = NameTable(monkeypatch)
     yield made
     made.blocked.set()
 
 
 @pytest.fixture
 def hole() -> Iterator[int]:
-    """The port at HOLE."""
+    """The port of the listener at HOLE."""
     with socket.socket() as made:
         made.bind((HOLE, 0))
         made.listen(0)

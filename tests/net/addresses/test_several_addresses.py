@@ -36,7 +36,7 @@ def port_of(listener) -> str:
     ("address", "number"),
     [("10.0.0.1:1", True), ("10.0.0.1:1,[fd00::1]:2", True), ("10.0.0.1:1,alpha:1", False), ("a:x", False)],
 )
-def test_a_number_needs_no_look_up(address, number):
+def test_a_numeric_address_list_needs_no_lookup(address, number):
     assert is_number(address) is number
     assert ",".join(split_addresses(address)) == address
 
@@ -57,8 +57,8 @@ async def test_the_first_address_is_preferred():
 
 
 @needs_ipv6
-async def test_dead_silent_and_unknown_addresses_hide_no_other(book, hole):
-    book.rows["gone"] = []
+async def test_dead_silent_and_unknown_addresses_do_not_prevent_a_connection(name_table, hole):
+    name_table.rows["gone"] = []
     there, _ = await listening(f"[::1]:{hole}")
     link = await TcpTransport(MAX_BLOCK).connect(
         f"gone:1,127.0.0.2:{hole},{HOLE}:{hole},[::1]:{hole}", Recorder()
@@ -68,9 +68,9 @@ async def test_dead_silent_and_unknown_addresses_hide_no_other(book, hole):
     there.close()
 
 
-async def test_a_name_server_that_does_not_answer_delays_no_other_address(book):
-    book.rows["slow"] = ["127.0.0.3"]
-    book.blocking.add("slow")
+async def test_a_silent_name_server_delays_no_other_address(name_table):
+    name_table.rows["slow"] = ["127.0.0.3"]
+    name_table.blocking.add("slow")
     there, _ = await listening("127.0.0.2:0")
     port, loop, transport = port_of(there), asyncio.get_running_loop(), TcpTransport(MAX_BLOCK)
     before = loop.time()
@@ -79,25 +79,25 @@ async def test_a_name_server_that_does_not_answer_delays_no_other_address(book):
     assert loop.time() - before >= PREFERENCE_TIME
     link.close()
     there.close()
-    # The name alone is left: it is tried when the name server answers, also beside a dead address.
+    # Only the name is left: it is tried when the name server answers, also beside a dead address.
     there, _ = await listening(f"127.0.0.3:{port}")
     late = asyncio.ensure_future(transport.connect(f"slow:{port},127.0.0.2:{port}", Recorder()))
     await asyncio.sleep(2 * PREFERENCE_TIME)
     assert not late.done()
-    book.blocked.set()
+    name_table.blocked.set()
     link = await late
     assert link.peer == f"127.0.0.3:{port}"
     link.close()
     there.close()
 
 
-async def test_a_late_name_is_tried_beside_a_silent_address(book, hole):
-    book.rows["slow"] = ["127.0.0.3"]
-    book.blocking.add("slow")
+async def test_a_late_name_is_tried_beside_a_silent_address(name_table, hole):
+    name_table.rows["slow"] = ["127.0.0.3"]
+    name_table.blocking.add("slow")
     there, _ = await listening(f"127.0.0.3:{hole}")
     late = asyncio.ensure_future(TcpTransport(MAX_BLOCK).connect(f"{HOLE}:{hole},slow:{hole}", Recorder()))
     await asyncio.sleep(2 * PREFERENCE_TIME)
-    book.blocked.set()
+    name_table.blocked.set()
     link = await late
     assert link.peer == f"127.0.0.3:{hole}"
     link.close()
@@ -110,7 +110,7 @@ async def test_each_address_is_named_with_its_error(hole):
         await transport.connect(f"127.0.0.2:{hole},{HOLE}:{hole}", Recorder())
     assert f"127.0.0.2:{hole}: " in caught.value.reason
     assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
-    # Each once, wherever its answer came in the order.
+    # Each address once, in either order.
     with pytest.raises(AddressError) as caught:
         await transport.connect(f"{HOLE}:{hole},127.0.0.2:{hole}", Recorder())
     assert caught.value.reason.count("127.0.0.2") == caught.value.reason.count(HOLE) == 1
@@ -120,7 +120,7 @@ async def test_each_address_is_named_with_its_error(hole):
         await transport.connect(f"127.0.0.2:{hole},", Recorder())
 
 
-async def test_an_address_of_another_host_does_not_hide_the_right_one():
+async def test_an_address_of_another_host_does_not_prevent_a_connection():
     wrong, _ = await listening("127.0.0.2:0", served("bravo"))
     port = port_of(wrong)
     right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
@@ -130,7 +130,7 @@ async def test_an_address_of_another_host_does_not_hide_the_right_one():
     assert (link.who.name, link.peer) == ("alpha", f"127.0.0.3:{port}")
     assert caller.ends == []
     link.close()
-    # Any host is accepted without a name.
+    # Without an expected name, any host is accepted.
     link = await TcpTransport(MAX_BLOCK, ANNA).connect(address, Recorder())
     assert link.who.name == "bravo"
     link.close()
@@ -145,7 +145,7 @@ async def test_an_address_of_another_host_does_not_hide_the_right_one():
     wrong.close()
 
 
-async def test_an_address_of_a_stranger_does_not_hide_the_right_one():
+async def test_an_address_of_a_host_of_another_team_does_not_prevent_a_connection():
     wrong, _ = await listening("127.0.0.2:0", served("alpha", OTHER))
     port = port_of(wrong)
     right, _ = await listening(f"127.0.0.3:{port}", served("alpha"))
@@ -162,10 +162,10 @@ async def test_an_address_of_a_stranger_does_not_hide_the_right_one():
 # Listening
 
 
-async def test_a_host_listens_at_its_own_addresses(book, monkeypatch):
+async def test_a_host_listens_at_its_own_addresses_only(name_table, monkeypatch):
     monkeypatch.setattr(listeners, "CHECK_EVERY", 0.02)
 
-    book.rows["alpha"] = []
+    name_table.rows["alpha"] = []
     transport, notes = TcpTransport(MAX_BLOCK), []
     transport.note = notes.append
     there, accepted = await listening("198.51.100.1:0,127.0.0.2:0,alpha:0,127.0.0.3:0", transport)
@@ -174,12 +174,12 @@ async def test_a_host_listens_at_its_own_addresses(book, monkeypatch):
     assert (first, second) == (f"127.0.0.2:{port}", f"127.0.0.3:{port}")
     assert [note.code for note in notes] == ["listening-failed"]
     # An address that appears later is used then.
-    book.rows["alpha"] = ["127.0.0.4"]
+    name_table.rows["alpha"] = ["127.0.0.4"]
     await until(lambda: f"127.0.0.4:{port}" in there.address)
-    # A name that leads nowhere closes nothing.
-    book.rows["alpha"] = []
-    asked = book.asked
-    await until(lambda: book.asked > asked + 2)
+    # A name without an address closes nothing.
+    name_table.rows["alpha"] = []
+    asked = name_table.asked
+    await until(lambda: name_table.asked > asked + 2)
     for each in (first, second, f"127.0.0.4:{port}"):
         link = await TcpTransport(MAX_BLOCK).connect(each, Recorder())
         link.close()
@@ -187,12 +187,12 @@ async def test_a_host_listens_at_its_own_addresses(book, monkeypatch):
     there.close()
 
 
-async def test_a_host_without_an_own_address_cannot_listen():
+async def test_a_host_without_a_local_address_cannot_listen():
     with pytest.raises(AddressError, match="not one of this machine"):
         await listening("198.51.100.1:0,198.51.100.2:0")
 
 
-def test_a_port_of_any_address_must_be_free():
+def test_the_port_must_be_free_at_each_local_address():
     with socket.create_server(("127.0.0.3", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(AddressError):
@@ -200,7 +200,7 @@ def test_a_port_of_any_address_must_be_free():
         require_port_free(f"198.51.100.1:{port},127.0.0.2:{port}")
 
 
-def test_a_socket_is_opened_at_the_first_own_address():
+def test_the_listening_socket_uses_the_first_local_address():
     opened, address = open_listening_socket("198.51.100.1:0,127.0.0.3:0")
     with opened:
         assert address.startswith("127.0.0.3:")

@@ -47,20 +47,20 @@ def test_a_delta_restores_every_version(size):
         assert expand_delta(encode_delta(old, version), version, size) == old
 
 
-def test_a_small_change_costs_few_bytes():
+def test_a_small_change_gives_a_short_delta():
     rng = random.Random(1)
     for size, most in ((600, 40), (8720, 100), (100_000, 1000)):
         old = rng.randbytes(size)
         assert len(encode_delta(changed(old, rng, 4), old)) <= most
 
 
-def test_a_moved_heap_costs_few_bytes():
+def test_a_moved_heap_gives_a_short_delta():
     old = random.Random(1).randbytes(40_000)
     assert len(encode_delta(bytes(200) + old, old)) < 700
 
 
 @pytest.mark.parametrize("size", SIZES[2:])
-def test_a_delta_cut_anywhere_or_for_another_size_is_refused(size):
+def test_a_truncated_delta_or_a_wrong_size_is_refused(size):
     old = random.Random(1).randbytes(size)
     delta = encode_delta(changed(old, random.Random(2)), old)
     for end in range(0, len(delta) - 1, max(1, len(delta) // 100)):
@@ -70,7 +70,7 @@ def test_a_delta_cut_anywhere_or_for_another_size_is_refused(size):
         expand_delta(delta, old, size + 1)
 
 
-def test_what_is_expanded_is_bounded_by_the_stated_size():
+def test_expansion_is_limited_by_the_stated_size():
     coder = zlib.compressobj(9, zlib.DEFLATED, -15)
     bomb = coder.compress(bytes(1 << 28)) + coder.flush()
     with pytest.raises(WireError):
@@ -79,7 +79,7 @@ def test_what_is_expanded_is_bounded_by_the_stated_size():
         LinkCompression().decode(bomb, 1 << 20)
 
 
-def test_messages_of_a_stream_get_shorter_and_arrive_in_order():
+def test_similar_messages_of_a_stream_are_compressed_and_decoded_in_order():
     near, far, rng = LinkCompression(), LinkCompression(), random.Random(1)
     report = rng.randbytes(300)
     lengths = []
@@ -130,7 +130,7 @@ def test_a_transfer_is_sent_whole_on_a_fast_path():
     assert kind(near.encode(AGENT, whole(3), is_fast=False)) == TRANSFER_DELTA
 
 
-def test_a_reference_with_another_digest_is_missing():
+def test_a_reference_with_another_digest_is_reported_missing():
     near, far = TransferHistory(), TransferHistory()
     near.keep(AGENT, payload(BLOCK, 1), is_sent=False)
     far.keep(AGENT, payload(BLOCK, 2), is_sent=False)
@@ -139,7 +139,7 @@ def test_a_reference_with_another_digest_is_missing():
     assert TransferHistory().decode(delta) == MissingReference(AGENT)
 
 
-def test_what_is_kept_is_bounded_and_not_evicted_by_others_that_do_not_fit():
+def test_kept_references_are_bounded_and_not_evicted_by_larger_ones():
     near = TransferHistory()
     kept = [near.keep(f"c{number}", bytes(100_000), is_sent=True) for number in range(20)]
     assert kept == [True] * (MAX_KEPT // 100_000) + [False] * (20 - MAX_KEPT // 100_000)
@@ -152,8 +152,8 @@ def test_what_is_kept_is_bounded_and_not_evicted_by_others_that_do_not_fit():
     assert near._size == len(near.whole("c19"))
 
 
-def test_coordinators_that_do_not_fit_together_are_delivered_and_those_that_fit_as_deltas():
-    """Five large states take turns, and some transfers cross."""
+def test_coordinators_beyond_the_reference_limit_are_sent_whole_others_as_deltas():
+    """Five large states are sent in turn, and some transfers cross."""
     near, far = ends(1 << 20)
     rng = random.Random(1)
     blocks = {f"w{number}": rng.randbytes(190_000) for number in range(5)}
@@ -194,7 +194,7 @@ def ends(max_block: int = 1 << 20) -> tuple[End, End]:
     return near, far
 
 
-def test_a_hop_without_a_reference_is_sent_again_whole():
+def test_a_hop_without_a_reference_is_repeated_whole():
     near, far = ends()
     near.send_transfer(transfer(600, 1), BLOCK)
     far._history = TransferHistory()
@@ -207,7 +207,7 @@ def test_a_hop_without_a_reference_is_sent_again_whole():
     assert far.handler.messages[-1] == (transfer(600, 3), BLOCK)
 
 
-def test_nothing_is_coded_within_a_computer_whatever_round_trip_is_measured():
+def test_nothing_is_coded_on_a_local_link_at_any_round_trip_time():
     near, far = ends()
     near.mark_local()
     far.mark_local()
@@ -219,7 +219,7 @@ def test_nothing_is_coded_within_a_computer_whatever_round_trip_is_measured():
     assert near._history.whole(AGENT) is None
 
 
-def test_bytes_are_counted_for_each_link_and_for_several_together():
+def test_bytes_are_counted_per_link_and_in_total():
     total, links = TrafficBytes(), [ends()[0] for _ in range(2)]
     for number, link in enumerate(links):
         link.count_in(total)
@@ -230,7 +230,7 @@ def test_bytes_are_counted_for_each_link_and_for_several_together():
     assert total.counts[TrafficKind.CONTROL] == sum(sizes)
 
 
-def test_hops_that_cross_close_the_link_when_neither_can_be_repeated():
+def test_crossing_hops_that_cannot_be_repeated_close_the_link():
     """Two starts of one coordinator: the next link begins with queries about both."""
     near, far = ends()
     near.send_transfer(transfer(600, 1), BLOCK)
@@ -246,7 +246,7 @@ def test_hops_that_cross_close_the_link_when_neither_can_be_repeated():
     assert isinstance(far._error, WireError)
 
 
-def test_a_request_for_a_transfer_that_was_not_sent_closes_the_link():
+def test_a_request_for_an_unsent_transfer_closes_the_link():
     near, far = ends()
     far.send(WholeTransferRequest("eve"))
     assert near.closed

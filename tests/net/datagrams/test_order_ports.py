@@ -23,8 +23,8 @@ from lfield.wire.order_messages import MAGIC, MAX_DATAGRAM
 SOUND = MAGIC + bytes(150)
 
 
-class Noted:
-    """Reads everything, but of some addresses so many only."""
+class DatagramLog:
+    """Reads datagrams, up to a limit for some addresses."""
 
     def __init__(self) -> None:
         self.came: list[bytes] = []
@@ -54,51 +54,51 @@ def sender(at: str = "127.0.0.1") -> socket.socket:
 
 
 @pytest.mark.parametrize("at", ["127.0.0.1:0", "[::1]:0"])
-async def test_datagrams_come_to_the_number_of_the_listening_port_and_end_with_it(at: str) -> None:
-    transport, noted = TcpTransport(1 << 16), Noted()
-    transport.datagrams = noted
+async def test_datagrams_use_the_number_of_the_listening_port_and_close_with_it(at: str) -> None:
+    transport, log = TcpTransport(1 << 16), DatagramLog()
+    transport.datagrams = log
     try:
         listener = await transport.listen(at, lambda link: None)  # type: ignore[arg-type,return-value]
     except OSError:
         pytest.skip("no IPv6 on this computer")
     host, port = split_address(listener.address)
-    asks = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-    asks.sendto(SOUND, (host, port))
-    await until(lambda: noted.came == [SOUND])
-    asks.settimeout(60.0)
-    assert asks.recv(100) == b"seen"
+    client = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
+    client.sendto(SOUND, (host, port))
+    await until(lambda: log.came == [SOUND])
+    client.settimeout(60.0)
+    assert client.recv(100) == b"seen"
     listener.close()
-    again = socket.socket(asks.family, socket.SOCK_DGRAM)
+    again = socket.socket(client.family, socket.SOCK_DGRAM)
     again.bind((host, port))
     again.close()
-    asks.close()
+    client.close()
 
 
-async def test_what_cannot_be_an_order_is_dropped() -> None:
-    noted, asks = Noted(), sender()
+async def test_datagrams_that_are_no_orders_are_dropped() -> None:
+    log, client = DatagramLog(), sender()
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     made.bind(("127.0.0.1", 0))
     at = made.getsockname()
-    port = DatagramPort(datagram_socket_at(made), noted, float)
+    port = DatagramPort(datagram_socket_at(made), log, float)
     for wrong in (b"", MAGIC, b"GET / HTTP/1.1" + bytes(200), SOUND[:100], MAGIC + bytes(MAX_DATAGRAM)):
-        asks.sendto(wrong, at)
-    asks.sendto(SOUND, at)
-    await until(lambda: bool(noted.came))
-    assert noted.came == [SOUND]
+        client.sendto(wrong, at)
+    client.sendto(SOUND, at)
+    await until(lambda: bool(log.came))
+    assert log.came == [SOUND]
     port.close()
     made.close()
-    asks.close()
+    client.close()
 
 
-def test_of_a_sender_that_sends_too_much_the_kernel_drops_all_and_of_nobody_else() -> None:
-    made, floods, asks = sender(), sender(), sender()
+def test_the_kernel_filter_drops_only_the_datagrams_of_the_flooding_address() -> None:
+    made, floods, client = sender(), sender(), sender()
     made.settimeout(60.0)
     if not attach(made, [flooder_at(*floods.getsockname())]):
         pytest.skip("this kernel has no socket filters")
     for _ in range(5):
         floods.sendto(SOUND, made.getsockname())
-    asks.sendto(SOUND, made.getsockname())
-    assert made.recvfrom(2000)[1] == asks.getsockname()
+    client.sendto(SOUND, made.getsockname())
+    assert made.recvfrom(2000)[1] == client.getsockname()
     made.setblocking(False)
     with pytest.raises(BlockingIOError):
         made.recv(2000)
@@ -106,47 +106,47 @@ def test_of_a_sender_that_sends_too_much_the_kernel_drops_all_and_of_nobody_else
     floods.sendto(SOUND, made.getsockname())
     made.settimeout(60.0)
     assert made.recvfrom(2000)[1] == floods.getsockname()
-    for each in (made, floods, asks):
+    for each in (made, floods, client):
         each.close()
 
 
-async def test_a_flood_that_is_refused_does_not_hold_up_others() -> None:
-    noted, floods, asks = Noted(), sender(), sender()
-    noted.left[floods.getsockname()] = 3
+async def test_a_refused_flood_does_not_delay_other_senders() -> None:
+    log, floods, client = DatagramLog(), sender(), sender()
+    log.left[floods.getsockname()] = 3
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     made.bind(("127.0.0.1", 0))
-    port = DatagramPort(datagram_socket_at(made), noted, float)
+    port = DatagramPort(datagram_socket_at(made), log, float)
     for _ in range(100):
         floods.sendto(SOUND, made.getsockname())
-    await until(lambda: len(noted.came) == 3)
-    asks.sendto(SOUND + b"!", made.getsockname())
-    await until(lambda: SOUND + b"!" in noted.came)
-    assert len(noted.came) == 4
+    await until(lambda: len(log.came) == 3)
+    client.sendto(SOUND + b"!", made.getsockname())
+    await until(lambda: SOUND + b"!" in log.came)
+    assert len(log.came) == 4
     port.close()
     made.close()
     floods.close()
-    asks.close()
+    client.close()
 
 
-async def test_a_flood_from_many_ports_of_one_address_is_dropped_with_all_ports() -> None:
+async def test_a_flood_from_many_ports_of_one_address_blocks_all_its_ports() -> None:
     with sender() as tried:
         if not attach(tried, []):
             pytest.skip("this kernel has no socket filters")
-    noted, asks = Noted(), sender("127.0.0.2")
+    log, client = DatagramLog(), sender("127.0.0.2")
     floods = [sender() for _ in range(FLOODING_PORTS + 2)]
     made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     made.bind(("127.0.0.1", 0))
-    port = DatagramPort(datagram_socket_at(made), noted, float)
+    port = DatagramPort(datagram_socket_at(made), log, float)
     for one in floods[: FLOODING_PORTS + 1]:
-        noted.left[one.getsockname()] = 0
+        log.left[one.getsockname()] = 0
         one.sendto(SOUND, made.getsockname())
     await until(lambda: [found.port for found in port.flooders] == [ANY_PORT])
-    # Of this port nothing came before.
+    # This port has sent nothing before.
     floods[-1].sendto(SOUND, made.getsockname())
-    asks.sendto(SOUND + b"!", made.getsockname())
-    await until(lambda: noted.came == [SOUND + b"!"])
+    client.sendto(SOUND + b"!", made.getsockname())
+    await until(lambda: log.came == [SOUND + b"!"])
     port.close()
-    for each in (made, asks, *floods):
+    for each in (made, client, *floods):
         each.close()
 
 
@@ -159,6 +159,6 @@ async def test_a_flood_from_many_ports_of_one_address_is_dropped_with_all_ports(
         ("2001:db8::7", "20010db800000000", b"\x20\x01\x0d\xb8" + bytes(11) + b"\x07"),
     ],
 )
-def test_addresses_are_rationed_by_their_networks(host: str, network: str, packed: bytes) -> None:
+def test_address_rations_are_per_network(host: str, network: str, packed: bytes) -> None:
     assert network_of((host, 1)) == network
     assert flooder_at(host, 7) == Flooder(packed, 7)

@@ -1,7 +1,7 @@
-"""A link on a path that loses packets, in virtual time: heartbeats over TCP, which repeats what is lost.
+"""A link on a path that loses packets, in virtual time: heartbeats over TCP, which repeats lost segments.
 
-The model is worse than TCP: a sender has one segment under way and sends the next when that is acknowledged,
-and nothing tells of a loss but a time-out. As in TCP, each packet acknowledges all that has come.
+The model is worse than TCP: a sender has one segment in flight and sends the next one when that is
+acknowledged; only a time-out detects a loss. As in TCP, each packet acknowledges everything received.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lfield.net.health.link_heartbeats import PING_EVERY, Heartbeats
 
 @dataclass(frozen=True)
 class Path:
-    """One-way `delay` in s, and the share of packets that are lost, each by itself."""
+    """One-way `delay` in s, and the independent probability that a packet is lost."""
 
     delay: float
     loss: float
@@ -25,7 +25,7 @@ class Path:
 
 @dataclass(frozen=True)
 class Kernel:
-    """The time-out beyond the round trip and the longest one, in s; so many time-outs do not double."""
+    """Margin beyond the round trip and longest time-out, in s; the first `linear` time-outs do not double."""
 
     margin: float
     longest: float
@@ -33,7 +33,7 @@ class Kernel:
 
 
 class Simulation:
-    """Virtual time, and what is to happen in it."""
+    """Virtual time and its queue of events."""
 
     def __init__(self, seed: int, path: Path, kernel: Kernel) -> None:
         self.now, self.path, self.kernel = 0.0, path, kernel
@@ -42,16 +42,16 @@ class Simulation:
         self._order = itertools.count()
 
     def later(self, seconds: float, what: Callable[[], None]) -> None:
-        """Do it then."""
+        """Call `what` after `seconds`."""
         heapq.heappush(self._due, (self.now + seconds, next(self._order), what))
 
     def carry(self, what: Callable[[], None]) -> None:
-        """A packet is sent: what it does when it arrives."""
+        """Send a packet; `what` is called when it arrives."""
         if self.rng.random() >= self.path.loss:
             self.later(self.path.delay, what)
 
     def run(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Advance the time to `seconds`."""
         while self._due and self._due[0][0] <= seconds:
             self.now, _, what = heapq.heappop(self._due)
             what()
@@ -104,14 +104,14 @@ class Sender:
 
 
 class End:
-    """One end of a link, as `lfield.net.link_manager` keeps it: it is checked each second."""
+    """One end of a link, as in `lfield.net.link_manager`: it is checked each second."""
 
     def __init__(self, simulation: Simulation, *, first: bool, is_idle: bool) -> None:
         self._is_idle = is_idle
         self.beats = Heartbeats(first=first)
         self.beats.on_link_made(0.0)
         self.last_received = 0.0
-        #: When it gave the link up, and each longest silence before something came.
+        #: Times at which this end closed the link, and each silence before a message.
         self.lost: list[float] = []
         self.silences: list[float] = []
         self.simulation, self.other = simulation, self
@@ -119,11 +119,11 @@ class End:
         simulation.later(PING_EVERY * (0.3 if first else 0.8), self._check)
 
     def _deliver(self, message: tuple[str, int]) -> None:
-        """What this end has sent arrives at the other."""
+        """Deliver a message of this end to the other end."""
         self.other.on_message(*message)
 
     def on_message(self, kind: str, token: int) -> None:
-        """A message has come."""
+        """Handle a received message."""
         now = self.simulation.now
         self.silences.append(now - self.last_received)
         self.last_received = now
@@ -147,7 +147,7 @@ class End:
 def ends_after(
     seconds: float, path: Path, kernel: Kernel, seed: int, *, is_idle: bool = False
 ) -> tuple[End, End]:
-    """Both ends of a link that was kept for so many seconds."""
+    """Both ends of a link after `seconds`."""
     simulation = Simulation(seed, path, kernel)
     near, far = (End(simulation, first=first, is_idle=is_idle) for first in (True, False))
     near.other, far.other = far, near

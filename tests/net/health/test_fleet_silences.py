@@ -1,4 +1,4 @@
-"""A path between two hosts is silent for a while: what becomes of the link, and how soon they talk again."""
+"""A path between two hosts is silent for a while: whether the link is closed, and when traffic resumes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ENDS = (HOSTS, HOSTS[::-1])
 
 @pytest.fixture(autouse=True)
 def links_are_busy(request, monkeypatch) -> None:
-    """Nothing is under way between these hosts; their links are treated as if it were, except where named."""
+    """Treat the idle links between these hosts as busy, except in tests with "idle" in their name."""
     if "idle" not in request.node.name:
         monkeypatch.setattr("lfield.net.health.link_monitor.IDLE_AFTER", math.inf)
 
@@ -49,20 +49,20 @@ def links(fleet: Fleet) -> list[object]:
 
 
 def silences(fleet: Fleet) -> list[float]:
-    """For how long each has not heard the other, by its own clock."""
+    """Time since each host last received from the other, by its own clock."""
     both = [(fleet.lives[host].host.peers, other) for host, other in ENDS]
     return [peers.now() - (peers.last_contact_at(other) or 0.0) for peers, other in both]
 
 
 def silence(fleet: Fleet, seconds: float) -> None:
-    """Nothing comes through, and nobody is told."""
+    """Drop all packets in both directions without an error."""
     fleet.network.silence(*HOSTS)
     fleet.network.silence(*HOSTS[::-1])
     fleet.run(seconds)
 
 
-def until_heard(fleet: Fleet) -> float:
-    """How long after the return of the path both hear each other again."""
+def seconds_until_received(fleet: Fleet) -> float:
+    """Seconds from the return of the path until both hosts receive again."""
     back = fleet.now
     fleet.heal(*HOSTS)
     while not all(linked(fleet)) or max(silences(fleet)) > fleet.now - back:
@@ -73,25 +73,25 @@ def until_heard(fleet: Fleet) -> float:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("seconds", [1.0, 5.0, 15.0, 30.0])
-def test_traffic_continues_within_a_second_of_the_return_of_the_path(tmp_path, seconds, seed):
+def test_traffic_resumes_within_a_second_of_the_return_of_the_path(tmp_path, seconds, seed):
     fleet = fleet_of(tmp_path, seed)
     silence(fleet, seconds)
-    assert until_heard(fleet) <= 1.2
+    assert seconds_until_received(fleet) <= 1.2
     fleet.run(30.0)
     assert linked(fleet) == [True, True]
 
 
-def test_a_link_that_wakes_up_before_it_is_given_up_stays(tmp_path):
+def test_a_link_that_recovers_before_its_time_out_is_kept(tmp_path):
     fleet = fleet_of(tmp_path, 1)
     before = links(fleet)
     silence(fleet, SUSPECT_AFTER + 0.5)
     assert linked(fleet) == [True, True]
-    until_heard(fleet)
+    seconds_until_received(fleet)
     fleet.run(30.0)
     assert links(fleet) == before
 
 
-def test_a_silent_link_is_given_up_on_a_calm_path_as_soon_as_ever(tmp_path):
+def test_a_silent_link_on_a_calm_path_is_closed_after_the_minimum_time(tmp_path):
     fleet = fleet_of(tmp_path, 1)
     silence(fleet, LOST_AFTER - 1.5 * PING_EVERY)
     assert linked(fleet) == [True, True]

@@ -14,22 +14,22 @@ from lfield.net.health.link_heartbeats import (
 )
 
 
-def begun(*, first: bool = True) -> Heartbeats:
+def linked(*, first: bool = True) -> Heartbeats:
     beats = Heartbeats(first=first)
     beats.on_link_made(0.0)
     return beats
 
 
 def measured(sample: float, count: int = 50) -> Heartbeats:
-    """Each second one is sent, and answered after `sample` seconds."""
-    beats = begun()
+    """One heartbeat is sent each second, and answered after `sample` seconds."""
+    beats = linked()
     for second in range(count):
         beats.on_pong(beats.send(float(second)), second + sample)
     return beats
 
 
-def test_an_answer_counts_once_and_for_its_own_heartbeat():
-    beats = begun()
+def test_each_answer_counts_once_for_its_own_heartbeat():
+    beats = linked()
     first, second = beats.send(1.0), beats.send(2.0)
     beats.on_pong(second, 2.1)
     assert beats.round_trip.last == pytest.approx(0.1)
@@ -40,8 +40,8 @@ def test_an_answer_counts_once_and_for_its_own_heartbeat():
     assert beats.round_trip.last == pytest.approx(1.5)
 
 
-def test_an_end_whose_heartbeats_are_not_answered_remembers_few():
-    beats = begun()
+def test_the_number_of_unanswered_heartbeats_kept_is_bounded():
+    beats = linked()
     tokens = [beats.send(float(n)) for n in range(1000)]
     beats.on_pong(tokens[-MAX_PENDING - 1], 1000.0)
     assert beats.round_trip.mean is None
@@ -49,21 +49,21 @@ def test_an_end_whose_heartbeats_are_not_answered_remembers_few():
     assert beats.round_trip.mean == MAX_PENDING
 
 
-def test_what_was_sent_over_an_earlier_link_is_not_answered_on_the_next():
-    beats = begun()
+def test_an_answer_to_a_heartbeat_of_an_earlier_link_is_ignored():
+    beats = linked()
     token = beats.send(1.0)
     beats.on_link_made(20.0)
     beats.on_pong(token, 20.1)
     assert beats.round_trip.mean is None
 
 
-def test_two_ends_send_in_turns_and_both_measure():
+def test_two_ends_send_alternately_and_both_measure():
     """A link without other messages has one heartbeat a second, as when only one end sent."""
-    here, there = begun(), begun(first=False)
+    here, there = linked(), linked(first=False)
     heard, sent = {here: 0.0, there: 0.0}, {here: 0, there: 0}
     for tick in range(1, 601):
         now = tick / 10
-        # Each looks once a second, the second one 0.3 s after the first.
+        # Each end checks once a second, the second end 0.3 s after the first.
         for end, other, phase in ((here, there, 0), (there, here, 3)):
             if tick % 10 == phase and end.is_due(now, now - heard[end]):
                 token = end.send(now)
@@ -77,8 +77,8 @@ def test_two_ends_send_in_turns_and_both_measure():
     assert [end.round_trip.mean for end in (here, there)] == pytest.approx([0.05, 0.05])
 
 
-def test_a_link_with_other_messages_is_measured_now_and_then():
-    beats = begun()
+def test_a_link_with_other_messages_is_measured_every_five_seconds():
+    beats = linked()
     assert not beats.is_due(4.9, 0.1)
     assert beats.is_due(5.0, 0.1)
     beats.send(5.0)
@@ -90,7 +90,7 @@ def test_on_a_calm_path_a_link_is_lost_after_three_seconds(beats):
     assert (beats.suspect_after(50.0), beats.lost_after(50.0)) == (SUSPECT_AFTER, LOST_AFTER)
 
 
-def test_where_answers_come_late_a_silence_may_be_longer():
+def test_late_answers_extend_the_permitted_silence():
     beats = measured(0.05)
     beats.on_pong(beats.send(50.0), 51.5)
     for second in range(52, 100):
@@ -100,12 +100,12 @@ def test_where_answers_come_late_a_silence_may_be_longer():
     assert beats.lost_after(100.0 + 7200.0) == LOST_AFTER
 
 
-def test_no_path_is_so_bad_that_a_dead_link_is_never_found():
+def test_the_permitted_silence_has_an_upper_limit():
     beats = measured(30.0)
     assert beats.suspect_after(80.0) == beats.lost_after(80.0) == MAX_SILENCE
 
 
-def test_heartbeats_of_an_idle_link_are_rare_where_answers_come_early():
+def test_an_idle_link_with_early_answers_has_rare_heartbeats():
     calm, late = measured(0.05), measured(1.5)
     assert calm.interval(50.0, is_idle=True) == IDLE_PING_EVERY
     assert late.interval(50.0, is_idle=True) == pytest.approx(5.0, abs=0.01)
@@ -118,7 +118,7 @@ def test_heartbeats_of_an_idle_link_are_rare_where_answers_come_early():
         assert answered_by < IDLE_LOST_AFTER
 
 
-def test_with_live_values_an_idle_link_has_the_heartbeats_of_a_busy_one():
+def test_an_idle_link_with_live_values_has_the_heartbeats_of_a_busy_one():
     beats = Heartbeats(first=True, idle_interval=PING_EVERY)
     assert beats.interval(50.0, is_idle=True) == PING_EVERY
     assert beats.lost_after(50.0, is_idle=True) == beats.lost_after(50.0)

@@ -1,4 +1,4 @@
-"""Calls that go on beside what is silent: fresh attempts at an address, and a new link beside an old one."""
+"""Connection attempts beside silence: repeated attempts at an address, and a new link beside a silent one."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ PLACE = (socket.AF_INET, ("192.0.2.1", 7001))
 
 
 class Path:
-    """Attempts at addresses in place of sockets: each is answered 0.1 s after it began if the path is there
-    at that moment, which it is from `back` on, and else never."""
+    """Connection attempts in place of sockets: an attempt that begins after `back` is answered 0.1 s later,
+    an earlier one never."""
 
     def __init__(self, monkeypatch, back: float, *, refuses: bool = False) -> None:
         self.back, self.start, self.refuses = back, 0.0, refuses
@@ -56,7 +56,7 @@ class Path:
 
 
 def race(path: Path, *places, pause: float | None = FIRST_PAUSE):
-    """When a socket was there, and what had failed."""
+    """Time until a socket was connected, the socket, its address, and the failures."""
 
     async def story():
         failures: dict = {}
@@ -78,28 +78,28 @@ def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypa
     assert path.open == 0
 
 
-def test_few_attempts_are_under_way_at_once(monkeypatch):
+def test_few_attempts_are_pending_at_once(monkeypatch):
     path = Path(monkeypatch, 30.0)
     race(path)
     assert path.most <= ATTEMPT_TIMEOUT / FIRST_PAUSE + 1
     assert len(path.began) <= 30.0 / FIRST_PAUSE + 2
 
 
-def test_an_address_is_tried_less_often_the_longer_it_is_silent():
+def test_the_pause_between_attempts_grows_with_the_silence():
     pace, now, count = RetryPace(), 0.0, 0
     assert pace.on_attempt("b:1", now) == FIRST_PAUSE
     while now < 3600.0:
         pause = pace.on_attempt("b:1", now)
         assert pause == retry_pause(now) <= max(FIRST_PAUSE, now / 10)
         now, count = now + pause, count + 1
-    # Three packets of 60 bytes each: a robot that is off costs less than an idle link (40 bytes per second).
+    # Three packets of 60 bytes each: an absent robot costs less than an idle link (40 bytes per second).
     assert count * 180 / 3600.0 < 30.0
     assert pace.on_attempt("c:1", now) == FIRST_PAUSE
     pace.on_answer("b:1")
     assert pace.on_attempt("b:1", now) == FIRST_PAUSE
 
 
-def test_an_address_that_was_not_needed_for_a_while_is_new():
+def test_an_address_that_was_unused_for_a_while_starts_with_the_first_pause():
     pace = RetryPace()
     for now in range(0, 300, 10):
         pause = pace.on_attempt("b:1", float(now))
@@ -107,22 +107,22 @@ def test_an_address_that_was_not_needed_for_a_while_is_new():
     assert pace.on_attempt("b:1", 300.0 + FORGET_AFTER) == FIRST_PAUSE
 
 
-def test_whoever_does_not_ask_for_it_makes_one_attempt(monkeypatch):
+def test_without_a_retry_pause_one_attempt_is_made(monkeypatch):
     path = Path(monkeypatch, 5.0)
     with pytest.raises(TimeoutError):
         race(path, pause=None)
     assert len(path.began) == 1
 
 
-def test_an_address_that_refuses_is_not_tried_again(monkeypatch):
+def test_an_address_that_refuses_is_not_retried(monkeypatch):
     path = Path(monkeypatch, 0.0, refuses=True)
     with pytest.raises(ConnectionRefusedError):
         race(path)
     assert len(path.began) == 1
 
 
-def test_attempts_that_answer_too_late_are_closed(monkeypatch):
-    """Two are answered: one is used."""
+def test_attempts_that_are_answered_too_late_are_closed(monkeypatch):
+    """Two attempts are answered: one is used."""
     path = Path(monkeypatch, 0.0)
     other = (socket.AF_INET, ("192.0.2.2", 7001))
     monkeypatch.setattr(address_race, "ATTEMPT_DELAY", 0.0)
@@ -132,7 +132,7 @@ def test_attempts_that_answer_too_late_are_closed(monkeypatch):
 
 
 class Silent:
-    """Who has a link with bravo that may fall silent, and calls it; calls are answered as `answer` says."""
+    """Has a link with bravo that may become silent, and dials it; the dial fails after 0.2 s."""
 
     def __init__(self) -> None:
         self.link, self.calls, self.taken = Session(self, None), list[float](), list[str]()
@@ -161,7 +161,7 @@ class Silent:
         raise AddressError(address, "no answer")
 
 
-def test_a_silent_link_is_dialled_beside_and_no_more_when_it_has_woken_up():
+def test_a_silent_link_is_dialled_beside_until_it_recovers():
     async def story():
         owner = Silent()
         dialler = Dialler(owner, owner, LoopClock(), "bravo", "b:1", lambda text: None)
@@ -170,7 +170,7 @@ def test_a_silent_link_is_dialled_beside_and_no_more_when_it_has_woken_up():
         owner.link.suspect()
         await asyncio.sleep(5.0)
         assert len(owner.calls) >= 5.0 / FIRST_PAUSE - 1
-        # Something comes over it.
+        # A message arrives over it.
         owner.link.linked_at = 0.0
         owner.link._on_accepted(None)
         assert not owner.link.is_suspected
@@ -192,15 +192,15 @@ class Opened:
         self.closed = True
 
 
-@pytest.mark.parametrize("wakes", [True, False])
-def test_a_connection_is_used_unless_the_old_link_has_woken_up_meanwhile(wakes):
+@pytest.mark.parametrize("recovers", [True, False])
+def test_a_new_connection_is_used_unless_the_old_link_has_recovered(recovers):
     async def story():
         owner, opened, used = Silent(), Opened(), []
 
         async def connect(address, session, host=""):
             session.open = used.append
             await asyncio.sleep(0.2)
-            if wakes:
+            if recovers:
                 owner.link.is_suspected = False
             session.closed.set()
             return opened
@@ -210,6 +210,6 @@ def test_a_connection_is_used_unless_the_old_link_has_woken_up_meanwhile(wakes):
         dialler = Dialler(owner, owner, LoopClock(), "bravo", "b:1", lambda text: None)
         await asyncio.sleep(0.25)
         dialler.cancel()
-        assert (opened.closed, used) == (wakes, [] if wakes else [opened])
+        assert (opened.closed, used) == (recovers, [] if recovers else [opened])
 
     run_jumping(story())

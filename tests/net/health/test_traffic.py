@@ -11,34 +11,34 @@ from lfield.net.health.traffic import MIN_SEGMENTS, PERIOD, SAMPLE_EVERY, LinkTr
 
 
 def after(*rows: tuple[float, int, int]) -> LinkTraffic:
-    """Counters read at some times: segments sent, and how many of them again."""
+    """Counters read at some times: segments sent, and how many of them were repeated."""
     traffic = LinkTraffic()
     for now, segments, repeated in rows:
         traffic.record(TcpCounts(100 * segments, 7, segments, repeated), now)
     return traffic
 
 
-def test_loss_is_the_share_of_segments_that_were_sent_again():
+def test_loss_is_the_share_of_repeated_segments():
     assert after((0.0, 0, 0), (10.0, 50, 10)).loss == pytest.approx(0.2)
 
 
-def test_a_few_segments_say_nothing():
+def test_too_few_segments_give_no_loss():
     assert after((0.0, 0, 0), (10.0, MIN_SEGMENTS - 1, 2)).loss is None
 
 
-def test_loss_is_of_the_last_minute():
+def test_loss_covers_the_last_minute():
     rows = [(SAMPLE_EVERY * n, 100 * n, 10 * min(n, 4)) for n in range(100)]
     assert after(*rows[:5]).loss == pytest.approx(0.1)
     assert after(*rows).loss == 0.0
     assert len(after(*rows)._samples) <= PERIOD / SAMPLE_EVERY + 2
 
 
-def test_a_link_that_sends_little_has_the_loss_of_all_its_time():
+def test_a_link_with_little_traffic_has_the_loss_of_its_whole_time():
     rows = [(float(second), 20 + second // 60, 10) for second in range(600)]
     assert after(*rows).loss == pytest.approx(10 / 29)
 
 
-def test_a_kernel_that_tells_nothing_gives_nothing():
+def test_a_kernel_without_counters_gives_no_loss():
     traffic = LinkTraffic()
     traffic.record(None, 1.0)
     assert (traffic.loss, traffic.counts) == (None, None)
@@ -57,7 +57,7 @@ def pair():
         yield near, far
 
 
-def test_the_kernel_counts_what_went_over_a_connection(pair):
+def test_the_kernel_counts_the_bytes_of_a_connection(pair):
     near, far = pair
     set_options(near)
     near.sendall(bytes(1000))
@@ -66,21 +66,21 @@ def test_the_kernel_counts_what_went_over_a_connection(pair):
         left -= len(far.recv(left))
     far.sendall(bytes(50))
     assert near.recv(50)
-    told = read_counts(near)
-    if told is None:
+    counts = read_counts(near)
+    if counts is None:
         pytest.skip("this kernel does not count what was sent")
-    assert (told.bytes_sent, told.bytes_received, told.repeated) == (1000, 50, 0)
-    assert told.segments >= 1
+    assert (counts.bytes_sent, counts.bytes_received, counts.repeated) == (1000, 50, 0)
+    assert counts.segments >= 1
 
 
-def test_every_kernel_has_linear_timeouts(pair):
+def test_linear_time_outs_are_set_on_every_kernel(pair):
     near, _ = pair
     set_options(near)
     assert near.getsockopt(socket.IPPROTO_TCP, tcp_options.THIN_LINEAR_TIMEOUTS) == 1
     assert near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
-def test_an_option_that_the_kernel_does_not_have_is_left_out(pair, monkeypatch):
+def test_an_unknown_socket_option_is_left_out(pair, monkeypatch):
     near, _ = pair
     for name in ("RTO_MAX_MS", "RTO_MIN_US", "DELACK_MAX_US"):
         monkeypatch.setattr(tcp_options, name, 9999)
@@ -90,7 +90,7 @@ def test_an_option_that_the_kernel_does_not_have_is_left_out(pair, monkeypatch):
 
 
 @pytest.mark.parametrize(("round_trip", "linear"), [(0.02, 1), (0.4, 1), (0.5, 0), (3.0, 0)])
-def test_a_queue_in_the_path_makes_time_outs_double(pair, round_trip, linear):
+def test_a_long_round_trip_makes_time_outs_double(pair, round_trip, linear):
     near, _ = pair
     set_options(near)
     tcp_options.set_time_outs(near, round_trip)
@@ -100,7 +100,7 @@ def test_a_queue_in_the_path_makes_time_outs_double(pair, round_trip, linear):
         assert longest == max(1000, 4000 * round_trip if not linear else 0)
 
 
-def test_a_socket_that_is_no_tcp_connection_has_no_counts():
+def test_a_unix_socket_has_no_tcp_counts():
     one, other = socket.socketpair()
     with one, other:
         assert read_counts(one) is None

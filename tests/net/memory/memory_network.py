@@ -32,9 +32,9 @@ _FIRST_FREE_PORT = 40000
 class MemoryNetwork:
     """All machines of a simulation and the bytes between them.
 
-    `latency` is in seconds and may be changed at any time. `on_pending`, if given, is called whenever
-    something new is queued, so that an event loop can arrange for `run`. `sent` counts messages by the
-    names of their types; `max_block` is the largest block a link takes, in bytes.
+    `latency` is in seconds and may be changed at any time. `on_pending` is called when an action is queued,
+    so that an event loop can schedule `run`. `sent` counts messages by the names of their types; `max_block`
+    is the largest block of a link, in bytes.
     """
 
     def __init__(
@@ -57,39 +57,39 @@ class MemoryNetwork:
         self._apart: set[frozenset[str]] = set()
 
     def transport(self, machine: str) -> MemoryTransport:
-        """The transport of one machine; the name is what `partition` and `cut` know it by."""
+        """The transport of one machine; `partition` and `cut` use this name."""
         return MemoryTransport(self, machine)
 
     def step(self) -> bool:
-        """Do the next thing that is due by now; whether there was one."""
+        """Do the next action that is due; return whether there was one."""
         if not self._queue or self._queue[0][0] > self._clock.monotonic():
             return False
         heapq.heappop(self._queue)[2]()
         return True
 
     def run(self) -> int:
-        """Do all that is due by now, and what comes of it; how many steps that took."""
+        """Do all actions that are due, and those that they cause; return their number."""
         steps = 0
         while self.step():
             steps += 1
         return steps
 
     def next_due(self) -> float | None:
-        """When the next delivery is due, on the clock's monotonic time; None if nothing is under way."""
+        """When the next delivery is due, on the clock's monotonic time; None if none is queued."""
         return self._queue[0][0] if self._queue else None
 
     def cut(self, one: str, other: str) -> None:
-        """Lose every link between two machines, with all that is under way on them."""
+        """Lose every link between two machines, with all bytes in flight."""
         for link in [link for link in self._links if {link.machine, link.other.machine} == {one, other}]:
             link.lose()
 
     def partition(self, one: str, other: str) -> None:
-        """`cut`, and let no new link come about until `heal`."""
+        """`cut`, and permit no new link until `heal`."""
         self._apart.add(frozenset((one, other)))
         self.cut(one, other)
 
     def heal(self, one: str, other: str) -> None:
-        """Let links come about again; those that were lost stay so."""
+        """Permit new links; lost ones stay lost."""
         self._apart.discard(frozenset((one, other)))
 
     def listen(self, machine: str, address: str, on_link: Callable[[Link], LinkHandler]) -> MemoryListener:
@@ -133,12 +133,12 @@ class MemoryNetwork:
         return self._clock.monotonic()
 
     def forget(self, link: MemoryLink) -> None:
-        """A link has reported its end."""
+        """Remove a link that has reported its end."""
         self._links.remove(link)
 
 
 class MemoryTransport:
-    """One machine's way into a MemoryNetwork. Its coroutines never suspend."""
+    """The transport of one machine in a MemoryNetwork. Its coroutines never suspend."""
 
     def __init__(self, network: MemoryNetwork, machine: str) -> None:
         self._network, self._machine = network, machine
@@ -166,7 +166,7 @@ class MemoryListener:
         self._listeners = listeners
 
     def close(self) -> None:
-        """Take no more links."""
+        """Accept no more links."""
         self._listeners.pop(self.address, None)
 
 
@@ -193,22 +193,22 @@ class MemoryLink(FramedLink):
         self._network.sent["Transfer"] += 1
 
     def write(self, data: Buffer) -> None:
-        """Put bytes on their way to the other end."""
+        """Queue bytes for the other end."""
         self._to_other(partial(self.other.deliver, bytes(data)))
 
     def close(self) -> None:
-        """Close after what is under way; both ends report it."""
+        """Close after the delivery of the bytes in flight; both ends report it."""
         if not self.closed:
             self.closed = True
             self._to_other(self.other.end)
             self._network.later(self._network.now(), self.end)
 
     def abort(self) -> None:
-        """See `Link.abort`. Nothing is queued at this end: what was written is under way."""
+        """See `Link.abort`. This end has no queue: written bytes are in flight."""
         self.close()
 
     def lose(self) -> None:
-        """Break at once: nothing more is delivered to this end."""
+        """Break the link at once: nothing more is delivered to this end."""
         if not self.closed:
             self.closed = True
             error = AddressError(self.peer, "the connection was lost")
@@ -227,6 +227,6 @@ class MemoryLink(FramedLink):
             self.on_eof(error)
 
     def _to_other(self, action: Callable[[], None]) -> None:
-        # A link keeps its order even when the latency was lowered meanwhile.
+        # A link keeps its order even when the latency was reduced meanwhile.
         self._last_due = max(self._last_due, self._network.now() + self._network.latency)
         self._network.later(self._last_due, action)

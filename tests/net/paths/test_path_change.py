@@ -1,4 +1,4 @@
-"""Two hosts with two paths, in virtual time: when the link moves to the other one, and when it does not."""
+"""Two hosts with two paths, in virtual time: when the link moves to the other path, and when it does not."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Story = Callable[[PathNetwork, PathHost, PathHost], Awaitable[None]]
 
 
 def play(story: Story) -> None:
-    """The story of two hosts, linked over path one with a standby on path two."""
+    """Run the story of two hosts, linked over path one with a standby on path two."""
 
-    async def told() -> None:
+    async def main() -> None:
         network = PathNetwork()
         hosts = [PathHost(network, name) for name in ("alpha", "bravo")]
         for host in hosts:
@@ -30,7 +30,7 @@ def play(story: Story) -> None:
             for host in hosts:
                 host.peers.close()
 
-    run_jumping(told())
+    run_jumping(main())
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +63,7 @@ def test_either_side_moves_the_link_when_its_data_is_not_acknowledged(senders):
     play(story)
 
 
-async def test_the_path_that_returns_is_the_standby_and_then_used_again(network, alpha, bravo, /):
+async def test_a_recovered_path_becomes_the_standby_and_is_used_again(network, alpha, bravo, /):
     one, two = network.paths["one"], network.paths["two"]
     one.alive = False
     alpha.send(7)
@@ -79,7 +79,7 @@ async def test_the_path_that_returns_is_the_standby_and_then_used_again(network,
     assert alpha.count("unlinked") == bravo.count("unlinked") == 0
 
 
-async def test_a_standby_is_dialled_at_once_when_there_is_none_and_the_path_dies(network, alpha, bravo, /):
+async def test_a_missing_standby_is_dialled_at_once_when_the_path_dies(network, alpha, bravo, /):
     one, two = network.paths["one"], network.paths["two"]
     two.alive = False
     # The keep-alive gets no answer.
@@ -94,7 +94,7 @@ async def test_a_standby_is_dialled_at_once_when_there_is_none_and_the_path_dies
     assert now() - start < 7.0
 
 
-async def test_two_dead_paths_are_no_path(network, alpha, bravo, /):
+async def test_a_link_with_two_dead_paths_is_lost_and_restored(network, alpha, bravo, /):
     for path in network.paths.values():
         path.alive = False
     alpha.send(7)
@@ -104,7 +104,7 @@ async def test_two_dead_paths_are_no_path(network, alpha, bravo, /):
     await until(lambda: alpha.path == bravo.path != "")
 
 
-async def test_a_much_better_path_is_used_after_a_while_when_nothing_is_under_way(network, alpha, bravo, /):
+async def test_an_idle_link_moves_to_a_much_better_path_after_a_while(network, alpha, bravo, /):
     network.paths["one"].delay, start = 0.2, now()
     await until(lambda: alpha.path == bravo.path == "two")
     assert BETTER_FOR <= now() - start < BETTER_FOR + 20.0
@@ -112,27 +112,27 @@ async def test_a_much_better_path_is_used_after_a_while_when_nothing_is_under_wa
     assert alpha.count("the other path is better") == 1
 
 
-async def test_a_path_that_is_only_a_little_better_is_not_used(network, alpha, bravo, /):
+async def test_a_slightly_better_path_is_not_used(network, alpha, bravo, /):
     network.paths["one"].delay = 0.019
     await asyncio.sleep(300.0)
     assert alpha.path == "one"
     assert alpha.count("moves") == bravo.count("moves") == 0
 
 
-async def test_a_healthy_link_and_its_standby_stay_for_an_hour(network, alpha, bravo, /):
+async def test_a_healthy_link_and_its_standby_are_kept_for_an_hour(network, alpha, bravo, /):
     dialled = len(alpha.transport.dialled)
     await asyncio.sleep(3600.0)
     assert (alpha.path, len(alpha.transport.dialled), bravo.transport.dialled) == ("one", dialled, [])
 
 
-async def test_a_link_that_is_closed_is_replaced_by_the_standby(network, alpha, bravo, /):
+async def test_a_closed_link_is_replaced_by_the_standby(network, alpha, bravo, /):
     alpha.peers.link_of("bravo").link.abort()
     start = now()
     await until(lambda: alpha.path == bravo.path == "two")
     assert now() - start < 0.2
 
 
-async def test_an_unneeded_link_takes_its_standby_with_it(network, alpha, bravo, /):
+async def test_an_unneeded_link_closes_its_standby(network, alpha, bravo, /):
     alpha.desired_hosts = bravo.desired_hosts = set
     await until(lambda: alpha.path == bravo.path == "")
     await asyncio.sleep(1.0)

@@ -15,7 +15,7 @@ from lfield.net.health.path_choice import (
 )
 from lfield.net.health.traffic import Delivery
 
-#: Seconds between two readings, a sum of which is exact.
+#: Seconds between two readings; sums of it are exact.
 STEP = 0.0625
 
 
@@ -34,24 +34,24 @@ def test_data_without_acknowledgement_makes_a_path_dead():
 
 
 @pytest.mark.parametrize("state", [reading(round_trip=1.0, pending=True), reading(pending=True, bound=1.5)])
-def test_a_slow_path_has_more_time(state):
-    """Both by the kernel's round trip, and by that of the heartbeats, which include repetitions."""
+def test_a_slow_path_is_dead_later(state):
+    """By the kernel's round trip, and by that of the heartbeats, which include repetitions."""
     assert dead_after(PathChoice(), state) == pytest.approx(3.0)
 
 
-def test_a_path_that_acknowledges_something_is_alive():
+def test_a_path_with_acknowledgements_is_alive():
     choice = PathChoice()
     for step in range(100):
         assert choice.decide(step * STEP, reading(step // 2, pending=True), None) == ""
 
 
-def test_a_path_with_nothing_under_way_is_alive():
+def test_a_path_with_nothing_in_flight_is_alive():
     choice = PathChoice()
     assert all(choice.decide(float(step), reading(), None) == "" for step in range(100))
     assert choice.decide(100.0, reading(pending=True), None) == ""
 
 
-def test_another_connection_starts_again():
+def test_a_new_connection_restarts_the_time():
     choice = PathChoice()
     choice.decide(0.0, reading(pending=True), None)
     choice.on_link()
@@ -77,18 +77,18 @@ def better_at(link: PathState, standby: PathState, seconds: float = 200.0) -> fl
         # Repetitions cost more than a round trip.
         (reading(round_trip=0.05, loss=0.3), reading(round_trip=0.06), True),
         (reading(round_trip=0.05), reading(round_trip=0.02, loss=0.1), False),
-        # A share of 1 is none of the arithmetic.
+        # A loss of 1 is no division by zero.
         (reading(round_trip=0.05, loss=1.0), reading(round_trip=0.2), True),
-        # Nothing was measured yet.
+        # There is no measurement yet.
         (reading(round_trip=0.1), reading(round_trip=0.0), False),
     ],
 )
-def test_the_other_path_has_to_be_better_by_a_factor(link, standby, is_better):
+def test_the_other_path_must_be_better_by_a_factor(link, standby, is_better):
     found = better_at(link, standby)
     assert found == (pytest.approx(BETTER_FOR) if is_better else None)
 
 
-def test_it_has_to_be_better_all_the_time():
+def test_the_other_path_must_be_better_without_a_break():
     choice = PathChoice()
     slow, fast = reading(round_trip=0.1), reading(round_trip=0.01)
     assert choice.decide(0.0, slow, fast) == ""
@@ -99,7 +99,7 @@ def test_it_has_to_be_better_all_the_time():
     assert choice.decide(3 * BETTER_FOR + 1.0, slow, fast) == "better"
 
 
-def test_the_link_moves_only_when_nothing_is_under_way():
+def test_the_link_moves_only_when_nothing_is_in_flight():
     choice, fast = PathChoice(), reading(round_trip=0.01)
     at, work = 0.0, 0
     while at < 2 * BETTER_FOR:
@@ -110,7 +110,7 @@ def test_the_link_moves_only_when_nothing_is_under_way():
     assert choice.decide(at + QUIET_FOR + 2 * STEP, reading(work, 0.1, work=work), fast) == "better"
 
 
-def test_a_path_that_was_only_slow_has_more_time_for_a_while():
+def test_a_path_that_recovered_quickly_is_dead_later_for_a_while():
     choice, stalled = PathChoice(), reading(pending=True)
     for count in range(1, 6):
         choice.on_left(10.0 * count)
@@ -123,7 +123,7 @@ def test_a_path_that_was_only_slow_has_more_time_for_a_while():
     assert dead_after(choice, stalled, 60.0 + CAUTION_PERIOD) == pytest.approx(STALLED_AFTER, abs=STEP)
 
 
-def test_a_path_that_was_dead_has_not():
+def test_a_path_that_was_dead_gets_no_extra_time():
     choice = PathChoice()
     choice.on_left(0.0)
     choice.on_link()

@@ -19,7 +19,7 @@ STANDBY = Hello("standby", "alpha", 0)
 
 
 class Wire:
-    """A link that keeps what was sent on it."""
+    """A link that records the sent messages."""
 
     def __init__(self) -> None:
         self.peer, self.who, self.sent, self.roles, self.handler = "there:1", ANONYMOUS, [], [], None
@@ -80,7 +80,7 @@ def test_both_sides_send_a_hello_and_only_the_caller_sends_keep_alives():
     assert not connection.keep_alive(2 * IDLE_PING_EVERY + ANSWER_TIMEOUT + 0.1)
 
 
-def test_the_accepting_side_answers_and_misses_keep_alives():
+def test_the_accepting_side_answers_and_expects_keep_alives():
     connection, wire = StandbyConnection(Owner(), "bravo", 0.0, dialled=False), Wire()
     connection.accept(wire, STANDBY)
     assert (wire.handler, wire.sent) == (connection, [STANDBY])
@@ -92,8 +92,8 @@ def test_the_accepting_side_answers_and_misses_keep_alives():
     assert connection.keep_alive(5.0 + MISSED_AFTER)
 
 
-def test_the_hello_of_a_link_counts_only_after_that_of_the_standby():
-    """A host sends its Hello unasked to an address that it knows."""
+def test_a_link_hello_counts_only_after_the_standby_hello():
+    """A host sends its Hello at once to an address that it knows."""
     connection, wire, owner = offered()
     connection.on_message(wire, Hello("host", "bravo", 1))
     connection.on_message(wire, Hello("standby", "bravo", 0))
@@ -104,7 +104,7 @@ def test_the_hello_of_a_link_counts_only_after_that_of_the_standby():
 @pytest.mark.parametrize(
     "message", [Hello("observer", "bravo", 1), Hello("standby", "bravo", 0), WholeTransferRequest("a")]
 )
-def test_anything_else_closes_it(message):
+def test_other_messages_close_a_standby(message):
     connection, wire, owner = ready()
     with pytest.raises(WireError):
         connection.on_message(wire, message)
@@ -112,24 +112,24 @@ def test_anything_else_closes_it(message):
 
 
 @pytest.mark.parametrize("message", [Ping(1), Pong(1)])
-def test_a_keep_alive_before_the_hello_closes_it(message):
+def test_a_keep_alive_before_the_hello_closes_a_standby(message):
     connection, wire, _ = offered()
     with pytest.raises(WireError):
         connection.on_message(wire, message)
 
 
-def test_a_coordinator_and_a_refusal_close_it():
+def test_a_transfer_or_a_refusal_closes_a_standby():
     connection, wire, _ = ready()
-    for late in (
+    for event in (
         lambda: connection.on_transfer(wire, None, memoryview(b"")),
         lambda: connection.on_oversize(wire, None, 1),
         lambda: connection.on_message(wire, HandshakeRefused("no")),
     ):
         with pytest.raises(HandshakeError):
-            late()
+            event()
 
 
-def test_the_hello_of_a_standby_is_none_of_a_link():
+def test_a_link_handshake_refuses_a_standby_hello():
     handshake = Handshake(Hello("host", "bravo", 1), ANONYMOUS, hosts=HOSTS)
     with pytest.raises(WireError):
         handshake.receive(STANDBY)
@@ -170,7 +170,7 @@ async def test_a_host_that_lost_its_rights_loses_its_standby(network, alpha, bra
     bravo.peers.reauthorise()
     await asyncio.sleep(0.1)
     assert [each.closed for each in network.links if each.peer.startswith("two-")] == [True, True]
-    # No other one is accepted.
+    # No other standby is accepted.
     await asyncio.sleep(20.0)
     assert bravo.count("standby connection with") == 1
     assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "")

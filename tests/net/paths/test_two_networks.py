@@ -1,6 +1,6 @@
-"""Two hosts with two networks between them: a coordinator hops on while one of the networks fails.
+"""Two hosts with two networks between them: a coordinator continues to hop while one of the networks fails.
 
-tests/net/paths/test_path_change.py has what can be tried without namespaces.
+tests/net/paths/test_path_change.py has the cases that need no namespaces.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lfield.net.health.link_heartbeats import SUSPECT_AFTER
 
 pytestmark = pytest.mark.process
 
-#: Hops after a failure until which it must be over.
+#: Hops after a failure until which hops must have resumed.
 STAMPS = 60
 
 
@@ -34,7 +34,7 @@ def net(request, tmp_path) -> Iterator[TwoNetworks]:
         made.close()
 
 
-def test_hops_go_on_over_the_other_network_and_none_is_lost_or_made_twice(net):
+def test_hops_continue_over_the_other_network_and_are_executed_once(net):
     for host in HOSTS:
         net.start(host)
     path, since = 0, 0.0

@@ -16,7 +16,7 @@ from lfield.testing.keyring import Keyring
 
 PORT = 7001
 NETWORKS, HOSTS = ("one", "two"), ("alpha", "bravo")
-#: The walker goes from post to post and has every number stamped once.
+#: The walker hops between the posts; each number is stamped once.
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -43,7 +43,7 @@ def address(host: str, network: str) -> str:
 
 
 class Host(Process):
-    """A host as a process; its lines with the times at which they came."""
+    """A host as a process; its lines with their times."""
 
     def __init__(self, words: list[str]) -> None:
         super().__init__(words, subprocess.STDOUT)
@@ -55,11 +55,11 @@ class Host(Process):
         return sum(float(line.split()[0]) < until for line in list(self.lines))
 
     def wait_for(self, pattern: str, since: float = 0.0) -> float:
-        """When the first line with this came, of those since a time."""
+        """The time of the first line after `since` that matches."""
         return super().wait_for(pattern, self._count(since))
 
     def text(self, since: float = 0.0) -> str:
-        """What it wrote besides the stamps."""
+        """Its lines without the stamps."""
         return "\n".join(line for line in self.lines[self._count(since) :] if "stamped" not in line)
 
     def stamps(self) -> list[tuple[float, int]]:
@@ -99,11 +99,11 @@ class TwoNetworks:
         self._run(host, "ip", "link", "set", "dev", network, "up")
 
     def down(self, host: str, network: str) -> None:
-        """Switch an interface off: its route is gone here, its carrier at the other end."""
+        """Switch an interface off: this end loses its route, the other end its carrier."""
         self._run(host, "ip", "link", "set", "dev", network, "down")
 
     def drop(self, host: str, network: str) -> None:
-        """Lose all that arrives at an interface, without a trace."""
+        """Drop all packets that arrive at an interface."""
         chain = f"type filter hook input priority 0; iifname {network} drop"
         self._run(host, "nft", f"table inet lost {{ chain in {{ {chain}; }}; }}")
 
@@ -133,14 +133,14 @@ class TwoNetworks:
         return sorted(stamp for host in self.hosts.values() for stamp in host.stamps())
 
     def wait_for_stamps(self, count: int) -> None:
-        """Wait until there are so many stamps."""
+        """Wait until there are `count` stamps."""
         end = time.monotonic() + PATIENCE
         while len(self.stamps()) < count:
             assert time.monotonic() < end, self.text()
             time.sleep(0.05)
 
     def gap(self, since: float, until: float) -> float:
-        """The longest time without a stamp that began before `until`, of the times since `since`."""
+        """The longest time without a stamp that began between `since` and `until`."""
         times = [at for at, _ in self.stamps() if at >= since - 1.0]
         return max(later - max(since, at) for at, later in itertools.pairwise(times) if at < until)
 

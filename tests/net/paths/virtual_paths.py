@@ -1,7 +1,7 @@
-"""Hosts with two paths between them in virtual time: real links, over connections that are a model of TCP.
+"""Hosts with two paths between them in virtual time: real links over connections that are a model of TCP.
 
-A connection sends in order, and repeats what its path has lost. The kernel's counters are those of the model.
-"""
+A connection sends in order, and repeats segments that its path has lost. The kernel's counters are those of
+the model."""
 
 from __future__ import annotations
 
@@ -148,11 +148,11 @@ class PathListener:
         self.address = address
 
     def close(self) -> None:
-        """Nothing listens afterwards in these tests."""
+        """No test connects to a closed listener."""
 
 
 class PathHost:
-    """One of the two hosts; its events as (time, text)."""
+    """One of the two hosts; its events are (time, text)."""
 
     def __init__(self, network: PathNetwork, name: str) -> None:
         self.name, self.other = name, HOSTS[1 - HOSTS.index(name)]
@@ -168,7 +168,7 @@ class PathHost:
 
     @property
     def path(self) -> str:
-        """The path of the link; '' without one."""
+        """The path of the link; '' without a link."""
         session = self.peers.link_of(self.other)
         return session.link.peer.partition("-")[0] if session is not None else ""
 
@@ -180,7 +180,7 @@ class PathHost:
         self.events.append((asyncio.get_running_loop().time(), text))
 
     def at(self, text: str, since: float = 0.0) -> float:
-        """When the first event with this text was, since a time."""
+        """The time of the first event with this text after `since`."""
         return next(at for at, event in self.events if at >= since and text in event)
 
     def count(self, text: str) -> int:

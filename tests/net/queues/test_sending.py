@@ -1,4 +1,5 @@
-"""What a link has to send: stops precede everything, other kinds share the link, and each keeps its order."""
+"""The send queue of a link: stops precede everything, other kinds share the link, and each keeps its
+order."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ STOP = EmergencyStop(bytes(16), "fire")
 
 
 class NoSocket:
-    """Takes every option."""
+    """Accepts every socket option."""
 
     family = socket.AF_INET
 
@@ -36,11 +37,11 @@ class NoSocket:
 
 
 class Slow(asyncio.Transport):
-    """A connection that takes `room` bytes, then nothing until `drain`."""
+    """A connection that accepts `room` bytes, then nothing until `drain`."""
 
     def __init__(self, room: int) -> None:
         super().__init__()
-        self.room, self.left, self.said = room, room, []
+        self.room, self.left, self.written_parts = room, room, []
         self.is_over = False
 
     def link(self, max_pending: int = 1 << 24) -> StreamLink:
@@ -53,7 +54,7 @@ class Slow(asyncio.Transport):
         return made
 
     def write(self, data) -> None:
-        self.said.append(bytes(data))
+        self.written_parts.append(bytes(data))
         full = self.left <= 0
         self.left -= len(data)
         if self.left <= 0 and not full:
@@ -84,7 +85,7 @@ class Slow(asyncio.Transport):
         return 0
 
 
-class Far(FramedLink):
+class FarEnd(FramedLink):
     """The other end."""
 
     def __init__(self) -> None:
@@ -96,9 +97,9 @@ class Far(FramedLink):
         self.closed = True
 
 
-def heard(said) -> list[object]:
-    far = Far()
-    for data in said:
+def decoded_messages(written_parts) -> list[object]:
+    far = FarEnd()
+    for data in written_parts:
         far.received(data)
     assert far._error is None
     return far.handler.messages
@@ -111,7 +112,7 @@ def in_loop(story) -> None:
     asyncio.run(main())
 
 
-def test_a_stop_passes_between_two_parts_of_a_block():
+def test_a_stop_is_sent_between_two_parts_of_a_block():
     def story():
         slow = Slow(8 << 10)
         link = slow.link()
@@ -119,19 +120,23 @@ def test_a_stop_passes_between_two_parts_of_a_block():
         link.send_transfer(transfer(len(block)), block)
         link.send(Backpressure("behind"))
         link._flush()
-        written = sum(map(len, slow.said))
+        written = sum(map(len, slow.written_parts))
         assert written < 64 << 10
         link.send(STOP)
-        assert slow.said[-1] == encode(STOP)
+        assert slow.written_parts[-1] == encode(STOP)
         while slow._link._sending.is_busy:
             slow.drain()
-        assert heard(slow.said) == [STOP, Backpressure("behind"), (transfer(len(block)), block)]
+        assert decoded_messages(slow.written_parts) == [
+            STOP,
+            Backpressure("behind"),
+            (transfer(len(block)), block),
+        ]
 
     in_loop(story)
 
 
-def test_each_kind_keeps_its_order_and_is_read_whatever_passes_it():
-    """Compressed messages, coordinators and long reports in one link, which accepts a little at a time."""
+def test_each_kind_keeps_its_order_and_is_decoded_when_others_overtake_it():
+    """Compressed messages, coordinators and long reports on a link that accepts a few bytes at a time."""
 
     def story():
         slow, rng = Slow(700), random.Random(1)
@@ -163,7 +168,7 @@ def test_each_kind_keeps_its_order_and_is_read_whatever_passes_it():
         assert slow._link._sending.is_busy
         while slow._link._sending.is_busy:
             slow.drain()
-        found = heard(slow.said)
+        found = decoded_messages(slow.written_parts)
         assert [each for each in found if isinstance(each, Backpressure)] == sent["control"]
         assert [each for each in found if isinstance(each, EventBatch)] == sent["events"]
         assert [each for each in found if isinstance(each, tuple)] == sent["hops"]
@@ -174,7 +179,7 @@ def test_each_kind_keeps_its_order_and_is_read_whatever_passes_it():
     in_loop(story)
 
 
-def test_kinds_that_wait_share_the_connection():
+def test_waiting_kinds_share_the_connection():
     queue = SendQueue()
     for kind in SHARES:
         for _ in range(2000):
@@ -185,7 +190,7 @@ def test_kinds_that_wait_share_the_connection():
         assert sent.count(kind) == pytest.approx(2000 * share / sum(SHARES.values()), abs=2)
 
 
-def test_a_kind_that_had_nothing_to_send_gets_no_more_than_its_share_later():
+def test_an_idle_kind_gets_no_more_than_its_share_later():
     queue = SendQueue()
     for _ in range(1000):
         queue.add(frame(CONTROL, bytes(100)), TrafficKind.HOP)
@@ -197,13 +202,13 @@ def test_a_kind_that_had_nothing_to_send_gets_no_more_than_its_share_later():
     assert sum(size for size in sizes if size > 50) == pytest.approx(sum(s for s in sizes if s < 50), abs=110)
 
 
-def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
+def test_answers_to_stops_and_heartbeats_precede_reports_to_observers():
     def story():
         slow = Slow(1 << 10)
         link = slow.link()
         rng = random.Random(1)
-        told = [Backpressure(rng.randbytes(400).hex()) for n in range(10)]
-        for message in told:
+        reports = [Backpressure(rng.randbytes(400).hex()) for n in range(10)]
+        for message in reports:
             link.send(message)
             link._flush()
         answer = EmergencyStopResult({"fc": ""}, "", bytes(16))
@@ -211,27 +216,27 @@ def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
         link.send(Ping(7))
         while slow._link._sending.is_busy:
             slow.drain()
-        found = heard(slow.said)
-        assert [message for message in found if isinstance(message, Backpressure)] == told
+        found = decoded_messages(slow.written_parts)
+        assert [message for message in found if isinstance(message, Backpressure)] == reports
         assert found.index(answer) <= 4
         assert found.index(Ping(7)) == found.index(answer) + 1
 
     in_loop(story)
 
 
-def test_nothing_passes_what_was_sent_in_the_same_turn_before_it():
+def test_a_message_is_not_overtaken_by_one_sent_later_in_the_same_turn():
     def story():
         slow = Slow(1 << 20)
         link = slow.link()
         link.send(Backpressure("first"))
         link.send(STOP)
         link._flush()
-        assert heard(slow.said) == [Backpressure("first"), STOP]
+        assert decoded_messages(slow.written_parts) == [Backpressure("first"), STOP]
 
     in_loop(story)
 
 
-def test_whoever_does_not_read_is_closed_when_too_much_waits():
+def test_a_link_whose_peer_does_not_read_is_closed_at_the_queue_limit():
     def story():
         slow = Slow(1 << 10)
         link, rng = slow.link(max_pending=1 << 16), random.Random(1)
@@ -242,19 +247,19 @@ def test_whoever_does_not_read_is_closed_when_too_much_waits():
                 break
         assert link.closed
         assert isinstance(link._error, WireError)
-        assert sum(map(len, slow.said)) < 4 << 10
+        assert sum(map(len, slow.written_parts)) < 4 << 10
 
     in_loop(story)
 
 
-def test_what_waits_is_sent_before_a_link_is_closed():
+def test_queued_bytes_are_sent_before_a_link_is_closed():
     def story():
         slow = Slow(1 << 10)
         link = slow.link()
         block = bytes(100_000)
         link.send_transfer(transfer(len(block)), block)
         link.close()
-        assert heard(slow.said) == [(transfer(len(block)), block)]
+        assert decoded_messages(slow.written_parts) == [(transfer(len(block)), block)]
 
     in_loop(story)
 
@@ -278,7 +283,7 @@ def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
     assert fast.part == LARGEST_PART
 
 
-def test_a_greeting_is_never_sent_in_parts():
+def test_a_hello_is_never_sent_in_parts():
     sending = SendQueue()
     hello = frame(HELLO, bytes(4 * INITIAL_PART))
     sending.add(hello, TrafficKind.CONTROL)
@@ -295,8 +300,8 @@ def test_a_greeting_is_never_sent_in_parts():
         frame(PART, bytes(1 << 18)),
     ],
 )
-def test_parts_that_are_no_part_of_one_frame_close_the_link(bad):
-    far = Far()
+def test_parts_that_do_not_form_one_frame_close_the_link(bad):
+    far = FarEnd()
     far.received(bad)
     assert far.closed
     assert isinstance(far._error, WireError)

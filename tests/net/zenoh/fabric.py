@@ -17,7 +17,7 @@ ROUTER = Path(__file__).with_name("router_process.py")
 
 
 def free_endpoint() -> str:
-    """An endpoint on loopback whose port was free just now."""
+    """An endpoint on loopback whose port was free."""
     with socket.create_server(("127.0.0.1", 0)) as probe:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
@@ -32,7 +32,7 @@ class Router:
         self.start()
 
     def start(self) -> None:
-        """Start it; another port is chosen the first time, until one is really free."""
+        """Start it; the first time, choose ports until one is free."""
         fixed = self.endpoint
         for _ in range(10):
             self.endpoint = fixed or free_endpoint()
@@ -47,7 +47,7 @@ class Router:
         raise AssertionError("no router starts")
 
     def kill(self) -> None:
-        """End it without a word."""
+        """Kill it."""
         assert self.process is not None
         assert self.process.stdout is not None
         self.process.kill()

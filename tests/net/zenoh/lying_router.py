@@ -1,4 +1,4 @@
-"""Routers that lie: a relay that changes bytes on the way, and a participant that injects packets."""
+"""Routers that change data: a relay that changes bytes in transit, and a participant that injects packets."""
 
 import asyncio
 import json

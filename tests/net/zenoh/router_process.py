@@ -1,4 +1,4 @@
-"""A router of Zenoh for tests: `python router_process.py ENDPOINT [CONNECT...]`. The wheel contains it."""
+"""A Zenoh router for tests: `python router_process.py ENDPOINT [CONNECT...]`. It is part of the wheel."""
 
 import json
 import signal

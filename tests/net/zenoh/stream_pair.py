@@ -9,7 +9,7 @@ DELAY = 0.01
 
 
 class End:
-    """One end with its owner: what it has received, and why the stream ended."""
+    """One end with its owner: the received bytes, and why the stream ended."""
 
     def __init__(self, stream: NumberedStream) -> None:
         self.stream = stream
@@ -32,13 +32,13 @@ class StreamPair:
         self._queue: list[tuple[float, int, End, bytes]] = []
         self.sent: list[tuple[bool, bytes]] = []
         self._count = 0
-        #: A packet that is lost, for tests: (from the caller, packet) -> bool.
+        #: Decides whether a packet is lost: (from the caller, packet) -> bool.
         self.is_lost = lambda calls, data: False
         #: Ends whose process is stopped: they do nothing.
         self.stopped: set[int] = set()
 
     def do(self, end: End, effects) -> None:
-        """Carry out effects of an end."""
+        """Execute the effects of an end."""
         for effect in effects:
             assert not end.ends, "Closed is the last effect"
             match effect:
@@ -66,7 +66,7 @@ class StreamPair:
             heapq.heappush(self._queue, (at, self._count, other, data))
 
     def run(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         end = self.now + seconds
         while True:
             ends = [each for each in (self.near, self.far) if id(each) not in self.stopped]

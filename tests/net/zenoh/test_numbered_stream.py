@@ -25,8 +25,8 @@ def opened(**faults) -> StreamPair:
     return pair
 
 
-def test_what_is_not_acknowledged_is_pending():
-    """So that a link leaves a dead path before heartbeats notice it."""
+def test_unacknowledged_data_is_pending():
+    """A link leaves a dead path before heartbeats notice it."""
     pair = opened()
     pair.write(pair.near, b"one")
     assert pair.near.stream.delivery.is_pending
@@ -52,7 +52,7 @@ def test_a_stream_is_opened_once():
     assert kinds(pair, True).count(Kind.OPEN) == 1
 
 
-def test_an_open_that_is_lost_is_repeated():
+def test_a_lost_open_is_repeated():
     """Subscriptions are declared asynchronously: the first packets may have no receiver."""
     pair = StreamPair()
     pair.is_lost = lambda calls, data: pair.now < 100.5
@@ -61,7 +61,7 @@ def test_an_open_that_is_lost_is_repeated():
     assert kinds(pair, True) == [Kind.OPEN] * 4
 
 
-def test_data_that_overtakes_the_acceptance_opens_too():
+def test_data_that_overtakes_the_acceptance_opens_the_stream():
     pair = StreamPair()
     pair.is_lost = lambda calls, data: decode_packet(data).kind is Kind.ACCEPT
     pair.write(pair.far, b"first")
@@ -69,7 +69,7 @@ def test_data_that_overtakes_the_acceptance_opens_too():
     assert (pair.near.opened, pair.near.received) == (1, b"first")
 
 
-def test_an_open_without_an_answer_ends():
+def test_an_open_without_an_answer_ends_after_the_silence_limit():
     pair = StreamPair()
     pair.is_lost = lambda calls, data: True
     pair.run(SILENCE - 0.1)
@@ -100,7 +100,7 @@ def test_bytes_keep_their_order_on_any_path(seed, lose, repeat, reorder, sizes):
         assert sent[id(pair.near)].startswith(pair.far.received)
     pair.run(200.0)
     if pair.near.ends or pair.far.ends:
-        # So many lost in a row that both ends take the path for dead; what arrived is in order.
+        # So many packets were lost that both ends consider the path dead; the received bytes are in order.
         assert lose > 0.1
         assert sent[id(pair.near)].startswith(pair.far.received)
         assert sent[id(pair.far)].startswith(pair.near.received)
@@ -109,15 +109,7 @@ def test_bytes_keep_their_order_on_any_path(seed, lose, repeat, reorder, sizes):
         assert pair.near.received == sent[id(pair.far)]
 
 
-def test_a_repeated_packet_is_delivered_once():
-    pair = opened(repeat=1.0)
-    for number in range(50):
-        pair.write(pair.near, bytes([number]))
-    pair.run(2.0)
-    assert pair.far.received == bytes(range(50))
-
-
-def test_a_gap_is_closed_by_a_repetition_before_the_time_out():
+def test_a_gap_is_repeated_before_the_time_out():
     pair = opened()
     lost = []
 
@@ -147,7 +139,7 @@ def test_the_last_packet_of_a_burst_is_repeated_after_the_time_out():
     assert pair.near.ends == []
 
 
-def test_an_answer_carries_the_acknowledgement():
+def test_a_reply_carries_the_acknowledgement():
     """A hop and its confirmation are two packets, and one acknowledgement."""
     pair = opened()
     pair.write(pair.near, b"hop")
@@ -158,8 +150,8 @@ def test_an_answer_carries_the_acknowledgement():
     assert kinds(pair, True) == [Kind.DATA, Kind.ACK]
 
 
-def test_a_late_packet_is_not_taken_for_lost_ones():
-    """A pause of the path longer than the time-out repeats one packet, not all that were on the way."""
+def test_a_late_packet_is_not_counted_as_several_lost_ones():
+    """A pause of the path longer than the time-out repeats one packet, not all packets in flight."""
     pair = opened()
     for _ in range(20):
         pair.write(pair.near, b"x")
@@ -240,7 +232,7 @@ def test_a_stream_ends_before_its_numbers_repeat():
 # The window
 
 
-def test_a_reader_that_pauses_stops_the_sender_and_ends_nothing():
+def test_a_paused_reader_stops_the_sender_and_keeps_the_stream():
     pair = opened()
     pair.far.stream.pause()
     pair.write(pair.near, BLOCK)
@@ -253,7 +245,7 @@ def test_a_reader_that_pauses_stops_the_sender_and_ends_nothing():
     assert pair.far.received == BLOCK
 
 
-def test_a_lost_notice_of_a_resumed_reader_is_asked_for():
+def test_a_lost_resume_notice_is_requested_again():
     pair = opened()
     pair.far.stream.pause()
     pair.write(pair.near, BLOCK)
@@ -266,7 +258,7 @@ def test_a_lost_notice_of_a_resumed_reader_is_asked_for():
     assert pair.far.received == BLOCK
 
 
-def test_at_most_a_window_is_on_the_way_to_a_stopped_process():
+def test_at_most_a_window_is_in_flight_to_a_stopped_process():
     pair = opened()
     pair.stopped.add(id(pair.far))
     for _ in range(16):
@@ -276,12 +268,12 @@ def test_at_most_a_window_is_on_the_way_to_a_stopped_process():
     assert pair.near.ends == []
     pair.run(1.0)
     assert pair.near.ends == ["no answer for 10 s"]
-    # One packet is repeated, ever more rarely: what the fabric keeps for the process stays small.
+    # One packet is repeated, with growing pauses: the fabric queues little for the process.
     assert sum(len(data) for of, data in pair.sent if of) < MAX_WINDOW
 
 
 def test_a_slow_path_keeps_the_window_small():
-    """A stop order waits behind what the fabric has queued."""
+    """A stop order waits behind the packets that the fabric has queued."""
     pair = opened()
     pair.per_byte = 8 / 57_600
     pair.write(pair.near, BLOCK[:200_000])
@@ -309,7 +301,7 @@ def test_the_time_out_grows_and_shrinks_again():
     assert window.timeout <= usual
 
 
-def test_a_window_that_is_not_used_does_not_grow():
+def test_an_unused_window_does_not_grow():
     """Small messages on a slow path must not admit a large block at once."""
     window = SendWindow()
     for _ in range(1000):
@@ -320,7 +312,7 @@ def test_a_window_that_is_not_used_does_not_grow():
 # Silence
 
 
-def test_an_idle_stream_asks_rarely_and_lasts():
+def test_an_idle_stream_probes_rarely_and_stays_open():
     pair = opened()
     pair.run(10 * IDLE)
     assert pair.near.ends == pair.far.ends == []
@@ -334,7 +326,7 @@ def test_a_peer_that_vanishes_while_idle_is_noticed():
     assert pair.near.ends == ["no answer for 25 s"]
 
 
-def test_data_after_a_long_silence_has_its_full_time():
+def test_data_after_a_long_silence_gets_the_full_time_limit():
     pair = opened()
     pair.run(IDLE - 2.0)
     pair.stopped.add(id(pair.far))
@@ -345,7 +337,7 @@ def test_data_after_a_long_silence_has_its_full_time():
     assert len(pair.near.ends) == 1
 
 
-def test_a_suspected_peer_ends_the_stream_soon():
+def test_a_stream_with_a_suspected_peer_ends_soon():
     pair = opened()
     pair.stopped.add(id(pair.far))
     pair.do(pair.near, pair.near.stream.on_suspicion(pair.now))
@@ -366,7 +358,7 @@ def test_a_suspected_peer_that_answers_is_kept():
 
 
 @pytest.mark.parametrize("lose", [0.0, 0.2])
-def test_a_close_follows_what_was_sent(lose):
+def test_a_close_follows_the_data_sent_before(lose):
     pair = opened(seed=7, lose=lose)
     pair.write(pair.near, BLOCK)
     pair.close(pair.near)
@@ -384,7 +376,7 @@ def test_both_ends_may_close_at_once():
     assert pair.near.ends == pair.far.ends == [""]
 
 
-def test_a_paused_reader_receives_all_before_the_end():
+def test_a_paused_reader_receives_all_data_before_the_end():
     pair = opened()
     pair.far.stream.pause()
     pair.write(pair.near, b"last")
@@ -396,7 +388,7 @@ def test_a_paused_reader_receives_all_before_the_end():
 
 
 def test_a_reset_after_the_own_end_is_a_regular_close():
-    """The other end has forgotten the stream: its acknowledgement of the end was lost."""
+    """The other end has closed the stream: its acknowledgement of the end was lost."""
     pair = opened()
     pair.is_lost = lambda calls, data: not calls
     pair.close(pair.near)
@@ -406,7 +398,7 @@ def test_a_reset_after_the_own_end_is_a_regular_close():
     assert pair.near.ends == [""]
 
 
-def test_an_abort_is_seen_at_both_ends():
+def test_both_ends_report_an_abort():
     pair = opened()
     pair.do(pair.near, pair.near.stream.abort())
     pair.do(pair.near, pair.near.stream.abort())

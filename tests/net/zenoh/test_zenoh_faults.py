@@ -1,4 +1,4 @@
-"""Zenoh with faults: routers that end, lie or do not exist, a stopped peer, a missing package."""
+"""Zenoh with faults: dead, lying and missing routers, a stopped peer, a missing package."""
 
 import asyncio
 import os
@@ -49,11 +49,11 @@ def tls_bench(router, team):
     bench.close()
 
 
-# Routers that end
+# Dead routers
 
 
-def test_a_router_that_dies_in_mid_hop_and_returns_loses_nothing(router, tls_bench):
-    """The packets on the way are lost with it; the stream repeats them."""
+def test_a_router_restart_in_mid_hop_loses_no_transfer(router, tls_bench):
+    """Packets in flight are lost with the router; the stream repeats them."""
     pair = Pair(tls_bench)
     router.kill()
     for number in range(20):
@@ -65,7 +65,7 @@ def test_a_router_that_dies_in_mid_hop_and_returns_loses_nothing(router, tls_ben
     assert len(found) == 20 or isinstance(pair.near.ends[0], AddressError)
 
 
-def test_a_router_that_dies_ends_the_links_and_one_that_returns_carries_new_ones(router, tls_bench):
+def test_a_dead_router_ends_the_links_and_a_restarted_one_carries_new_ones(router, tls_bench):
     pair = Pair(tls_bench)
     router.kill()
     pair.link.send(Ping(1))
@@ -80,7 +80,7 @@ def test_a_router_that_dies_ends_the_links_and_one_that_returns_carries_new_ones
     tls_bench.until(lambda: pair.accepted[-1].messages == [Ping(2)])
 
 
-def test_a_link_knows_that_a_router_that_died_delivers_nothing(router, tls_bench):
+def test_data_stays_unacknowledged_while_the_router_is_dead(router, tls_bench):
     pair = Pair(tls_bench)
     tls_bench.until(lambda: not pair.link.delivery().is_pending)
     router.kill()
@@ -92,7 +92,7 @@ def test_a_link_knows_that_a_router_that_died_delivers_nothing(router, tls_bench
 
 
 def connected_again(bench: ZenohBench, pair: Pair):
-    """A link to the same listener, as soon as there is one: the sessions connect again on their own."""
+    """A link to the same listener, as soon as possible: the sessions reconnect themselves."""
 
     async def attempts():
         async with asyncio.timeout(PATIENCE):
@@ -107,7 +107,7 @@ def connected_again(bench: ZenohBench, pair: Pair):
     return link
 
 
-def test_without_a_router_the_error_says_so_and_a_later_one_is_used(team):
+def test_a_missing_router_is_reported_and_used_when_it_starts(team):
     endpoint = free_endpoint()
     bench = bench_at(endpoint, timeout=0.5, tls=TlsIdentity(team.host("alpha")))
     called = []
@@ -136,7 +136,7 @@ def test_without_a_router_the_error_says_so_and_a_later_one_is_used(team):
 # A stopped process
 
 
-def test_a_stopped_peer_blocks_nothing_and_its_link_is_closed(router):
+def test_a_stopped_peer_blocks_no_other_link_and_its_link_is_closed(router):
     bench = bench_at(router.endpoint)
     command = [sys.executable, str(Path(__file__).with_name("stopped_peer.py")), router.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as peer:
@@ -149,7 +149,7 @@ def test_a_stopped_peer_blocks_nothing_and_its_link_is_closed(router):
             start = time.thread_time()
             link.send_transfer(transfer(MAX_BLOCK, number), bytes(MAX_BLOCK))
             longest = max(longest, time.thread_time() - start)
-        # The other link over the same session goes on meanwhile.
+        # The other link over the same session continues.
         for token in range(100):
             other.link.send(Ping(token))
         bench.until(lambda: len(other.far.messages) == 100)
@@ -161,7 +161,7 @@ def test_a_stopped_peer_blocks_nothing_and_its_link_is_closed(router):
     bench.close()
 
 
-def test_a_killed_peer_is_noticed_before_the_silence_of_a_stopped_one(router):
+def test_a_killed_peer_is_noticed_before_the_silence_limit(router):
     bench = bench_at(router.endpoint)
     command = [sys.executable, str(Path(__file__).with_name("stopped_peer.py")), router.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as peer:
@@ -174,7 +174,7 @@ def test_a_killed_peer_is_noticed_before_the_silence_of_a_stopped_one(router):
     bench.close()
 
 
-# A router that lies
+# A router that changes data
 
 
 def test_a_changed_byte_closes_the_link(router, team):
@@ -208,7 +208,7 @@ def test_injected_data_closes_the_link_and_is_never_delivered(router, tls_bench)
 
 
 def _ping(pair: Pair) -> bool:
-    """Keep packets of both ends coming, so that the injector learns their keys."""
+    """Send packets from both ends, so that the injector learns their keys."""
     pair.link.send(Ping(2))
     pair.far.link.send(Ping(2))
     return True
@@ -248,7 +248,7 @@ def test_a_setting_that_zenoh_rejects_is_named(team, key, value, reason):
     bench.close()
 
 
-def test_a_missing_package_is_one_sentence_with_a_code(monkeypatch):
+def test_a_missing_package_is_reported_with_its_code(monkeypatch):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     monkeypatch.delitem(sys.modules, "lfield.net.zenoh.session", raising=False)
     bench = bench_at("tcp/127.0.0.1:1")
@@ -258,8 +258,8 @@ def test_a_missing_package_is_one_sentence_with_a_code(monkeypatch):
     bench.loop.close()
 
 
-def test_a_process_uses_both_networks(router, team):
-    """Of several addresses the first that answers is used, also of the other network."""
+def test_a_process_uses_tcp_and_zenoh_together(router, team):
+    """Of several addresses, the first that answers is used, on either network."""
     NETWORK.configure(ZenohConfig((router.endpoint,)))
     loop = asyncio.new_event_loop()
     own = TcpTransport(MAX_BLOCK, TlsIdentity(team.host("alpha")))

@@ -1,4 +1,4 @@
-"""What a participant of the fabric can make a process do is limited; a fake session passes its packets on."""
+"""A participant of the fabric can use a limited share of a process; a fake session passes its packets on."""
 
 import asyncio
 import itertools
@@ -14,14 +14,14 @@ from lfield.net.zenoh.send_window import MAX_SEGMENT
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 
 COUNT = 4000
-#: Seconds that a test may take on a busy computer; each permits as many packets again.
+#: Seconds that a test may need on a busy computer; each second permits as many packets again.
 SLOWNESS = 20
 OPEN = Packet(Kind.OPEN, 0, 0, 0, b"").encode()
 DATA = Packet(Kind.DATA, 0, 0, 0, bytes(100)).encode()
 
 
 class FakeSession:
-    """Keeps the subscriptions, and what was published."""
+    """Records the subscriptions and the published packets."""
 
     def __init__(self, config, on_open, on_failure) -> None:
         self.subscribed: dict[str, Callable[[str, bytes], None]] = {}
@@ -44,7 +44,7 @@ class FakeSession:
     publish_once = publish
 
     def forget(self, key) -> None:
-        """Nothing is kept by key."""
+        """There is nothing to remove."""
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def endpoint_with_session() -> tuple[ZenohEndpoint, FakeSession]:
 
 
 async def processed() -> None:
-    """Return when the loop has processed what waited for it."""
+    """Return when the loop has processed the waiting packets."""
     for _ in range(3):
         await asyncio.sleep(0)
 
@@ -85,7 +85,7 @@ async def test_packets_of_unknown_streams_get_few_answers():
 
 
 def test_packets_that_wait_for_the_loop_are_limited_and_long_ones_dropped(runner):
-    """They arrive in a thread of Zenoh, and nothing slows that one down."""
+    """They arrive in a thread of Zenoh, which is not slowed down."""
 
     async def flood() -> tuple[int, int]:
         endpoint, session = endpoint_with_session()

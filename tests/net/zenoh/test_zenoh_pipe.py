@@ -12,7 +12,7 @@ from lfield.net.zenoh.stream import NumberedStream
 
 
 @pytest.mark.parametrize("loop_factory", [asyncio.new_event_loop, uvloop.new_event_loop])
-def test_a_stream_that_is_overdue_may_change_its_timer(loop_factory):
+def test_an_overdue_stream_may_change_its_timer(loop_factory):
     """uvloop returns a handle without a time for a timer that is due at once."""
     sent = []
 

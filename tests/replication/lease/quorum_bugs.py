@@ -1,4 +1,4 @@
-"""What leases and fences rest on, taken away one by one: the judge must see each."""
+"""The rules of leases and fences, removed one by one: the judge must find each."""
 
 from __future__ import annotations
 
@@ -81,10 +81,10 @@ def sends_fences_once(patch: Patch) -> None:
     heartbeat = Quorum._on_heartbeat
 
     def once(self: Quorum, host: str, message: Heartbeat, now: float) -> list[Effect]:
-        told = self.__dict__.setdefault("told", {}).setdefault((host, message.incarnation), set())
+        sent = self.__dict__.setdefault("sent", {}).setdefault((host, message.incarnation), set())
         heartbeat(self, host, message, now)
-        news = [fence for fence in self.fences.all if fence not in told]
-        told.update(news)
+        news = [fence for fence in self.fences.all if fence not in sent]
+        sent.update(news)
         return [SendQuorumMessage(host, HeartbeatAck(message.incarnation, message.number, news))]
 
     patch.setattr(Quorum, "_on_heartbeat", once)

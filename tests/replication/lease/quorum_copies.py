@@ -1,4 +1,4 @@
-"""What a host of the model has of coordinators, what it says of them, and what it knows of terminations."""
+"""Copies of coordinators on a host of the model, its messages about them, and the terminations it knows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.wire.coordinator_messages import CheckpointId, Terminated
 
 
 class Transfer(NamedTuple):
-    """A coordinator, under way."""
+    """A coordinator in transit."""
 
     agent: str
     generation: int
@@ -27,7 +27,7 @@ class Inquire(NamedTuple):
 
 
 class TransferVerdict(NamedTuple):
-    """It did, or it never will."""
+    """It has arrived, or it never will."""
 
     agent: str
     generation: int
@@ -37,7 +37,7 @@ class TransferVerdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Copy:
-    """What a host has of a coordinator; `kept` once that is on its disk.
+    """A copy of a coordinator on a host; `kept` once it is durable.
 
     `to` is the host that it leaves for, or where it has terminated.
     """
@@ -54,17 +54,17 @@ class Copy:
 
 
 class Ends:
-    """What one life of host `here` knows of terminations."""
+    """The terminations that one life of host `here` knows."""
 
     def __init__(self, here: str, members: Collection[str]) -> None:
         self._here, self._members = here, frozenset(members)
-        #: The newest start of each coordinator of whose termination a message has come.
+        #: The newest terminated start of each coordinator, as received.
         self._received: dict[str, int] = {}
         #: The hosts that have confirmed the termination of each coordinator that terminated here.
         self._confirmed: dict[str, set[str]] = {}
 
     def note(self, message: object) -> None:
-        """A message may tell of terminations."""
+        """Record the terminations in a message."""
         told = message if isinstance(message, Terminated) else getattr(message, "ended", None)
         for ended in told if isinstance(told, list) else [told] if told else []:
             self._received[ended.agent] = max(ended.generation, self._received.get(ended.agent, 0))
@@ -74,12 +74,12 @@ class Ends:
         return self._confirmed.setdefault(agent, set())
 
     def known(self, agent: str, copy: Copy | None) -> int:
-        """The newest start of it that is known to have terminated; 0 for none. `copy` is what is here."""
+        """The newest start that is known to have terminated; 0 for none. `copy` is the copy here."""
         here = copy.generation if copy and copy.state == "EXITED" else 0
         return max(here, self._received.get(agent, 0))
 
     def checkpoint(self, agent: str, copy: Copy) -> Checkpoint:
-        """A termination for the core; until it is on disk the coordinator counts as alive."""
+        """A termination for the core; until it is durable the coordinator counts as alive."""
         place = CheckpointId(copy.generation, copy.sequence, was_sent=False)
         if not copy.kept:
             return Checkpoint(place, is_alive=True, interval=0.0)

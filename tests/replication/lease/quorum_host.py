@@ -1,7 +1,7 @@
-"""One life of a host: the real quorum core, and a small model of what mobility and a journal do beside it.
+"""One life of a host: the real quorum core, with a small model of mobility and journal.
 
-A coordinator is RUN here, PREPARED to leave, MOVED, or EXITED: it has terminated. What is decided about one
-goes out when the pages that were written before are on disk; a life that ends takes with it what was not.
+A coordinator is RUN here, PREPARED to leave, MOVED, or EXITED: it has terminated. A message about a decision
+is sent when the earlier records are durable; records that are not durable are lost with the life.
 """
 
 from __future__ import annotations
@@ -39,40 +39,42 @@ if TYPE_CHECKING:
 
 #: Between the starts that recoveries may make.
 STRIDE = 65536
-#: A host that does more than so many ticks in one second does nothing else.
+#: More ticks in one second mean that the host does nothing else.
 BUSY = 100
 
 
 class HostLife:
-    """One process. It sees its own clock only; what it does is seen by the judge."""
+    """One process. It sees only its own clock; the judge sees its actions."""
 
     def __init__(self, world: World, computer: Computer, number: int) -> None:
         self.world, self.computer, self.name = world, computer, computer.name
-        self._judge, self._rng = world.judge, random.Random(f"{world.story.seed} {number}")
+        self._judge, self._rng = world.judge, random.Random(f"{world.scenario.seed} {number}")
         disk = computer.disk
         self.copies: dict[str, Copy] = {key[1]: page for key, page in disk.items() if key[0] == "copy"}
         self.verdicts = {key[1:]: page for key, page in disk.items() if key[0] == "verdict"}
         fences = {key[1]: page for key, page in disk.items() if key[0] == "fence"}
         others = [name for name in world.hosts if name != self.name]
-        members = QuorumMembers(world.story.members, self.name, LEASE)
-        tokens = FencingTokens({k: v for k, v in fences.items() if k in world.story.agents})
-        self.core = world.core(members, others, world.story.agents, number, self, tokens, self._rng)
-        #: What waits for pages of each coordinator: None stands for one that is not on disk yet.
-        self._waiting: dict[str, deque[Callable[[], None] | None]] = {a: deque() for a in world.story.agents}
+        members = QuorumMembers(world.scenario.members, self.name, LEASE)
+        tokens = FencingTokens({k: v for k, v in fences.items() if k in world.scenario.agents})
+        self.core = world.core(members, others, world.scenario.agents, number, self, tokens, self._rng)
+        #: Actions that wait for records of each coordinator; None stands for a record that is not durable.
+        self._waiting: dict[str, deque[Callable[[], None] | None]] = {
+            a: deque() for a in world.scenario.agents
+        }
         self._disk_free, self._armed = 0.0, float("inf")
         self._ticks: deque[float] = deque(maxlen=BUSY)
-        #: Since when it holds the lease, and since when each coordinator is here, in real seconds.
+        #: Real times at which it got the lease, and at which each coordinator arrived.
         self._leased: float | None = None
         self._until = float("-inf")
         self._here: dict[str, float] = {}
         self._asked: dict[str, float] = {}
-        self.ends = Ends(self.name, world.story.members)
+        self.ends = Ends(self.name, world.scenario.members)
 
     # --- time -----------------------------------------------------------------------------------------
 
     @property
     def clock(self) -> float:
-        """What this host's clock shows."""
+        """The time on this host's clock."""
         return self.computer.clock(self.world.now)
 
     @property
@@ -81,16 +83,16 @@ class HostLife:
         return self.computer.life is not self
 
     def join(self) -> None:
-        """It takes part after a while."""
+        """Join the team after a while."""
         self.later(self._rng.uniform(0.0, 2.0), lambda: self.core.start(self.clock))
         self.later(self._rng.uniform(2.0, 2.5), self._step)
 
     def later(self, seconds: float, event: Callable[[], None]) -> None:
-        """Something that this life does."""
+        """Schedule an event of this life."""
         self.world.at(self.world.now + seconds, lambda: self.enter(event))
 
     def enter(self, event: Callable[[], None]) -> None:
-        """An event, unless the life is over; not before the host goes on again, if it is stopped."""
+        """Execute an event unless the life is over; a stopped host executes it when it continues."""
         if self.is_over:
             return
         if self.computer.frozen:
@@ -100,9 +102,9 @@ class HostLife:
         self._settle()
 
     def _settle(self) -> None:
-        """After each event: when the core wants to go on, and how long what moves here may move."""
+        """After each event: schedule the next tick of the core, and extend the permitted time of actions."""
         self._watch_lease()
-        for agent in self.world.story.agents:
+        for agent in self.world.scenario.agents:
             if (action := self._judge.action(agent, self.name)) and self._may_act(agent):
                 action.until = max(action.until, self.until)
         due = self.core.due
@@ -126,13 +128,13 @@ class HostLife:
             self._armed = float("inf")
         self._ticks.append(self.world.now)
         if len(self._ticks) == BUSY and self.world.now - self._ticks[0] < 1.0:
-            self._judge.breach(f"{self.name} is busy with nothing")
+            self._judge.breach(f"{self.name} ticks without end")
         self.carry_out(self.core.tick(self.clock))
 
     # --- the disk -------------------------------------------------------------------------------------
 
     def write(self, agent: str, pages: dict[tuple, object], then: Callable[[], None] = lambda: None) -> None:
-        """Pages of a coordinator, and what rests on them."""
+        """Write records of a coordinator, then call `then`."""
         waiting = self._waiting[agent]
         waiting.append(None)
         waiting.append(then)
@@ -154,7 +156,7 @@ class HostLife:
             waiting.popleft()()
 
     def after(self, agent: str, action: Callable[[], None]) -> None:
-        """When all pages of a coordinator that were written are on disk."""
+        """Call `action` when all written records of a coordinator are durable."""
         if self._waiting[agent]:
             self._waiting[agent].append(action)
         else:
@@ -163,7 +165,7 @@ class HostLife:
     # --- the core -------------------------------------------------------------------------------------
 
     def carry_out(self, effects: Iterable[Effect]) -> None:
-        """What the core asks for."""
+        """Execute the effects of the core."""
         for effect in effects:
             match effect:
                 case RaiseFence():
@@ -194,7 +196,7 @@ class HostLife:
         self.keep_fence(agent, generation)
 
     def keep_fence(self, agent: str, generation: int) -> None:
-        """A fence comes to the disk."""
+        """Write a fence to the disk."""
         self.write(agent, {("fence", agent): generation})
 
     def _take_over(self, agent: str, generation: int) -> None:
@@ -203,29 +205,29 @@ class HostLife:
         self._keep(agent, Copy(generation, 0, "RUN"))
 
     def checkpoint(self, agent: str) -> Checkpoint | None:
-        """The newest that is here of a coordinator."""
+        """The newest checkpoint of a coordinator on this host."""
         copy = self.copies.get(agent)
         if copy is None:
             return None
         if copy.state == "EXITED":
             return self.ends.checkpoint(agent, copy)
         place = CheckpointId(copy.generation, copy.sequence, copy.state != "RUN")
-        return Checkpoint(place, self.lives(agent), self.world.story.interval)
+        return Checkpoint(place, self.lives(agent), self.world.scenario.interval)
 
     def allocate_generation(self, agent: str, above: int) -> int:
-        """A generation that no other host makes."""
+        """A generation that no other host allocates."""
         copy = self.copies.get(agent)
         newest = max(above, copy.generation if copy else 0)
-        return (newest // STRIDE + 1) * STRIDE + self.world.story.hosts.index(self.name) + 1
+        return (newest // STRIDE + 1) * STRIDE + self.world.scenario.hosts.index(self.name) + 1
 
     # --- coordinators ---------------------------------------------------------------------------------
 
     def start(self, agent: str) -> None:
-        """A home starts it."""
+        """Start a coordinator at its home."""
         self._keep(agent, Copy(1, 0, "RUN"))
 
     def _keep(self, agent: str, copy: Copy, pages: dict | None = None, then=lambda: None) -> None:
-        """A copy comes to the disk, and is as good as there when it is."""
+        """Write a copy; it counts as kept when it is durable."""
         self.copies[agent] = copy
         self._here[agent] = self.world.now
 
@@ -239,7 +241,7 @@ class HostLife:
         self.write(agent, {("copy", agent): replace(copy, kept=True), **(pages or {})}, kept)
 
     def lives(self, agent: str) -> bool:
-        """Whether it runs here, as far as fences let it."""
+        """Whether it runs here and is not fenced."""
         copy = self.copies.get(agent)
         return copy is not None and copy.state == "RUN" and not self.core.is_fenced(agent, copy.generation)
 
@@ -251,11 +253,11 @@ class HostLife:
 
     @property
     def until(self) -> float:
-        """Until when, in real seconds, a command of now may move something."""
+        """Until when, in real seconds, a command of now may move a device."""
         return min(self.computer.real(self.core.lease.valid_until), self.world.now + LEASE)
 
-    def well(self, agent: str, below: int) -> float | None:
-        """Since when a start before that one has been here under a lease; None if none is."""
+    def healthy_since(self, agent: str, below: int) -> float | None:
+        """The time since which an earlier start has been here under a lease; None if there is none."""
         copy = self.copies.get(agent)
         if copy is None or copy.generation >= below or self._leased is None:
             return None
@@ -264,7 +266,7 @@ class HostLife:
         return max(self._leased, self._here.get(agent, 0.0))
 
     def _has_unsettled_end(self, agent: str) -> bool:
-        """Whether it terminated here, and this host keeps others from recovering it under its lease."""
+        """Whether it terminated here, and the lease of this host prevents a recovery."""
         saved = self.checkpoint(agent)
         if saved is None or saved.is_final or self.core.is_fenced(agent, saved.position.generation):
             return False
@@ -272,7 +274,7 @@ class HostLife:
 
     def _step(self) -> None:
         self.later(self._rng.uniform(0.05, 0.6), self._step)
-        for agent in self.world.story.agents:
+        for agent in self.world.scenario.agents:
             copy = self.copies.get(agent)
             if copy is None or not copy.kept or self._judge.action(agent, self.name):
                 continue
@@ -285,7 +287,7 @@ class HostLife:
 
     def _work(self, agent: str, copy: Copy) -> None:
         others = [name for name in self.world.hosts if name != self.name]
-        ends = self.world.story.ends
+        ends = self.world.scenario.ends
         if ends and self._may_act(agent) and self._rng.random() < ends:
             self._keep(agent, Copy(copy.generation, copy.sequence, "EXITED", self.name))
         elif others and self._rng.random() < 0.3:
@@ -319,7 +321,7 @@ class HostLife:
             self.world.send(self.name, host, copy.ended(agent))
 
     def _learn_end(self, ended: Terminated) -> None:
-        """A termination elsewhere comes to the disk, and is then confirmed."""
+        """Write a termination elsewhere to the disk, then confirm it."""
         copy = self.copies.get(ended.agent)
         if copy is None or copy.generation < ended.generation or copy.state in ("PREPARED", "MOVED"):
             if copy is None or copy.generation <= ended.generation:
@@ -330,7 +332,7 @@ class HostLife:
         self.after(ended.agent, lambda: self.world.send(self.name, ended.host, answer))
 
     def on_message(self, sender: str, message: object) -> None:
-        """A message has come."""
+        """Handle a message."""
         self.ends.note(message)
         match message:
             case Transfer() | Inquire():
@@ -355,17 +357,17 @@ class HostLife:
                 self.carry_out(self.core.on_message(sender, message, self.clock))
 
     def _promise(self, sender: str, message: Propose) -> None:
-        """The judge sees which termination a member knew before it promised."""
+        """Promise; the judge sees which termination this member knew before."""
         knew = self.ends.known(message.agent, self.copies.get(message.agent))
         effects = self.core.on_message(sender, message, self.clock)
-        told = [effect.message for effect in effects if isinstance(effect, SendQuorumMessage)]
-        given = [m for m in told if isinstance(m, Promise) and m.ended is None]
+        sent_messages = [effect.message for effect in effects if isinstance(effect, SendQuorumMessage)]
+        given = [m for m in sent_messages if isinstance(m, Promise) and m.ended is None]
         if any(promise.fence == message.generation for promise in given):
             self._judge.promises(message.agent, message.generation, self.name, knew)
         self.carry_out(effects)
 
     def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
-        """A number that is not above the highest seen gets its old answer; what is barred is not taken in."""
+        """An old number gets its old verdict; a fenced start is refused."""
         agent, generation, sequence = asked
         seen, taken = self.verdicts.get((agent, generation), (-1, False))
         if sequence > seen:

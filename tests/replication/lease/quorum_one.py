@@ -1,4 +1,4 @@
-"""One host alone with its core, for tests that say everything that it hears."""
+"""A single host with its core; the test sends all its messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEASE, INTERVAL = 2.0, 5.0
 
 
 class One:
-    """A host of a, b, c with what it has of "Tour"; `now` is its clock."""
+    """A host of a, b, c with its checkpoint of "Tour"; `now` is its clock."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class One:
         self.core.start(self.now)
 
     def checkpoint(self, agent: str) -> Checkpoint | None:
-        assert agent == "Tour", "nothing is asked of agents that are none"
+        assert agent == "Tour", "the core asks for unknown agents"
         return self.copy
 
     def allocate_generation(self, agent: str, above: int) -> int:
@@ -53,7 +53,7 @@ class One:
         return self.core.on_message(host, message, self.now)  # type: ignore[arg-type]
 
     def pass_time(self, seconds: float) -> list[Effect]:
-        """All that is done meanwhile, in time."""
+        """The effects of all ticks in this time."""
         effects: list[Effect] = []
         end = self.now + seconds
         while (due := self.core.due) is not None and due <= end:
@@ -70,7 +70,7 @@ class One:
 
 
 def messages_of(effects: Iterable[Effect], kind: type) -> list[tuple[str, object]]:
-    """The messages of a kind, and to whom; an answer about locations counts as its records."""
+    """The messages of a kind, and their receivers; an answer about locations counts as its records."""
     sent = [(e.host, e.message) for e in effects if isinstance(e, SendQuorumMessage)]
     flat = [
         (host, each)
@@ -89,10 +89,10 @@ def alive(generation: int = 1, sequence: int = 3) -> Checkpoint:
 
 
 def proposed(effects: Iterable[Effect]) -> int:
-    """The generation that is proposed; 0 if none is."""
+    """The proposed generation; 0 if there is none."""
     return max((m.generation for _, m in messages_of(effects, Propose)), default=0)
 
 
 def unknown() -> LeaseRecord:
-    """The answer of who knows nothing."""
+    """The answer of a host without records."""
     return LeaseRecord("Tour", None)

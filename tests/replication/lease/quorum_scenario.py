@@ -1,4 +1,4 @@
-"""What befalls a team, drawn from a seed."""
+"""The faults of a team, drawn from a seed."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import random
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-#: The lease of all stories, in seconds.
+#: The lease in all scenarios, in seconds.
 LEASE = 2.0
-#: What may befall links, and what hosts.
+#: Faults of links, and of hosts.
 LINKS = ("link", "island", "only", "one way", "deaf", "mute", "lossy", "late")
 HOSTS = ("crash", "restart", "freeze", "slow disk")
 
 
 class Fault(NamedTuple):
-    """Something that befalls hosts at a time, for a span, both in real seconds."""
+    """A fault of hosts at a time, for a span, both in real seconds."""
 
     at: float
     kind: str
@@ -23,8 +23,8 @@ class Fault(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Story:
-    """A team and what befalls it. `agents` has their homes; `interval` is what they ask for."""
+class Scenario:
+    """A team and its faults. `agents` has their homes; `interval` is their heartbeat interval."""
 
     seed: int
     hosts: tuple[str, ...]
@@ -34,16 +34,16 @@ class Story:
     interval: float
     faults: tuple[Fault, ...]
     until: float
-    #: Links come back, and one goes, at the worst moment.
+    #: Links are restored, and one is cut, at the worst moment.
     ambush: bool
-    #: How likely a coordinator terminates in each of its steps.
+    #: The probability that a coordinator terminates in each of its steps.
     ends: float = 0.0
 
 
-def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: float = 40.0) -> Story:
-    """The story of a seed, with so many hosts and faults at most.
+def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: float = 40.0) -> Scenario:
+    """The scenario of a seed, with at most so many hosts and faults.
 
-    Each has some kinds of faults only: what one kind leads to, another would soon hide.
+    Each scenario has some kinds of faults only: the effects of one kind could hide those of another.
     """
     dice = random.Random(seed)
     names = tuple("abcdefg"[: dice.randint(*hosts)])
@@ -51,18 +51,21 @@ def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: f
     rates = tuple(dice.choice([0.99, 1.01, dice.uniform(0.99, 1.01)]) for _ in names)
     agents = {f"Tour:{number}": dice.choice(names) for number in range(dice.choice([1, 1, 2]))}
     kinds = dice.sample(LINKS, dice.randint(1, 4)) + dice.sample(HOSTS, dice.choice([0, 1, 2]))
-    befalls = sorted(_fault(dice, kinds, names, until) for _ in range(dice.randint(0, faults)))
+    drawn_faults = sorted(_fault(dice, kinds, names, until) for _ in range(dice.randint(0, faults)))
     interval = dice.choice([0.5, 2.0, 3.0, 5.0])
-    return Story(seed, names, rates, members, agents, interval, tuple(befalls), until, dice.random() < 0.5)
+    return Scenario(
+        seed, names, rates, members, agents, interval, tuple(drawn_faults), until, dice.random() < 0.5
+    )
 
 
-def ending(seed: int) -> Story:
-    """One of three hosts whose coordinators terminate; two hosts at a time have no link for seven seconds."""
+def ending(seed: int) -> Scenario:
+    """A scenario of three hosts whose coordinators terminate; two hosts at a time have no link for seven
+    seconds."""
     dice = random.Random(f"ending {seed}")
-    story = drawn(seed, hosts=(3, 3), faults=0, until=30.0)
-    cuts = tuple(Fault(at, "link", tuple(dice.sample(story.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
+    scenario = drawn(seed, hosts=(3, 3), faults=0, until=30.0)
+    cuts = tuple(Fault(at, "link", tuple(dice.sample(scenario.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
     interval = dice.choice([0.5, 2.0])
-    return replace(story, members=story.hosts, interval=interval, faults=cuts, ambush=False, ends=0.1)
+    return replace(scenario, members=scenario.hosts, interval=interval, faults=cuts, ambush=False, ends=0.1)
 
 
 def _fault(rng: random.Random, kinds: list[str], names: tuple[str, ...], until: float) -> Fault:

@@ -1,7 +1,7 @@
-"""Hosts that have only the quorum core, and the real time that none of them knows.
+"""Hosts that consist of the quorum core, and the real time, which none of them knows.
 
-Each host has a clock with a rate of its own, which begins anew when its computer boots. Messages are lost,
-delayed and reordered; links are cut, also in one direction. Everything follows from a story and its seed.
+Each host has a clock with its own rate, which restarts when its computer boots. Messages are lost, delayed
+and reordered; links are cut, also in one direction. The run is determined by a scenario and its seed.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 
 from quorum_host import HostLife
 from quorum_judge import Judge
-from quorum_scenario import Fault, Story
+from quorum_scenario import Fault, Scenario
 
 from lfield.replication.lease.core import Quorum
 from lfield.wire.coordinator_messages import Locate
 
-#: A message takes so long, in seconds, when nothing holds it up; and when something does.
+#: The delay of a message in seconds, normal and slow.
 SWIFT, SLOW = (0.001, 0.02), (0.05, 3.0)
-#: When all is well, every coordinator acts after so many seconds and three of its intervals.
+#: After all faults, every coordinator acts after so many seconds and three of its intervals.
 PATIENCE = 12.0
-#: What a commit takes, in seconds; and on a disk that is slow.
+#: The duration of a commit in seconds, normal and on a slow disk.
 COMMIT, SLOW_COMMIT = (0.001, 0.02), (0.2, 4.0)
 
 
@@ -35,76 +35,76 @@ class Computer:
         self.disk: dict[tuple, object] = {}
         self.life: HostLife | None = None
         self.frozen = False
-        #: What has come while it was stopped.
+        #: Events that arrived while it was stopped.
         self.backlog: list[Callable[[], None]] = []
 
     def clock(self, real: float) -> float:
-        """What its clock shows, in seconds since it was booted."""
+        """The time on its clock, in seconds since it was booted."""
         return (real - self.zero) * self.rate
 
     def real(self, local: float) -> float:
-        """When its clock shows that."""
+        """The real time of a time on its clock."""
         return self.zero + local / self.rate
 
 
 class World:
-    """What is outside of hosts. `now` is real time, in seconds."""
+    """The environment of the hosts. `now` is real time, in seconds."""
 
-    def __init__(self, story: Story, core: type[Quorum] = Quorum) -> None:
-        self.story, self.core = story, core
-        self.now, self.rng = 0.0, random.Random(story.seed)
+    def __init__(self, scenario: Scenario, core: type[Quorum] = Quorum) -> None:
+        self.scenario, self.core = scenario, core
+        self.now, self.rng = 0.0, random.Random(scenario.seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._count, self._lives = count(), count(1)
         self.judge = Judge(self)
-        #: Until when each direction is cut, loses half, or is late; until when a host's disk is slow.
+        #: Until when each direction is cut, lossy, or late; until when a host's disk is slow.
         self.cut: dict[tuple[str, str], float] = {}
         self.lossy: dict[tuple[str, str], float] = {}
         self.late: dict[tuple[str, str], float] = {}
         self.slow: dict[str, float] = {}
         self.hosts = {
             name: Computer(name, rate, -self.rng.uniform(0.0, 1e5))
-            for name, rate in zip(story.hosts, story.rates, strict=True)
+            for name, rate in zip(scenario.hosts, scenario.rates, strict=True)
         }
-        for name in story.hosts:
+        for name in scenario.hosts:
             self.boot(name)
-        for agent, home in story.agents.items():
+        for agent, home in scenario.agents.items():
             life = self.hosts[home].life
             assert life
             life.start(agent)
-        for fault in story.faults:
-            self.at(fault.at, lambda fault=fault: self._strike(fault))
+        for fault in scenario.faults:
+            self.at(fault.at, lambda fault=fault: self._apply(fault))
 
     # --- time -----------------------------------------------------------------------------------------
 
     def at(self, when: float, event: Callable[[], None]) -> None:
-        """Something happens at that real time."""
+        """Schedule an event at a real time."""
         heapq.heappush(self._events, (max(when, self.now), next(self._count), event))
 
     def run(self, until: float) -> None:
-        """Everything that happens until then."""
+        """Execute all events until a time."""
         while self._events and self._events[0][0] <= until:
             self.now, _, event = heapq.heappop(self._events)
             event()
         self.now = until
 
-    def _is(self, troubled: dict[Any, float], what: object) -> bool:
+    def _is_active(self, troubled: dict[Any, float], what: object) -> bool:
         return self.now < troubled.get(what, 0.0)
 
     def commit(self, name: str) -> float:
-        """How long a commit of that host takes, in seconds."""
-        return self.rng.uniform(*(SLOW_COMMIT if self._is(self.slow, name) else COMMIT))
+        """The duration of a commit of that host, in seconds."""
+        return self.rng.uniform(*(SLOW_COMMIT if self._is_active(self.slow, name) else COMMIT))
 
     # --- messages -------------------------------------------------------------------------------------
 
     def send(self, sender: str, host: str, message: object) -> None:
-        """A message leaves."""
+        """Send a message."""
         way = sender, host
-        if self._is(self.cut, way) or (self._is(self.lossy, way) and self.rng.random() < 0.5):
+        if self._is_active(self.cut, way) or (self._is_active(self.lossy, way) and self.rng.random() < 0.5):
             return
-        ambush = self.story.ambush and self.now < self.story.until
+        ambush = self.scenario.ambush and self.now < self.scenario.until
         if ambush and isinstance(message, Locate) and self.rng.random() < 0.2:
-            self._ambush(sender)
-        delay = self.rng.uniform(*(SLOW if self._is(self.late, way) else SWIFT))
+            self._leave_one_link(sender)
+        delay = self.rng.uniform(*(SLOW if self._is_active(self.late, way) else SWIFT))
         self.at(self.now + delay, lambda: self._deliver(sender, host, message))
 
     def _deliver(self, sender: str, host: str, message: object) -> None:
@@ -115,7 +115,7 @@ class World:
     # --- faults ---------------------------------------------------------------------------------------
 
     def boot(self, name: str) -> None:
-        """A host begins a life, with what is on its disk."""
+        """Start a life of a host with the records on its disk."""
         computer = self.hosts[name]
         if computer.life is None:
             self.judge.disturbed = self.now
@@ -123,24 +123,24 @@ class World:
             computer.life.join()
 
     def kill(self, name: str) -> None:
-        """A life ends. What its devices were last told they do until that runs out."""
+        """End a life. Its devices execute their last commands until these expire."""
         computer = self.hosts[name]
         self.judge.disturbed = self.now
         computer.life, computer.backlog, computer.frozen = None, [], False
 
     def reboot(self, name: str) -> None:
-        """A computer comes back, and its clock shows little more than nothing."""
+        """Boot a computer; its clock starts near zero."""
         if self.hosts[name].life is None:
             self.hosts[name].zero = self.now - self.rng.uniform(0.0, 5.0)
             self.boot(name)
 
     def freeze(self, name: str) -> None:
-        """A process is stopped; its clock is not."""
+        """Stop a process; its clock continues."""
         self.judge.disturbed = self.now
         self.hosts[name].frozen = self.hosts[name].life is not None
 
     def thaw(self, name: str) -> None:
-        """It goes on, with what has come meanwhile, in any order."""
+        """Continue a stopped process, with the events of the meantime in any order."""
         computer = self.hosts[name]
         if computer.frozen:
             self.judge.disturbed = self.now
@@ -150,7 +150,7 @@ class World:
             for event in backlog:
                 event()
 
-    def _strike(self, fault: Fault) -> None:
+    def _apply(self, fault: Fault) -> None:
         name, end = fault.hosts[0], self.now + fault.span
         match fault.kind:
             case "crash":
@@ -165,17 +165,17 @@ class World:
             case "slow disk":
                 self.slow[name] = end
             case _:
-                self._blow(fault, end)
+                self._apply_to_links(fault, end)
 
-    def _blow(self, fault: Fault, end: float) -> None:
+    def _apply_to_links(self, fault: Fault, end: float) -> None:
         hit = {"lossy": self.lossy, "late": self.late}.get(fault.kind, self.cut)
         hit.update((way, max(end, hit.get(way, end))) for way in self._ways(fault.kind, fault.hosts))
 
-    def _ambush(self, asker: str) -> None:
-        """When a host suspects, all links come back, but for those with another one."""
+    def _leave_one_link(self, asker: str) -> None:
+        """When a host suspects, restore all links, except those with another host."""
         self.cut.clear()
         hosts = asker, self.rng.choice([name for name in self.hosts if name != asker])
-        self._blow(Fault(self.now, "link", hosts, 0.0), self.now + 4.0)
+        self._apply_to_links(Fault(self.now, "link", hosts, 0.0), self.now + 4.0)
 
     def _ways(self, kind: str, hosts: Collection[str]) -> list[tuple[str, str]]:
         first, *_ = hosts
@@ -199,7 +199,7 @@ class World:
         return [(one, other) for one in self.hosts for other in self.hosts if {one, other} & inside]
 
     def heal(self) -> None:
-        """Every link is well, and every host is up, from now on."""
+        """Restore all links and start all hosts."""
         for troubled in (self.cut, self.lossy, self.late, self.slow):
             troubled.clear()
         for name in self.hosts:
@@ -207,14 +207,14 @@ class World:
             self.boot(name)
 
 
-def judged(story: Story, core: type[Quorum] = Quorum) -> World:
-    """The whole story, then a time in which all is well: every coordinator acts again, or has terminated."""
-    world = World(story, core)
-    world.run(story.until)
+def judged(scenario: Scenario, core: type[Quorum] = Quorum) -> World:
+    """Run the whole scenario, then a time without faults: every coordinator acts again, or has terminated."""
+    world = World(scenario, core)
+    world.run(scenario.until)
     world.heal()
-    world.run(story.until + PATIENCE + 3.0 * story.interval)
-    for agent in story.agents:
-        has_acted = world.judge.acted.get(agent, 0.0) >= story.until
+    world.run(scenario.until + PATIENCE + 3.0 * scenario.interval)
+    for agent in scenario.agents:
+        has_acted = world.judge.acted.get(agent, 0.0) >= scenario.until
         if not has_acted and not world.judge.has_terminated(agent):
-            world.judge.breach(f"{agent} has not acted again although all is well")
+            world.judge.breach(f"{agent} has not acted again although there are no faults")
     return world

@@ -35,7 +35,7 @@ coordinator Boss {
 }
 """
 TEAM = "//Boss:boss@a\n//Valve:v@b\n//@c\n"
-#: The two ways in which a program terminates: `init` returns, or an exception is not caught.
+#: The two kinds of termination: `init` returns, or an exception is not caught.
 ENDS = {"done": "return;", "died": "throw new Exception();"}
 
 
@@ -46,20 +46,20 @@ def mission(folder: Path, end: str = "done", team: str = TEAM, interval: float =
     return load_mission(folder / "mission.dL", simulate=True)
 
 
-def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
+def log_lines(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
     return [line for line in fleet.log if what in line[2]]
 
 
 def judged(mission: Mission, seed: int = 1, lost_after: float | None = None) -> tuple[Fleet, Breaches]:
-    """A fleet, and what the judge of terminations finds in it."""
+    """A fleet, and the violations that the judge of terminations finds in it."""
     fleet: Fleet
 
-    def latest(agent: str, below: int) -> int:
+    def newest_start(agent: str, below: int) -> int:
         rows = (row for life in fleet.lives.values() for row in life.core.mobility.known_states())
         return max((row.generation for row in rows if row.generation < below), default=0)
 
     breaches = Breaches(lambda: fleet.now)
-    judge = EndChecks(breaches, lambda: fleet, latest)
+    judge = EndChecks(breaches, lambda: fleet, newest_start)
     fleet = Fleet(
         mission,
         seed,
@@ -70,7 +70,7 @@ def judged(mission: Mission, seed: int = 1, lost_after: float | None = None) -> 
 
 
 def states(fleet: Fleet) -> dict[str, list[tuple[int, str, str]]]:
-    """What each host that is up knows of boss: start, state, outcome."""
+    """The start, state and outcome of boss on each running host."""
     return {
         name: [(row.generation, row.state, row.outcome) for row in life.core.mobility.known_states()]
         for name, life in fleet.lives.items()
@@ -94,15 +94,15 @@ def test_a_coordinator_whose_end_a_third_host_knows_is_not_recovered(tmp_path: P
     fleet.heal_all()
     fleet.run(20.0)
     assert not breaches
-    assert [where for _, where, _ in said(fleet, "turned 1")] == ["b"]
-    assert not said(fleet, "recovered")
-    assert not said(fleet, "turned 2")
+    assert [where for _, where, _ in log_lines(fleet, "turned 1")] == ["b"]
+    assert not log_lines(fleet, "recovered")
+    assert not log_lines(fleet, "turned 2")
     for life in fleet.lives.values():
         (row,) = life.core.mobility.known_states()
         assert (row.agent, row.state, row.outcome, row.where) == ("boss", "EXITED", end, "b")
 
 
-def test_gossip_brings_an_end_to_who_has_no_link_with_its_host(tmp_path: Path) -> None:
+def test_gossip_brings_an_end_to_a_host_without_a_link_to_the_source(tmp_path: Path) -> None:
     fleet, _ = judged(mission(tmp_path))
     fleet.run(0.8)
     fleet.cut("a", "b")
@@ -112,7 +112,7 @@ def test_gossip_brings_an_end_to_who_has_no_link_with_its_host(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("again", ["crash", "power_off"])
-def test_who_knows_an_end_knows_it_after_a_restart(tmp_path: Path, again: str) -> None:
+def test_a_known_end_is_still_known_after_a_restart(tmp_path: Path, again: str) -> None:
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     for other in "bc":
@@ -125,11 +125,11 @@ def test_who_knows_an_end_knows_it_after_a_restart(tmp_path: Path, again: str) -
     fleet.heal("a", "c")
     fleet.run(30.0)
     assert not breaches
-    assert not said(fleet, "recovered")
+    assert not log_lines(fleet, "recovered")
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "ac"}
 
 
-def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: Path) -> None:
+def test_a_member_with_a_new_disk_learns_the_end_before_it_promises(tmp_path: Path) -> None:
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     for other in "bc":
@@ -142,20 +142,20 @@ def test_a_member_with_a_new_disk_hears_of_the_end_before_it_promises(tmp_path: 
     fleet.boot("c")
     fleet.heal("a", "c")
     fleet.run(20.0)
-    assert not said(fleet, "recovered")
+    assert not log_lines(fleet, "recovered")
     fleet.heal_all()
     fleet.run(0.1)
     fleet.run(20.0)
     assert not breaches
-    assert not said(fleet, "recovered")
+    assert not log_lines(fleet, "recovered")
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
 
 
-@pytest.mark.parametrize("greets", [False, True], ids=["linked", "linked again"])
-def test_an_end_is_told_to_others_once_it_is_on_the_disk_where_it_happened(
+@pytest.mark.parametrize("greets", [False, True], ids=["linked", "relinked"])
+def test_an_end_is_sent_to_others_only_when_it_is_durable_at_its_host(
     tmp_path: Path, *, greets: bool
 ) -> None:
-    """They might have it on their disks, where it is final, and boss would go on after a crash of b."""
+    """They might store it as final, although boss would continue after a crash of b."""
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.9)
     fleet.disks["b"].sync = 60.0
@@ -169,28 +169,28 @@ def test_an_end_is_told_to_others_once_it_is_on_the_disk_where_it_happened(
     fleet.boot("b")
     fleet.run(20.0)
     assert not breaches
-    assert len(said(fleet, "turned 1")) == 2
+    assert len(log_lines(fleet, "turned 1")) == 2
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
 
 
-def test_an_end_that_only_its_host_knows_is_not_final_and_says_nothing_new_afterwards(tmp_path: Path) -> None:
-    """The host that has it is cut off from all others: it has no lease, and they go on."""
+def test_an_end_known_only_by_its_host_is_not_final(tmp_path: Path) -> None:
+    """The host with the end is cut off from all others: it has no lease, and they continue."""
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     for other in "ac":
         fleet.cut("b", other)
     fleet.run(10.0)
-    assert said(fleet, "boss recovered on this host")
+    assert log_lines(fleet, "boss recovered on this host")
     fleet.heal_all()
     fleet.run(20.0)
     assert not breaches
-    assert said(fleet, "turned 2")
+    assert log_lines(fleet, "turned 2")
     for rows in states(fleet).values():
         assert {outcome for generation, _, outcome in rows if generation > 1} == {"done"}
 
 
 def cut_off_at_the_end(folder: Path, *, until_done: bool = True) -> tuple[Fleet, Breaches]:
-    """boss ends on b, which nobody hears; others would recover it after ten seconds."""
+    """boss ends on b, which is cut off; others would recover it after ten seconds."""
     slow = mission(folder, interval=10.0)
     fleet, breaches = judged(slow, lost_after=5.0 if until_done else None)
     fleet.run(0.9)
@@ -202,7 +202,7 @@ def cut_off_at_the_end(folder: Path, *, until_done: bool = True) -> tuple[Fleet,
 def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> None:
     fleet, breaches = cut_off_at_the_end(tmp_path)
     fleet.run(5.0)
-    assert said(
+    assert log_lines(
         fleet, "end of boss not final: no majority of the members has stored it; b is waiting for that"
     )
     assert "b" in fleet.lives
@@ -210,31 +210,31 @@ def test_with_until_done_a_host_waits_until_the_end_is_final(tmp_path: Path) -> 
     fleet.run(20.0)
     assert not breaches
     assert fleet.left == dict.fromkeys("abc", 0)
-    assert not said(fleet, "recovered")
+    assert not log_lines(fleet, "recovered")
 
 
-def test_with_until_done_a_host_that_hears_no_majority_does_not_wait_for_ever(tmp_path: Path) -> None:
+def test_with_until_done_a_host_without_a_majority_waits_for_a_limited_time(tmp_path: Path) -> None:
     fleet, _ = cut_off_at_the_end(tmp_path)
     fleet.run(9.0)
     assert fleet.left["b"] == 0
-    assert said(fleet, "no majority of the members responded for 5 s; another host may resume")
+    assert log_lines(fleet, "no majority of the members responded for 5 s; another host may resume")
 
 
-def test_an_operator_does_not_recover_what_has_ended(tmp_path: Path) -> None:
+def test_an_operator_cannot_recover_an_ended_coordinator(tmp_path: Path) -> None:
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(0.8)
     fleet.cut("a", "b")
     row = fleet.lives["a"].core.mobility.recoverable_state("boss")
     assert row is not None
-    word = RecoverRequest("boss", row.generation, row.sequence, row.generation)
+    request = RecoverRequest("boss", row.generation, row.sequence, row.generation)
     run_until_ended(fleet)
     fleet.run(1.0)
-    answer = fleet.lives["a"].core.recover(word)
+    answer = fleet.lives["a"].core.recover(request)
     assert (answer.generation, "boss has ended on b (done)" in answer.reason) == (0, True)
     assert not breaches
 
 
-def test_an_operator_recovers_nothing_under_leases_where_no_majority_is_heard(tmp_path: Path) -> None:
+def test_an_operator_cannot_recover_under_leases_without_a_majority(tmp_path: Path) -> None:
     fleet, _ = judged(mission(tmp_path))
     fleet.run(0.8)
     for other in "bc":
@@ -242,12 +242,12 @@ def test_an_operator_recovers_nothing_under_leases_where_no_majority_is_heard(tm
     row = fleet.lives["a"].core.mobility.recoverable_state("boss")
     assert row is not None
     fleet.run(3.0)
-    word = RecoverRequest("boss", row.generation, row.sequence, row.generation)
-    answer = fleet.lives["a"].core.recover(word)
+    request = RecoverRequest("boss", row.generation, row.sequence, row.generation)
+    answer = fleet.lives["a"].core.recover(request)
     assert (answer.generation, "no majority of the members responds to a" in answer.reason) == (0, True)
 
 
-def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
+def test_a_new_run_of_the_mission_starts_ended_coordinators_again(tmp_path: Path) -> None:
     fleet, breaches = judged(mission(tmp_path))
     fleet.run(6.0)
     assert states(fleet) == {key: [(1, "EXITED", "done")] for key in "abc"}
@@ -257,15 +257,15 @@ def test_a_new_run_of_the_mission_starts_what_has_ended(tmp_path: Path) -> None:
     for name in "abc":
         fleet.boot(name)
     fleet.run(10.0)
-    assert len(said(fleet, "turned 1")) == 2
+    assert len(log_lines(fleet, "turned 1")) == 2
     assert not breaches
     assert states(fleet) == {key: [(1, "EXITED", "done"), (2, "EXITED", "done")] for key in "abc"}
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(3, 27))
-def test_whenever_links_are_cut_what_is_final_stays_so(tmp_path: Path, seed: int) -> None:
-    """Random cuts around the end of boss, in teams of three to five; every end of a start comes once."""
+def test_a_final_end_stays_final_under_random_cuts(tmp_path: Path, seed: int) -> None:
+    """Random cuts around the end of boss, in teams of three to five; every start ends once."""
     dice = random.Random(seed)
     team = TEAM + "".join(f"//@{name}\n" for name in "de"[: dice.randrange(3)])
     fleet, breaches = judged(mission(tmp_path, team=team), seed)

@@ -1,4 +1,4 @@
-"""What one host answers, and what it lets coordinators do; nothing that comes in puts it in disorder."""
+"""The answers of one host, and when its coordinators may act; no message brings it into disorder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lfield.wire.quorum_messages import (
 )
 
 
-def test_nothing_is_begun_before_begin_but_everything_is_answered() -> None:
+def test_before_start_the_core_sends_nothing_and_answers_every_message() -> None:
     one = One()
     one.core._next_heartbeat = None
     assert one.core.due is None
@@ -30,7 +30,7 @@ def test_nothing_is_begun_before_begin_but_everything_is_answered() -> None:
     assert messages_of(one.on_message("b", Propose("Tour", 65537)), Promise)
 
 
-def test_a_coordinator_acts_under_a_lease_and_not_below_a_fence() -> None:
+def test_a_coordinator_acts_only_under_a_lease_and_above_the_fence() -> None:
     one = One(saved=alive())
     assert not one.core.may_act("Tour", 1, one.now)
     one.lease()
@@ -41,7 +41,7 @@ def test_a_coordinator_acts_under_a_lease_and_not_below_a_fence() -> None:
     assert not one.core.may_act("Tour", 2, one.now + LEASE)
 
 
-def test_who_may_have_promised_what_it_has_forgotten_gives_itself_no_lease() -> None:
+def test_a_member_that_may_have_lost_its_promises_gets_no_lease_from_itself() -> None:
     one = One(saved=alive(), new=True)
     one.lease()
     assert not one.core.may_act("Tour", 1, one.now)
@@ -51,7 +51,7 @@ def test_who_may_have_promised_what_it_has_forgotten_gives_itself_no_lease() -> 
     assert one.core.may_act("Tour", 1, one.now)
 
 
-def test_an_acknowledgement_of_another_life_is_nothing() -> None:
+def test_an_acknowledgement_of_another_life_has_no_effect() -> None:
     one = One(saved=alive())
     one.pass_time(1.0)
     assert one.on_message("b", HeartbeatAck(76, 1, [FencedRecord("Tour", 9)])) == []
@@ -59,29 +59,29 @@ def test_an_acknowledgement_of_another_life_is_nothing() -> None:
     assert not one.core.is_fenced("Tour", 1)
 
 
-def test_fences_come_with_each_acknowledgement_until_they_are_known() -> None:
+def test_fences_are_sent_with_each_acknowledgement_until_they_are_known() -> None:
     one = One(fence=65537)
     beat = Heartbeat(5, 1, 0, [])
     for _ in range(3):
         assert one.on_message("b", beat) == one.on_message("b", beat)
         ((_, ack),) = messages_of(one.on_message("b", beat), HeartbeatAck)
-        assert ack.fences == [FencedRecord("Tour", 65537)], "and none of agents that are gone"
+        assert ack.fences == [FencedRecord("Tour", 65537)], "without fences of unknown agents"
     ((_, ack),) = messages_of(one.on_message("b", Heartbeat(5, 2, one.core.fences.digest, [])), HeartbeatAck)
     assert ack.fences == []
 
 
-def test_a_promise_rises_above_what_is_known_or_tells_of_it() -> None:
+def test_a_promise_is_above_the_known_fence_or_reports_it() -> None:
     one = One(saved=shadow())
     bar, promise = one.on_message("b", Propose("Tour", 65538))
     assert isinstance(bar, RaiseFence)
     assert promise.message == Promise("Tour", 65538, 65538, CheckpointId(1, 3, True))
     (promise,) = one.on_message("b", Propose("Tour", 65538))
-    assert promise.message.fence == 65538, "told again"
+    assert promise.message.fence == 65538, "repeated"
     (promise,) = one.on_message("c", Propose("Tour", 65537))
     assert promise.message.fence == 65538, "refused"
 
 
-def test_who_acts_here_is_not_barred_by_one_who_asked_before_it_came() -> None:
+def test_a_coordinator_acting_under_a_lease_is_not_fenced_by_an_older_query() -> None:
     one = One(saved=alive())
     one.lease()
     ((_, answer),) = messages_of(one.on_message("c", Propose("Tour", 65539)), LeaseRecord)
@@ -90,7 +90,7 @@ def test_who_acts_here_is_not_barred_by_one_who_asked_before_it_came() -> None:
     assert messages_of(one.on_message("c", Propose("Tour", 65539)), Promise)
 
 
-def test_what_is_held_is_told_only_under_a_lease() -> None:
+def test_held_coordinators_are_sent_only_under_a_lease() -> None:
     one = One(saved=alive())
     assert {tuple(beat.held) for _, beat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
     one.lease()
@@ -100,7 +100,7 @@ def test_what_is_held_is_told_only_under_a_lease() -> None:
     assert {tuple(beat.held) for _, beat in messages_of(one.pass_time(1.0), Heartbeat)} == {()}
 
 
-def test_who_is_no_member_asks_for_a_lease_when_it_needs_one_but_not_without_end() -> None:
+def test_a_host_that_is_no_member_requests_a_lease_at_a_limited_rate() -> None:
     one = One(members="bc")
     assert not messages_of(one.pass_time(10.0), Heartbeat)
     one.copy = alive()
@@ -111,7 +111,7 @@ def test_who_is_no_member_asks_for_a_lease_when_it_needs_one_but_not_without_end
     assert beats == 2
 
 
-def test_who_is_no_member_asks_for_what_has_yet_to_begin_until_it_has_a_lease() -> None:
+def test_a_host_that_is_no_member_repeats_its_first_request_until_it_has_a_lease() -> None:
     one = One(here="c", members="ab")
     assert messages_of(one.pass_time(2.0), Heartbeat) == []
     one.core.request_lease(one.now)
@@ -122,7 +122,7 @@ def test_who_is_no_member_asks_for_what_has_yet_to_begin_until_it_has_a_lease() 
     assert messages_of(one.pass_time(1.0), Heartbeat) == []
 
 
-def test_who_was_heard_is_told_with_how_long_ago_that_was() -> None:
+def test_a_record_has_the_age_of_the_last_heartbeat_of_the_holder() -> None:
     one = One()
     one.on_message("b", Heartbeat(5, 1, 0, [HeldRecord("Tour", 3, 4)]))
     one.pass_time(1.5)
@@ -148,7 +148,7 @@ STRANGE: list[QuorumMessage] = [
 
 @pytest.mark.parametrize("message", STRANGE, ids=lambda message: type(message).__name__)
 @pytest.mark.parametrize("host", ["b", "stranger"])
-def test_what_is_old_or_strange_changes_nothing(host: str, message: QuorumMessage) -> None:
+def test_an_old_or_unknown_message_has_no_effect(host: str, message: QuorumMessage) -> None:
     one = One(saved=shadow(), fence=65537)
     effects = one.on_message(host, message)
     assert not [e for e in effects if isinstance(e, RaiseFence)]
@@ -159,7 +159,7 @@ def test_what_is_old_or_strange_changes_nothing(host: str, message: QuorumMessag
     assert not one.core.lease.holds(one.now)
 
 
-def test_names_that_nobody_knows_are_not_remembered() -> None:
+def test_unknown_agents_are_not_stored() -> None:
     one = One(saved=shadow())
     for number in range(200):
         name = f"Nobody:{number}"

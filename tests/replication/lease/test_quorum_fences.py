@@ -1,4 +1,4 @@
-"""Fences only rise, and two hosts with one hash know the same."""
+"""Fencing tokens only rise, and two hosts with the same digest have the same tokens."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from lfield.replication.lease.quorum_members import FencingTokens
 from lfield.wire.quorum_messages import FencedRecord
 
 
-def test_they_only_rise() -> None:
+def test_tokens_only_rise() -> None:
     fences = FencingTokens({"Tour": 5})
     assert not fences.advance("Tour", 5)
     assert not fences.advance("Tour", 4)
@@ -16,11 +16,11 @@ def test_they_only_rise() -> None:
     assert not fences.rejects("Tour", 2**63 - 1)
 
 
-def test_nothing_is_barred_that_nobody_has_barred() -> None:
+def test_without_tokens_nothing_is_fenced() -> None:
     assert not FencingTokens({}).rejects("Tour", 0)
 
 
-def test_a_hash_tells_whether_two_know_the_same() -> None:
+def test_equal_digests_mean_equal_tokens() -> None:
     one, other = FencingTokens({"A": 1, "B": 2}), FencingTokens({"B": 2})
     assert one.digest != other.digest
     other.advance("A", 1)
@@ -30,7 +30,7 @@ def test_a_hash_tells_whether_two_know_the_same() -> None:
     assert one.digest != other.digest
 
 
-def test_what_the_journal_has_kept_is_not_changed_behind_its_back() -> None:
+def test_the_records_of_the_journal_are_not_modified() -> None:
     kept = {"A": 1}
     FencingTokens(kept).advance("A", 2)
     assert kept == {"A": 1}

@@ -1,4 +1,4 @@
-"""A lease holds while a majority has acknowledged what was sent less than its length ago."""
+"""A lease holds while a majority has acknowledged a heartbeat that was sent less than its length ago."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ def lease(names: str, here: str) -> Lease:
     return Lease(QuorumMembers(names, here, 2.0))
 
 
-def test_a_new_life_holds_none() -> None:
+def test_a_new_life_has_no_lease() -> None:
     assert not lease("abc", "a").holds(0.0)
 
 
-def test_it_counts_from_when_a_heartbeat_was_sent_however_late_the_answer_is() -> None:
+def test_a_lease_counts_from_the_sending_of_the_heartbeat() -> None:
     mine = lease("abc", "a")
     number = mine.next_heartbeat(10.0)
     mine.on_ack("b", number)
@@ -28,9 +28,7 @@ def test_it_counts_from_when_a_heartbeat_was_sent_however_late_the_answer_is() -
     ("names", "here", "needed"),
     [("abc", "a", 1), ("abcd", "a", 2), ("abcde", "a", 2), ("abc", "x", 2), ("a", "x", 1)],
 )
-def test_a_majority_of_the_members_is_needed_and_a_member_counts_itself(
-    names: str, here: str, needed: int
-) -> None:
+def test_a_lease_needs_a_majority_and_a_member_counts_itself(names: str, here: str, needed: int) -> None:
     mine = lease(names, here)
     number = mine.next_heartbeat(0.0)
     others = [name for name in names if name != here]
@@ -39,12 +37,12 @@ def test_a_majority_of_the_members_is_needed_and_a_member_counts_itself(
         assert mine.holds(1.0) == (count >= needed)
 
 
-def test_an_only_member_holds_it_always() -> None:
+def test_a_single_member_always_has_the_lease() -> None:
     assert lease("a", "a").holds(1e9)
     assert not lease("a", "b").holds(0.0)
 
 
-def test_it_lasts_as_long_as_the_oldest_answer_that_the_majority_needs() -> None:
+def test_a_lease_ends_with_the_oldest_answer_that_the_majority_needs() -> None:
     mine = lease("abcde", "a")
     first, second = mine.next_heartbeat(0.0), mine.next_heartbeat(0.5)
     mine.on_ack("b", first)
@@ -56,7 +54,7 @@ def test_it_lasts_as_long_as_the_oldest_answer_that_the_majority_needs() -> None
     assert mine.valid_until == 2.5
 
 
-def test_answers_of_strangers_of_nothing_that_was_sent_and_from_long_ago_do_not_count() -> None:
+def test_unknown_hosts_numbers_and_old_answers_do_not_count() -> None:
     mine = lease("abc", "a")
     number = mine.next_heartbeat(0.0)
     for host, answered in [("x", number), ("a", number), ("b", number + 1), ("b", 0), ("b", 2**63 - 1)]:
@@ -67,7 +65,7 @@ def test_answers_of_strangers_of_nothing_that_was_sent_and_from_long_ago_do_not_
     assert not mine.holds(0.1)
 
 
-def test_what_is_remembered_is_bounded() -> None:
+def test_the_number_of_remembered_heartbeats_is_bounded() -> None:
     mine = lease("abc", "a")
     for beat in range(10_000):
         mine.next_heartbeat(beat * 0.5)

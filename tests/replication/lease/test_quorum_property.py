@@ -1,7 +1,7 @@
-"""No two copies act, who is well is left alone, and all goes on when all is well, whatever befalls a team.
+"""No two copies act, a healthy holder is not fenced, and a team without faults continues, after any faults.
 
-The same judge finds each of nine bugs that are planted in what leases and fences rest on, and those in what
-keeps a coordinator that has terminated from being recovered.
+The same judge finds each of nine planted bugs in the rules of leases and fences, and those in the rules that
+prevent the recovery of a terminated coordinator.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import quorum_bugs as bugs
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from quorum_judge import Breach
-from quorum_scenario import Story, drawn, ending
+from quorum_scenario import Scenario, drawn, ending
 from quorum_world import World, judged
 
 SEEDS = st.integers(0, 1 << 32)
@@ -30,13 +30,13 @@ def test_no_two_copies_act_in_teams_of_any_size(seed: int) -> None:
 
 @settings(BOUNDED, max_examples=15)
 @given(seed=SEEDS)
-def test_no_two_copies_act_in_a_small_team_in_bad_weather(seed: int) -> None:
+def test_no_two_copies_act_in_a_small_team_with_many_faults(seed: int) -> None:
     judged(stormy(seed))
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 1000, 20))
-def test_the_stories_get_somewhere(first: int) -> None:
+def test_the_scenarios_contain_hops_recoveries_and_fences(first: int) -> None:
     counts: Counter[str] = Counter()
     for seed in range(first, first + 20):
         counts.update(judged(drawn(seed)).judge.counts)
@@ -46,12 +46,12 @@ def test_the_stories_get_somewhere(first: int) -> None:
 
 @settings(BOUNDED, max_examples=15)
 @given(seed=SEEDS)
-def test_a_team_acts_again_in_time_when_a_holder_is_gone_for_good(seed: int) -> None:
+def test_a_team_acts_again_in_time_after_the_loss_of_the_holder(seed: int) -> None:
     calm = drawn(seed, hosts=(3, 7), faults=0)
-    story = replace(
+    scenario = replace(
         calm, members=calm.hosts, agents={"Tour:0": "a"}, interval=max(3.0, calm.interval), ambush=False
     )
-    world = World(story)
+    world = World(scenario)
     for moment in range(10, 30):
         world.run(moment)
         holders = [name for name, host in world.hosts.items() if host.life and host.life.lives("Tour:0")]
@@ -59,20 +59,20 @@ def test_a_team_acts_again_in_time_when_a_holder_is_gone_for_good(seed: int) -> 
         if len(holders) == 1 and len(shadows) > 1:
             break
     world.kill(holders[0])
-    world.run(world.now + story.interval * 1.01 + 3.0)
-    late = world.now - story.interval * 1.01 - 3.0
-    assert world.judge.acted["Tour:0"] > late, f"not in time in the story {seed}"
+    world.run(world.now + scenario.interval * 1.01 + 3.0)
+    late = world.now - scenario.interval * 1.01 - 3.0
+    assert world.judge.acted["Tour:0"] > late, f"not in time in scenario {seed}"
 
 
 @settings(BOUNDED, max_examples=8)
 @given(seed=SEEDS)
-def test_no_coordinator_is_recovered_after_it_has_terminated_for_good(seed: int) -> None:
+def test_no_finally_terminated_coordinator_is_recovered(seed: int) -> None:
     judged(ending(seed))
 
 
 @settings(BOUNDED, max_examples=5)
 @given(seed=SEEDS)
-def test_no_termination_is_undone_in_a_team_in_bad_weather(seed: int) -> None:
+def test_no_termination_is_undone_in_a_team_with_many_faults(seed: int) -> None:
     judged(replace(drawn(seed, hosts=(3, 5), faults=20), ends=0.05))
 
 
@@ -92,11 +92,11 @@ def test_a_recovery_despite_a_termination_is_found(
         search(range(seed, seed + 10), ending)
 
 
-def test_a_story_is_the_same_each_time() -> None:
-    assert seen(7) == seen(7)
+def test_a_scenario_is_reproducible() -> None:
+    assert outcome_of(7) == outcome_of(7)
 
 
-#: Where the search for each begins; some need much bad luck.
+#: The first seed of the search for each; some need a rare sequence of faults.
 FOUND: list[tuple[Callable[[pytest.MonkeyPatch], None], int]] = [
     (bugs.resumes_after_sending, 1),
     (bugs.acknowledges_without_the_fence, 4),
@@ -116,19 +116,19 @@ def test_a_broken_lease_rule_is_found(
 ) -> None:
     judged(stormy(first))
     bug(monkeypatch)
-    with pytest.raises(Breach, match=r"acts on|is well on|has not acted again"):
+    with pytest.raises(Breach, match=r"acts on|is healthy on|has not acted again"):
         search(range(first, first + 10))
 
 
-def stormy(seed: int) -> Story:
+def stormy(seed: int) -> Scenario:
     return drawn(seed, hosts=(3, 3), faults=30)
 
 
-def search(seeds: range, draws: Callable[[int], Story] = stormy) -> None:
+def search(seeds: range, draws: Callable[[int], Scenario] = stormy) -> None:
     for seed in seeds:
         judged(draws(seed))
 
 
-def seen(seed: int) -> tuple[dict[str, int], dict[str, float]]:
+def outcome_of(seed: int) -> tuple[dict[str, int], dict[str, float]]:
     world: World = judged(drawn(seed))
     return world.judge.counts, world.judge.acted

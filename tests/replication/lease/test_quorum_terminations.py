@@ -1,4 +1,4 @@
-"""A termination in every answer of the quorum, and when it may come to the disk."""
+"""A termination in every answer of the quorum, and when it may be stored."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def ended(generation: int = 1, outcome: str = "done", *, host: str = "b", final:
 
 
 @pytest.mark.parametrize("outcome", ["done", "died", "lost"])
-def test_who_knows_an_end_says_so_in_every_answer(outcome: str) -> None:
+def test_a_known_end_is_in_every_answer(outcome: str) -> None:
     one = One("c", ended(outcome=outcome))
     ((_, sought),) = messages_of(one.on_message("a", Locate(["Tour"], leases=True)), LeaseRecord)
     assert (sought.checkpoint, sought.holder, sought.ended) == (None, "", end(outcome=outcome))
@@ -37,7 +37,7 @@ def test_who_knows_an_end_says_so_in_every_answer(outcome: str) -> None:
     assert one.core.fences.token_of("Tour") == 0
 
 
-def test_an_end_is_not_repeated_to_who_knows_it() -> None:
+def test_an_end_is_not_repeated_to_a_host_that_knows_it() -> None:
     one, other = One("c", ended()), One("a", ended())
     beat = messages_of(other.pass_time(0.6), Heartbeat)[-1][1]
     ((_, ack),) = messages_of(one.on_message("a", beat), HeartbeatAck)
@@ -59,7 +59,7 @@ def test_an_earlier_end_does_not_refuse_a_later_start() -> None:
         Promise("Tour", 0, 0, None, end()),
     ],
 )
-def test_who_hears_of_an_end_goes_on_with_nothing(answer: object) -> None:
+def test_a_received_end_stops_the_recovery(answer: object) -> None:
     one = One(saved=shadow())
     one.pass_time(INTERVAL + 0.3)
     effects = one.on_message("c", answer)
@@ -71,7 +71,7 @@ def test_who_hears_of_an_end_goes_on_with_nothing(answer: object) -> None:
 
 
 @pytest.mark.parametrize("saved", [shadow(2), shadow(FENCE)])
-def test_an_earlier_end_does_not_stop_who_has_a_later_start(saved: Checkpoint) -> None:
+def test_an_earlier_end_does_not_stop_the_recovery_of_a_later_start(saved: Checkpoint) -> None:
     one = One(saved=saved)
     one.pass_time(INTERVAL + 0.3)
     assert not [
@@ -82,7 +82,7 @@ def test_an_earlier_end_does_not_stop_who_has_a_later_start(saved: Checkpoint) -
     assert proposed(one.pass_time(4.0))
 
 
-def test_an_attempt_ends_when_a_member_refuses_since_it_knows_of_the_end() -> None:
+def test_a_refusal_with_an_end_stops_the_attempt() -> None:
     one = One(saved=shadow())
     one.pass_time(INTERVAL + 0.3)
     one.on_message("b", LeaseRecord("Tour", None))
@@ -91,13 +91,13 @@ def test_an_attempt_ends_when_a_member_refuses_since_it_knows_of_the_end() -> No
     one.on_message("c", Promise("Tour", generation, generation, None))
     effects = one.on_message("b", Promise("Tour", generation, 0, None, end()))
     assert [e.ended for e in effects if isinstance(e, RecordTermination)] == [end()]
-    # Whoever has promised hears that nothing begins by that.
+    # The members that have promised are informed that no recovery follows.
     assert ("b", LeaseRecord("Tour", None, ended=end())) in messages_of(effects, LeaseRecord)
     one.copy = ended()
     assert not [e for e in one.pass_time(60.0) if isinstance(e, PromoteCheckpoint)]
 
 
-def test_an_end_that_is_not_final_is_named_as_held_under_the_lease() -> None:
+def test_an_end_that_is_not_final_is_held_under_the_lease() -> None:
     one = One("b", ended(host="b", final=False))
     beats = [beat for _, beat in messages_of(one.pass_time(0.6), Heartbeat)]
     assert [beat.held for beat in beats] == [[]] * len(beats)
@@ -110,13 +110,13 @@ def test_an_end_that_is_not_final_is_named_as_held_under_the_lease() -> None:
 
 
 def promised() -> One:
-    """c has promised a."""
+    """A host c that has promised a."""
     one = One("c")
     assert messages_of(one.on_message("a", Propose("Tour", FENCE, 1)), Promise)
     return one
 
 
-def test_an_end_that_comes_after_a_promise_waits_and_the_proposer_is_told() -> None:
+def test_an_end_received_after_a_promise_is_delayed_and_sent_to_the_proposer() -> None:
     one = promised()
     assert one.core.is_delayed(end(), one.now)
     assert ("a", Promise("Tour", FENCE, FENCE, None, end())) in messages_of(one.pass_time(0.6), Promise)
@@ -124,7 +124,7 @@ def test_an_end_that_comes_after_a_promise_waits_and_the_proposer_is_told() -> N
     assert sought.ended == end()
     ((_, refused),) = messages_of(one.on_message("b", Propose("Tour", 2 * FENCE, 1)), Promise)
     assert refused.ended == end()
-    # Of another member's word nothing follows for what was promised to a.
+    # A message of another member does not release the end that was delayed for a.
     assert not [
         e
         for e in one.on_message("b", LeaseRecord("Tour", None, ended=end()))
@@ -137,7 +137,7 @@ def test_an_end_that_comes_after_a_promise_waits_and_the_proposer_is_told() -> N
     ]
 
 
-def test_an_end_waits_no_longer_than_a_recovery_may_begin() -> None:
+def test_an_end_is_not_delayed_longer_than_a_recovery_may_begin() -> None:
     one = promised()
     assert one.core.is_delayed(end(), one.now)
     assert not [e for e in one.pass_time(PROMISE_LIFETIME * LEASE) if isinstance(e, RecordTermination)]
@@ -149,7 +149,7 @@ def test_an_end_waits_no_longer_than_a_recovery_may_begin() -> None:
     assert not one.core.is_delayed(end(), one.now)
 
 
-def test_a_recovery_does_not_begin_later_than_ends_wait() -> None:
+def test_a_recovery_does_not_begin_later_than_ends_are_delayed() -> None:
     one = One(saved=shadow())
     one.pass_time(INTERVAL + 0.3)
     one.on_message("b", LeaseRecord("Tour", None))
@@ -159,23 +159,23 @@ def test_a_recovery_does_not_begin_later_than_ends_wait() -> None:
     assert not [e for e in one.core.tick(one.now) if isinstance(e, PromoteCheckpoint)]
 
 
-def test_the_end_of_the_recovered_start_itself_does_not_wait() -> None:
+def test_the_end_of_the_recovered_start_is_not_delayed() -> None:
     assert not promised().core.is_delayed(end(FENCE), 100.0)
 
 
-def test_a_promise_of_an_earlier_life_counts_as_one_of_now() -> None:
+def test_a_promise_of_an_earlier_life_counts_as_present() -> None:
     one = One("c", fence=FENCE)
     assert one.core.is_delayed(end(), one.now)
     assert not one.core.is_delayed(end(FENCE), one.now)
 
 
-def test_who_is_no_member_waits_for_nothing() -> None:
+def test_a_host_that_is_no_member_delays_no_end() -> None:
     one = One("c", fence=FENCE, members="ab")
     assert not one.core.is_delayed(end(), one.now)
 
 
 @pytest.mark.parametrize("strange", [Terminated("Nobody", 1, "done", "", "b"), end(1, "superseded")])
-def test_what_is_no_end_of_it_changes_nothing(strange: Terminated) -> None:
+def test_an_unrelated_end_has_no_effect(strange: Terminated) -> None:
     one = One(saved=shadow())
     one.pass_time(INTERVAL + 0.3)
     for answer in (LeaseRecord("Tour", None, ended=strange), HeartbeatAck(77, 1, [], [strange])):

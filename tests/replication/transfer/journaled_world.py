@@ -1,6 +1,6 @@
-"""The small world on disks: hosts die at any moment, what they had not kept yet is lost, and they go on.
+"""The simulated hosts with disks: hosts crash at any moment, lose what is not durable, and continue.
 
-A coordinator's work since it was last kept may be lost with its host; its copy goes on from the disk.
+Work since the last save may be lost with a host; the coordinator continues from the copy on disk.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lfield.wire.messages import Hello
 
 @dataclass
 class JournaledHost(SimHost):
-    """One life of a host with a journal; those that came or are being kept wait in `waiting`."""
+    """One life of a host with a journal; `waiting` has arrived and saved coordinators."""
 
     keeping: WriteAheadQueue = field(default_factory=WriteAheadQueue)
     waiting: dict[Start, int] = field(default_factory=dict)
@@ -37,7 +37,7 @@ class JournaledHost(SimHost):
 
 
 class JournaledWorld(World):
-    """Hosts with disks; nothing that was not synced survives them."""
+    """Hosts with disks; a crash loses all that was not synchronised."""
 
     def __init__(self, *args) -> None:
         self.disks: dict[str, dict[RecordKey, Record]] = {}
@@ -60,7 +60,7 @@ class JournaledWorld(World):
                 self.sync(name)
 
     def come_back(self, name: str) -> None:
-        """A host that was said to be gone for good is up again, and hears all others before it goes on."""
+        """Start a host that was declared lost; it receives the states of all others first."""
         self.lives += 1
         host = JournaledHost(name, self.lives)
         self.enter(host)
@@ -70,7 +70,7 @@ class JournaledWorld(World):
         for other in [other for other in self.hosts.values() if other is not host]:
             self.apply(host, host.mobility.on_linked(self.hello(other)))
             host.mobility.on_unlinked(other.name)
-        # Should it be killed before that is on its disk, it has to hear it again.
+        # If it is killed before that is durable, it has to receive it again.
         self.sync(name)
         self.apply(
             host, host.mobility.resume_restored(lambda copy, runs: self.put(host, copy, runs), self.now)
@@ -78,13 +78,13 @@ class JournaledWorld(World):
         self.gone.discard(name)
 
     def put(self, host: JournaledHost, copy: CoordinatorCopy, runs: bool):
-        """A copy from the disk is in the machine again."""
+        """Put a copy from the disk into the machine."""
         start = copy.agent, copy.generation
         count = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
         (host.running if runs else host.frozen)[start] = self.count[start] = count
-        return self.sealer(start, count)
+        return self.block_maker(start, count)
 
-    def sealer(self, start: Start, count: int):
+    def block_maker(self, start: Start, count: int):
         return lambda sequence: f"{start[0]} {start[1]} {sequence} {count}".encode()
 
     def kill(self, name: str) -> None:
@@ -93,7 +93,7 @@ class JournaledWorld(World):
             del self.open[pair]
 
     def sync(self, name: str) -> None:
-        """What a host has put down so far is on its disk."""
+        """Make all records of a host durable."""
         host = self.hosts[name]
         while batch := host.keeping.next_batch(self.now + 60.0):
             number, pages, _ = batch
@@ -101,9 +101,9 @@ class JournaledWorld(World):
             self.carry_out(host, host.keeping.on_durable(number))
 
     def save(self, host: JournaledHost, start: Start) -> None:
-        """A coordinator calls a portal of its host: it is kept first."""
+        """A coordinator calls a portal of its host: it is saved first."""
         host.waiting[start] = host.running.pop(start)
-        block = self.sealer(start, host.waiting[start])(0)
+        block = self.block_maker(start, host.waiting[start])(0)
         self.apply(host, host.mobility.save(start[0], block))
 
     def inject(self, host: JournaledHost, header, block: bytes) -> TransferRefusal | None:
@@ -136,12 +136,12 @@ class JournaledWorld(World):
                     super().apply(host, [effect])
 
     def recoverable(self, host: JournaledHost, agent: str) -> bool:
-        """Whether this host could go on with an agent of whose newest start it has a shadow."""
+        """Whether this host could recover an agent of whose newest start it has a shadow."""
         left, newest = host.mobility.recoverable_state(agent), max(g for a, g in self.count if a == agent)
         return left is not None and left.generation == newest and left.state in ("MOVED", "IN DOUBT")
 
-    def bury(self, host: JournaledHost, agent: str) -> bool:
-        """All that have more of an agent than this host are gone for good; whether one may truly say so."""
+    def declare_newer_lost(self, host: JournaledHost, agent: str) -> bool:
+        """Declare all hosts with newer copies of an agent lost; whether that is true."""
         left = host.mobility.recoverable_state(agent)
         here = left.generation, left.sequence
         for name in self.names:
@@ -184,7 +184,7 @@ class JournaledWorld(World):
         def put(copy: CoordinatorCopy):
             start = copy.agent, copy.generation
             host.frozen[start] = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
-            return self.sealer(start, host.frozen[start])
+            return self.block_maker(start, host.frozen[start])
 
         self.apply(host, host.mobility.recover(agent, number, put))
 
@@ -218,7 +218,7 @@ class JournaledWorld(World):
             assert alive or start in self.excused, f"{start} is on no disk"
 
     def forgotten(self, identity: tuple[str, int, int]) -> bool:
-        """Whether a copy that was taken in never came to be kept: its host died first, and told nobody."""
+        """Whether an accepted copy was never saved: its host crashed first, and had not answered."""
         agent, generation, sequence = identity
         pages = (disk.get(RecordKey("copy", agent, generation)) for disk in self.disks.values())
         return not any(page is not None and page.sequence > sequence for page in pages)

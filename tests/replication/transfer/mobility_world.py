@@ -1,7 +1,7 @@
-"""A small world of hosts around `Mobility`, with a network as bad as it can be, and an all-seeing judge.
+"""Simulated hosts around `Mobility`, with a faulty network, and a judge that sees all hosts.
 
-Coordinators do nothing but wander and count; a block is their name, start, last number and count. The
-judge (`World.check`) sees all hosts at once and holds them to the promises of `lfield/docs/mobility.md`.
+Coordinators only hop and count; a block is their name, start, last number and count. The judge
+(`World.check`) checks the promises of `lfield/docs/mobility.md` on all hosts at once.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class SimHost:
 
 @dataclass(frozen=True)
 class Packet:
-    """Something under way between two lives."""
+    """A message in flight between two lives."""
 
     source: str
     target: str
@@ -61,7 +61,7 @@ class Packet:
 
 
 class World:
-    """Hosts, links, packets, time, and what really happened."""
+    """Hosts, links, packets, time, and the true states."""
 
     def __init__(self, names: str, agents: dict[str, str], mobility: type[Mobility] = Mobility) -> None:
         self.names, self.homes, self.machine = list(names), agents, mobility
@@ -92,7 +92,7 @@ class World:
                 host.running[agent, self.lives] = self.count[agent, self.lives] = 0
 
     def enter(self, host: SimHost) -> None:
-        """A life begins, and knows nothing yet."""
+        """Start a life without records."""
         host.mobility = self.machine(
             self.hello(host),
             peers=self.names,
@@ -126,7 +126,7 @@ class World:
             self.packets.append(self.packet(source, target, greeting))
 
     def cut(self, one: str, other: str) -> None:
-        """The link breaks; each side notices when `notice` is called."""
+        """Break the link; each side notices when `notice` is called."""
         self.open.pop(frozenset((one, other)), None)
 
     def notice(self, name: str, peer: str) -> None:
@@ -173,7 +173,7 @@ class World:
         for host in list(self.hosts.values()):
             self.apply(host, host.mobility.tick(self.now))
 
-    # What comes of them
+    # Effects
 
     def inject(self, host: SimHost, header, block: bytes) -> TransferRefusal | None:
         if host.full:
@@ -218,7 +218,7 @@ class World:
         return known[agent, generation].outcome
 
     def heal(self) -> None:
-        """Everybody is up, all links are new, everything arrives, and time enough passes."""
+        """Start all hosts, renew all links, deliver everything, and let enough time pass."""
         for name in self.names:
             if name not in self.hosts:
                 self.boot(name)
@@ -250,17 +250,17 @@ class World:
             assert start in held or start in self.excused, f"{start} has vanished"
         for agent, generation in self.superseded:
             better = any(a == agent and outranks(g, generation) for a, g in self.count)
-            assert better, f"{agent} was stopped for nothing"
+            assert better, f"{agent} was stopped without a reason"
 
     def check_healed(self) -> None:
-        """What must be so after `heal`."""
+        """Check the promises after `heal`."""
         self.check()
         live = Counter(start for host in self.hosts.values() for start in host.running)
         for start in self.count:
             assert live[start] or start in self.excused | self.doubtful, f"{start} was not resumed"
         for agent in self.homes:
             starts = [start for start in live if start[0] == agent]
-            assert len(starts) <= 1, f"{starts} go on side by side"
+            assert len(starts) <= 1, f"{starts} run side by side"
             if not starts:
                 assert any(s[0] == agent for s in self.finished | self.dead | self.doubtful), f"no {agent}"
 
@@ -270,7 +270,7 @@ class World:
 
     def packet(self, source: str, target: str, content: object) -> Packet:
         link = self.open.get(frozenset((source, target)), 0)
-        # A packet is for the life at the other end of the link; without one it reaches nobody.
+        # A packet is for the life at the other end of the link; without one it is lost.
         known = self.hosts[source].greeted.get(target)
         if isinstance(content, Hello):
             known = self.hosts[target].incarnation

@@ -1,4 +1,4 @@
-"""Every rule by which a host tells what became of a coordinator."""
+"""The rules by which a host determines the outcome of a coordinator."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def fate(records, gone=(), **absent):
 
 
 @pytest.mark.parametrize("outcome", ["done", "died", "lost"])
-def test_an_ending_that_anybody_knows_counts(outcome):
+def test_an_end_that_any_host_knows_counts(outcome):
     known = {"alpha": [row("MOVED", 1, "bravo")], "carol": [row("EXITED", 1, "bravo", outcome=outcome)]}
     assert fate(known, gone=("bravo",)) == CoordinatorOutcome("tom", outcome, "")
 
 
-def test_an_ending_keeps_its_detail():
+def test_an_end_keeps_its_detail():
     ended = row("EXITED", outcome="died", detail="NullException: nothing there")
     assert fate({"alpha": [ended]}) == CoordinatorOutcome("tom", "died", "NullException: nothing there")
 
 
-def test_a_loss_that_somebody_knows_of_is_none_while_a_host_may_have_started_it_again():
+def test_a_known_loss_does_not_count_while_the_home_may_have_restarted_it():
     known = {"bravo": [row("EXITED", 1, "carol", outcome="lost", detail="it went")]}
     assert fate(known, reachable_by_others=["alpha"]) is None
     assert fate(known, silent_for={"alpha": 7.0}).outcome == "unheard"
     assert fate(known, gone=["alpha"]).starts == (1,)
 
 
-def test_without_asking_a_loss_counts_only_just_after_it_was_proven():
+def test_without_a_census_a_loss_counts_only_just_after_its_proof():
     lost = [row("EXITED", 1, "carol", outcome="lost", detail="it went")]
     assert local_outcomes(HOMES, lost, ()) == {}
     assert local_outcomes(HOMES, lost, {"tom"}) == {"tom": CoordinatorOutcome("tom", "lost", "it went")}
@@ -53,59 +53,55 @@ def test_without_asking_a_loss_counts_only_just_after_it_was_proven():
     }
 
 
-@pytest.mark.parametrize("state", ["RUN", "FROZEN", "PREPARED"])
-def test_one_that_is_somewhere_is_alive(state):
-    records = {"alpha": [row("MOVED", 1, "bravo")], "bravo": [row(state, 1, "carol")]}
-    assert fate(records, gone=("carol",)) is None
+LEFT = {"alpha": [row("MOVED", 1, "bravo")]}
 
 
-def test_one_that_went_to_a_host_that_is_gone_is_lost():
-    found = fate({"alpha": [row("MOVED", 3, "bravo")], "carol": [row("MOVED", 2, "alpha")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
+@pytest.mark.parametrize(
+    ("records", "gone"),
+    [
+        *((LEFT | {"bravo": [row(state, 1, "carol")]}, "carol") for state in ("RUN", "FROZEN", "PREPARED")),
+        (LEFT, "carol"),
+        ({"alpha": [row("IN DOUBT", 4, "bravo")]}, "carol"),
+        # An earlier departure to an ended host.
+        ({"alpha": [row("MOVED", 2, "bravo")], "carol": [row("RUN", 5)]}, "bravo"),
+        # A copy that arrived under the same number.
+        (LEFT | {"bravo": [row("RUN", 1)]}, "bravo"),
+        # A later start.
+        ({"alpha": [row("MOVED", 9, "bravo"), row("RUN", 0, generation=2)]}, "bravo"),
+    ],
+    ids=["RUN", "FROZEN", "PREPARED", "moved", "in doubt", "earlier departure", "same number", "later start"],
+)
+def test_a_coordinator_that_may_still_run_has_no_outcome(records, gone):
+    assert fate(records, gone=(gone,)) is None
 
 
-def test_one_in_doubt_towards_a_host_that_is_gone_is_lost():
-    found = fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
-
-
-def test_one_in_doubt_towards_a_host_that_is_there_may_yet_live():
-    assert fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("carol",)) is None
-
-
-def test_an_earlier_departure_to_a_host_that_is_gone_does_not_count():
-    records = {"alpha": [row("MOVED", 2, "bravo")], "carol": [row("RUN", 5)]}
-    assert fate(records, gone=("bravo",)) is None
-
-
-def test_a_departure_to_a_host_that_answers_is_awaited():
-    assert fate({"alpha": [row("MOVED", 1, "bravo")]}, gone=("carol",)) is None
+@pytest.mark.parametrize(
+    "records",
+    [
+        {"alpha": [row("MOVED", 3, "bravo")], "carol": [row("MOVED", 2, "alpha")]},
+        {"alpha": [row("IN DOUBT", 4, "bravo")]},
+    ],
+    ids=["moved", "in doubt"],
+)
+def test_a_departure_to_an_ended_host_is_a_loss(records):
+    lost = CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
+    assert fate(records, gone=("bravo",)) == lost
 
 
 @pytest.mark.parametrize("there", [[], [row("MOVED", 2, "alpha")]])
-def test_one_that_went_to_a_host_that_knows_nothing_of_it_is_lost(there):
+def test_a_departure_to_a_host_without_the_copy_is_a_loss(there):
     """That host was restarted: its memory began after the arrival."""
     found = fate({"alpha": [row("MOVED", 3, "bravo")], "bravo": there})
     assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 3), which was restarted")
 
 
-def test_a_copy_that_arrived_under_the_same_number_is_the_coordinator():
-    records = {"alpha": [row("MOVED", 1, "bravo")], "bravo": [row("RUN", 1)]}
-    assert fate(records, gone=("bravo",)) is None
-
-
-def test_the_latest_start_counts():
-    records = {"alpha": [row("MOVED", 9, "bravo"), row("RUN", 0, generation=2)]}
-    assert fate(records, gone=("bravo",)) is None
-
-
-def test_a_start_that_gave_way_to_an_earlier_one_does_not_count():
+def test_a_superseded_start_does_not_count():
     gave_way = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
     assert fate({"alpha": [gave_way], "bravo": [row("RUN", 1)]}) is None
     assert fate({"alpha": [gave_way, row("MOVED", 1, "bravo")]}, gone=("bravo",)).outcome == "lost"
 
 
-def test_one_that_nobody_has_seen_is_lost_with_its_host():
+def test_a_coordinator_without_records_is_lost_with_its_home():
     lost = CoordinatorOutcome("tom", "lost", "its host alpha has ended")
     assert fate({"bravo": []}, gone=("alpha",)) == lost
     assert fate({"bravo": []}, gone=("carol",)) is None
@@ -124,7 +120,7 @@ WAYS = [row("MOVED", 3, "bravo"), row("IN DOUBT", 3, "bravo")]
 
 
 @pytest.mark.parametrize("last", WAYS, ids=lambda row: row.state)
-def test_one_that_went_to_a_silent_host_is_not_heard_of_and_never_lost(last):
+def test_a_departure_to_a_silent_host_is_unheard_and_never_lost(last):
     assert fate({"alpha": [last]}, reachable_by_others=["bravo"]) is None
     found = fate({"alpha": [last]}, silent_for=unheard())
     assert found == CoordinatorOutcome(
@@ -133,7 +129,7 @@ def test_one_that_went_to_a_silent_host_is_not_heard_of_and_never_lost(last):
     assert "lost" not in found.detail
 
 
-def test_one_whose_home_is_silent_is_not_heard_of():
+def test_a_coordinator_of_a_silent_home_is_unheard():
     found = fate({"bravo": []}, silent_for=unheard(12.4, "alpha"))
     assert found == CoordinatorOutcome(
         "tom", "unheard", "it starts on alpha, and alpha has been unreachable for 12 s"
@@ -141,8 +137,8 @@ def test_one_whose_home_is_silent_is_not_heard_of():
     assert fate({"bravo": []}, reachable_by_others=["alpha"]) is None
 
 
-def test_a_host_that_came_back_in_another_life_proves_it_and_one_in_the_same_does_not():
-    """In the same life it may still wait there for the devices to open."""
+def test_another_life_of_the_receiver_proves_a_loss_and_the_same_life_does_not():
+    """In the same life it may still wait there until the devices are open."""
     went = {"alpha": [row("MOVED", 3, "bravo", life=7)], "bravo": []}
     assert fate(went, state_ids={"bravo": 7}) is None
     assert fate(went, state_ids={"bravo": 8}).outcome == "lost"
@@ -151,8 +147,8 @@ def test_a_host_that_came_back_in_another_life_proves_it_and_one_in_the_same_doe
 @pytest.mark.parametrize(
     "proof", [{"gone": ("bravo",)}, {"state_ids": {"bravo": 8}}], ids=["gone", "restarted"]
 )
-def test_proof_is_none_while_somebody_who_cannot_be_asked_may_have_it(proof):
-    """From bravo it may have gone on to carol."""
+def test_there_is_no_proof_while_an_unreachable_host_may_have_the_copy(proof):
+    """From bravo it may have moved on to carol."""
     known = {"alpha": [row("MOVED", 3, "bravo")]} | ({"bravo": []} if "state_ids" in proof else {})
     assert fate(known, **proof, reachable_by_others=["carol"]) is None
     found = fate(known, **proof, silent_for=unheard(15.0, "carol"))
@@ -163,7 +159,7 @@ def test_proof_is_none_while_somebody_who_cannot_be_asked_may_have_it(proof):
     assert fate(known | {"carol": []}, **proof).outcome == "lost"
 
 
-def test_nothing_is_lost_before_all_starts_are():
+def test_a_loss_needs_the_loss_of_all_starts():
     later = row("MOVED", 1, "bravo", generation=2)
     earlier = row("MOVED", 5, "carol", generation=1)
     both = {"alpha": [earlier, later]}
@@ -173,15 +169,15 @@ def test_nothing_is_lost_before_all_starts_are():
     assert fate(both, gone=("bravo", "carol")).outcome == "lost"
 
 
-def test_an_ending_of_one_start_does_not_count_while_another_is_alive():
+def test_an_end_of_one_start_does_not_count_while_another_is_alive():
     ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
     assert fate({"alpha": [ended, row("RUN", generation=2)]}) is None
     again = row("EXITED", 0, "alpha", generation=2, outcome="died")
     assert fate({"alpha": [ended, again]}).outcome == "died"
 
 
-def test_an_ending_does_not_count_for_a_later_start_that_went_on():
-    """A restarted host hears of the ending of its earlier life, and has sent the new start away already."""
+def test_an_end_does_not_count_for_a_later_start_that_has_moved():
+    """A restarted host receives the end of its earlier life, and has sent the new start away already."""
     ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
     went = row("MOVED", 1, "bravo", generation=2)
     assert fate({"alpha": [ended, went]}, reachable_by_others=["bravo"]) is None
@@ -190,7 +186,7 @@ def test_an_ending_does_not_count_for_a_later_start_that_went_on():
     assert fate({"alpha": [ended, went]}, gone=("bravo",)).outcome == "done"
 
 
-def test_a_start_that_was_superseded_is_left_out_wherever_it_went():
+def test_a_superseded_start_does_not_count_wherever_its_shadow_points():
     stopped = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
     shadow = row("MOVED", 4, "bravo", generation=2)
     assert fate({"alpha": [stopped], "carol": [shadow], "bravo": [row("RUN", 1)]}) is None
@@ -198,7 +194,7 @@ def test_a_start_that_was_superseded_is_left_out_wherever_it_went():
     assert fate({"alpha": [stopped], "carol": [shadow]}, silent_for=unheard()).outcome == "unheard"
 
 
-def test_one_given_up_in_doubt_is_alive_when_anybody_has_it():
+def test_a_copy_given_up_in_doubt_is_alive_if_any_host_has_it():
     given_up = row("EXITED", 3, "alpha", outcome="lost", detail="refused")
     assert fate({"alpha": [given_up], "bravo": [row("RUN", 3)]}) is None
     assert fate({"alpha": [given_up]}).outcome == "lost"
@@ -223,7 +219,7 @@ def test_silence_counts_when_two_censuses_find_it():
     assert judge.resolve(known, UnavailableHosts(silent_for=unheard(15.5)))["tom"].outcome == "unheard"
 
 
-def test_what_a_host_told_counts_when_it_has_gone():
+def test_records_of_a_host_count_after_it_has_ended():
     judge = OutcomeResolver(HOMES)
     judge.resolve(
         {"carol": [], "alpha": [row("MOVED", 3, "bravo")]}, UnavailableHosts(reachable_by_others=["bravo"])
@@ -234,7 +230,7 @@ def test_what_a_host_told_counts_when_it_has_gone():
     assert found.detail == "it moved to bravo (transfer 3), and bravo has been unreachable for 15 s"
 
 
-def test_a_copy_that_was_seen_alive_had_come_that_far():
+def test_a_copy_that_was_seen_alive_proves_its_arrival():
     judge = OutcomeResolver(HOMES)
     judge.resolve(
         {"alpha": [row("MOVED", 3, "bravo")], "bravo": [row("RUN", 3)]},
@@ -249,6 +245,6 @@ def test_a_copy_that_was_seen_alive_had_come_that_far():
     assert judge.resolve(back, UnavailableHosts(state_ids={"bravo": 8}))["tom"].outcome == "lost"
 
 
-def test_an_ending_needs_no_second_census():
+def test_an_end_needs_no_second_census():
     done = {"alpha": [row("EXITED", outcome="done")]}
     assert OutcomeResolver(HOMES).resolve(done, UnavailableHosts())["tom"].outcome == "done"

@@ -1,4 +1,4 @@
-"""Signs of life that go round: who is heard, through whom, how soon, and why no rumour feeds itself."""
+"""Gossip about live hosts: which hosts count as alive, through which others, how soon, and without echoes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from lfield.replication.membership.overlay import Overlay
 from lfield.wire.messages import GossipUpdate, LivenessCounter
 
 HOSTS = ("a", "b", "c", "d")
-#: Seconds that a message takes.
+#: Delay of a message in seconds.
 LATENCY = 0.02
 
 
 class Contacts:
-    """Links of which nothing was measured, or what a test says."""
+    """Links without measurements, or with those of a test."""
 
     def __init__(self, down=(), heard=()) -> None:
         self.down_since, self._heard = dict(down), dict(heard)
@@ -36,40 +36,40 @@ class Contacts:
         return self._heard.get(host)
 
 
-def ears(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS) -> Membership:
+def membership_of(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS) -> Membership:
     here = hosts.index(host)
     numbers = {host: number for number, host in enumerate(hosts)}
     return Membership(hosts, numbers, here, incarnation, now, Overlay(hosts, here), Contacts())
 
 
 def missing(hearsay: Membership, now: float, lost_after: float = 10.0) -> tuple[set[str], set[str]]:
-    """Who is unheard, and who is elsewhere, when nobody answers."""
+    """The unheard hosts, and those reachable by others, when no host answers."""
     absent = hearsay.unavailable_hosts((), now, lost_after, unmet=30.0)
     return set(absent.silent_for), set(absent.reachable_by_others)
 
 
-class Town:
-    """Hosts that hear one another over the links that there are; `told` counts the messages."""
+class GossipTeam:
+    """Hosts that exchange gossip over the present links; `told` counts the messages."""
 
     def __init__(self, hosts: int, links=None) -> None:
         names = tuple(f"h{number}" for number in range(hosts))
         self.now, self.told, self.signs = 0.0, 0, 0
-        self.ears = {name: ears(name, 7, hosts=names) for name in names}
+        self.membership_of = {name: membership_of(name, 7, hosts=names) for name in names}
         self._posted: list[tuple[float, int, str, str, GossipUpdate]] = []
         self._dead: set[str] = set()
         all_links = [
-            (a, b) for a in names for b in self.ears[a].neighbours if names.index(a) < names.index(b)
+            (a, b) for a in names for b in self.membership_of[a].neighbours if names.index(a) < names.index(b)
         ]
         self.links = {frozenset(link) for link in (all_links if links is None else links)}
         for a, b in map(sorted, self.links):
-            self.ears[a].on_linked(b, 7)
-            self.ears[b].on_linked(a, 7)
+            self.membership_of[a].on_linked(b, 7)
+            self.membership_of[b].on_linked(a, 7)
 
     def cut(self, a: str, b: str) -> None:
         self.links.discard(frozenset((a, b)))
         for one, other in ((a, b), (b, a)):
-            if one not in self._dead and self.ears[one].is_linked(other):
-                self.ears[one].on_unlinked(other, self.now)
+            if one not in self._dead and self.membership_of[one].is_linked(other):
+                self.membership_of[one].on_unlinked(other, self.now)
 
     def kill(self, host: str) -> None:
         self._dead.add(host)
@@ -83,8 +83,8 @@ class Town:
             while self._posted and self._posted[0][0] <= self.now:
                 _, _, sender, receiver, heard = heapq.heappop(self._posted)
                 if frozenset((sender, receiver)) in self.links:
-                    self.ears[receiver].on_gossip(sender, heard, self.now)
-            for name, one in self.ears.items():
+                    self.membership_of[receiver].on_gossip(sender, heard, self.now)
+            for name, one in self.membership_of.items():
                 one.overlay_links(self.now)
                 if name not in self._dead and one.due is not None and one.due <= self.now:
                     self._post(name, one.next_gossip(self.now))
@@ -96,7 +96,7 @@ class Town:
             heapq.heappush(self._posted, (self.now + LATENCY, self.told, sender, receiver, heard))
 
     def steps(self, host: str) -> dict[str, int]:
-        """How many links are between a host and each that can be reached from it."""
+        """The number of links between a host and each that can be reached from it."""
         found, edge = {host: 0}, [host]
         while edge:
             near = {b for a in edge for link in self.links if a in link for b in link} - found.keys()
@@ -105,107 +105,108 @@ class Town:
         return found
 
 
-def test_while_nobody_is_missed_nothing_is_told():
-    town = Town(30)
-    town.run(10.0)
-    assert town.told == 0
-    assert all(one.is_fully_connected(town.now) for one in town.ears.values())
+def test_no_gossip_is_sent_while_no_host_is_missed():
+    team = GossipTeam(30)
+    team.run(10.0)
+    assert team.told == 0
+    assert all(one.is_fully_connected(team.now) for one in team.membership_of.values())
 
 
 def bound(steps: int) -> float:
-    """Seconds in which a question and its answer go over so many links each way."""
+    """Seconds in which a query and its answer pass so many links each way."""
     return 2 * steps * (GOSSIP_EVERY + LATENCY + 0.02) + 2 * HEARTBEAT_EVERY
 
 
 @pytest.mark.few(0)
 @settings(deadline=None, max_examples=25)
 @given(st.integers(3, 14), st.randoms(use_true_random=False))
-def test_whatever_links_are_cut_a_live_host_is_heard_within_the_bound_as_long_as_the_rest_connects(
-    number, dice
-):
-    town = Town(number)
-    town.run(SUSPICION_TIMEOUT + 1.0)
-    for link in dice.sample(sorted(map(sorted, town.links)), len(town.links)):
-        whole = len(town.steps("h0"))
-        town.links.discard(frozenset(link))
-        if len(town.steps("h0")) < whole:
-            town.links.add(frozenset(link))
+def test_under_any_cuts_a_reachable_host_is_heard_within_the_bound(number, dice):
+    team = GossipTeam(number)
+    team.run(SUSPICION_TIMEOUT + 1.0)
+    for link in dice.sample(sorted(map(sorted, team.links)), len(team.links)):
+        whole = len(team.steps("h0"))
+        team.links.discard(frozenset(link))
+        if len(team.steps("h0")) < whole:
+            team.links.add(frozenset(link))
         else:
-            town.cut(*link)
-            town.run(dice.choice([0.0, 0.3]))
-    for name, one in town.ears.items():
-        one.unavailable_hosts((), town.now, 10.0, 30.0)
-        assert set(town.steps(name)) == set(town.ears)
-    town.run(bound(max(max(town.steps(name).values()) for name in town.ears)))
+            team.cut(*link)
+            team.run(dice.choice([0.0, 0.3]))
+    for name, one in team.membership_of.items():
+        one.unavailable_hosts((), team.now, 10.0, 30.0)
+        assert set(team.steps(name)) == set(team.membership_of)
+    team.run(bound(max(max(team.steps(name).values()) for name in team.membership_of)))
     for _ in range(30):
-        town.run(0.37)
-        for name, one in town.ears.items():
-            silent = bound(max(town.steps(name).values()))
-            found = one.unavailable_hosts((), town.now, silent, silent)
+        team.run(0.37)
+        for name, one in team.membership_of.items():
+            silent = bound(max(team.steps(name).values()))
+            found = one.unavailable_hosts((), team.now, silent, silent)
             assert not found.silent_for, (name, found.silent_for)
 
 
 @settings(deadline=None, max_examples=25)
 @given(st.integers(3, 14), st.randoms(use_true_random=False))
-def test_a_dead_host_is_given_up_in_time_by_all_and_then_nothing_more_is_told(number, dice):
-    town = Town(number)
-    town.run(SUSPICION_TIMEOUT + dice.random())
-    town.kill("h1")
-    town.run(2.0)
-    told = town.told
-    town.run(SUSPICION_TIMEOUT + 1.0)
-    assert town.told == told
-    for name, one in town.ears.items():
+def test_a_dead_host_is_given_up_by_all_in_time_and_gossip_ends(number, dice):
+    team = GossipTeam(number)
+    team.run(SUSPICION_TIMEOUT + dice.random())
+    team.kill("h1")
+    team.run(2.0)
+    told = team.told
+    team.run(SUSPICION_TIMEOUT + 1.0)
+    assert team.told == told
+    for name, one in team.membership_of.items():
         if name != "h1":
-            assert not one.is_fully_connected(town.now)
-            found = one.unavailable_hosts(set(town.ears) - {"h1"}, town.now, SUSPICION_TIMEOUT, 30.0)
+            assert not one.is_fully_connected(team.now)
+            found = one.unavailable_hosts(set(team.membership_of) - {"h1"}, team.now, SUSPICION_TIMEOUT, 30.0)
             assert list(found.silent_for) == ["h1"], name
 
 
 def test_a_host_is_heard_through_a_chain_of_others():
-    town = Town(4, [("h0", "h1"), ("h1", "h2"), ("h2", "h3")])
+    team = GossipTeam(4, [("h0", "h1"), ("h1", "h2"), ("h2", "h3")])
     for _ in range(30):
-        town.run(1.0)
-        if town.now > 2 * SUSPICION_TIMEOUT:
-            assert missing(town.ears["h0"], town.now, SUSPICION_TIMEOUT) == (set(), {"h1", "h2", "h3"})
+        team.run(1.0)
+        if team.now > 2 * SUSPICION_TIMEOUT:
+            assert missing(team.membership_of["h0"], team.now, SUSPICION_TIMEOUT) == (
+                set(),
+                {"h1", "h2", "h3"},
+            )
 
 
-def test_a_dead_host_does_not_live_on_in_what_others_say_of_it():
-    town = Town(4)
-    town.run(5.0)
-    town.kill("h3")
-    town.run(10.5)
+def test_gossip_does_not_keep_a_dead_host_alive():
+    team = GossipTeam(4)
+    team.run(5.0)
+    team.kill("h3")
+    team.run(10.5)
     for name in ("h0", "h1", "h2"):
-        assert missing(town.ears[name], town.now)[0] == {"h3"}
+        assert missing(team.membership_of[name], team.now)[0] == {"h3"}
 
 
-def test_a_host_that_was_restarted_is_known_to_all_for_that():
-    town = Town(20)
-    town.run(5.0)
-    town.kill("h9")
-    town.run(1.0)
-    town._dead.clear()
-    town.ears["h9"] = ears("h9", 8, town.now, hosts=tuple(town.ears))
-    for other in town.ears["h9"].neighbours:
-        town.links.add(frozenset(("h9", other)))
-        town.ears["h9"].on_linked(other, 7)
-        town.ears[other].on_linked("h9", 8)
-    town.run(3.0)
-    assert all(one.restarted == {"h9"} for name, one in town.ears.items() if name != "h9")
+def test_all_hosts_learn_that_a_host_was_restarted():
+    team = GossipTeam(20)
+    team.run(5.0)
+    team.kill("h9")
+    team.run(1.0)
+    team._dead.clear()
+    team.membership_of["h9"] = membership_of("h9", 8, team.now, hosts=tuple(team.membership_of))
+    for other in team.membership_of["h9"].neighbours:
+        team.links.add(frozenset(("h9", other)))
+        team.membership_of["h9"].on_linked(other, 7)
+        team.membership_of[other].on_linked("h9", 8)
+    team.run(3.0)
+    assert all(one.restarted == {"h9"} for name, one in team.membership_of.items() if name != "h9")
 
 
 def test_messages_stay_small_when_all_of_a_large_team_is_missed():
-    town = Town(100)
-    town.run(SUSPICION_TIMEOUT + 1.0)
-    one = town.ears["h0"]
-    one.unavailable_hosts({"h1"}, town.now, 10.0, 30.0)
-    town.run(6.0)
-    assert town.signs <= MAX_COUNTERS
-    assert missing(one, town.now, SUSPICION_TIMEOUT)[0] == set()
+    team = GossipTeam(100)
+    team.run(SUSPICION_TIMEOUT + 1.0)
+    one = team.membership_of["h0"]
+    one.unavailable_hosts({"h1"}, team.now, 10.0, 30.0)
+    team.run(6.0)
+    assert team.signs <= MAX_COUNTERS
+    assert missing(one, team.now, SUSPICION_TIMEOUT)[0] == set()
 
 
-def test_a_host_that_is_linked_is_heard_and_silence_begins_with_the_end_of_the_link():
-    a = ears("a")
+def test_a_linked_host_is_alive_and_silence_begins_with_the_end_of_the_link():
+    a = membership_of("a")
     a.on_linked("b", 1)
     assert "b" in missing(a, 1000.0)[1]
     a.on_unlinked("b", 1000.0)
@@ -213,31 +214,31 @@ def test_a_host_that_is_linked_is_heard_and_silence_begins_with_the_end_of_the_l
     assert a.unavailable_hosts((), 1010.0, 10.0, 30.0).silent_for["b"] == 10.0
 
 
-def test_one_that_never_gave_a_sign_has_longer():
-    a = ears("a", now=100.0)
+def test_a_host_without_any_sign_of_life_has_more_time():
+    a = membership_of("a", now=100.0)
     assert missing(a, 129.9) == (set(), {"b", "c", "d"})
     assert missing(a, 130.0) == ({"b", "c", "d"}, set())
 
 
-def test_in_a_large_team_silence_begins_when_somebody_misses_it():
+def test_in_a_large_team_silence_begins_when_a_host_is_missed():
     hosts = tuple(f"h{number}" for number in range(20))
-    one = ears("h0", hosts=hosts)
+    one = membership_of("h0", hosts=hosts)
     assert "h10" not in one.neighbours
     one.on_gossip("h1", GossipUpdate([], [LivenessCounter(10, 5, HEARTBEAT_CREDIT)]), 1000.0)
     assert "h10" in missing(one, 1009.0)[1]
     assert one.unavailable_hosts((), 1010.0, 10.0, 30.0).silent_for["h10"] == 10.0
 
 
-def test_no_silence_is_shorter_than_a_sign_takes():
-    a = ears("a")
+def test_silence_is_never_shorter_than_the_suspicion_time_out():
+    a = membership_of("a")
     a.on_linked("b", 1)
     a.on_unlinked("b", 50.0)
     assert "b" in missing(a, 50.0 + SUSPICION_TIMEOUT - 0.1, lost_after=0.5)[1]
     assert "b" in missing(a, 50.0 + SUSPICION_TIMEOUT, lost_after=0.5)[0]
 
 
-def test_who_answers_and_who_is_gone_is_not_missing():
-    a = ears("a")
+def test_hosts_that_answer_or_have_ended_are_not_missing():
+    a = membership_of("a")
     a.on_linked("b", 7)
     a.ended.add("c")
     absent = a.unavailable_hosts({"b"}, 100.0, 10.0, 30.0)
@@ -245,8 +246,8 @@ def test_who_answers_and_who_is_gone_is_not_missing():
     assert absent.state_ids == {"b": 7}
 
 
-def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_no_news():
-    a = ears("a")
+def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_ignored():
+    a = membership_of("a")
     a.on_linked("c", 1)
     a.on_gossip("c", GossipUpdate([LivenessCounter(1, 11, 500)], []), 1.0)
     a.on_gossip("c", GossipUpdate([LivenessCounter(1, 22, 1)], []), 20.0)
@@ -257,8 +258,8 @@ def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_no_news():
     assert (to, heard.counters) == ("c", [LivenessCounter(1, 22, 1)])
 
 
-def test_no_question_hides_another_one_about_the_same_host():
-    a = ears("a")
+def test_queries_about_the_same_host_are_all_forwarded():
+    a = membership_of("a")
     a.on_linked("b", 1)
     questions = [LivenessCounter(2, 7, HEARTBEAT_CREDIT), LivenessCounter(2, 0, HEARTBEAT_CREDIT)]
     a.on_gossip("b", GossipUpdate([], questions), 1.0)
@@ -266,8 +267,8 @@ def test_no_question_hides_another_one_about_the_same_host():
     assert heard.probes == questions
 
 
-def test_whoever_is_asked_for_gives_no_more_signs_than_it_was_asked_for():
-    a = ears("a", 9)
+def test_a_queried_host_gives_no_more_signs_than_requested():
+    a = membership_of("a", 9)
     a.on_linked("b", 1)
     a.on_gossip("b", GossipUpdate([], [LivenessCounter(0, 9, 1 << 60)]), 0.0)
     counts = [
@@ -280,8 +281,8 @@ def test_whoever_is_asked_for_gives_no_more_signs_than_it_was_asked_for():
     assert counts == list(range(1, HEARTBEAT_CREDIT + 1))
 
 
-def test_what_makes_no_sense_is_left_out_and_memory_is_bounded():
-    a = ears("a")
+def test_invalid_gossip_is_ignored_and_memory_is_bounded():
+    a = membership_of("a")
     a.on_linked("b", 1)
     a.on_gossip(
         "b",
@@ -294,8 +295,8 @@ def test_what_makes_no_sense_is_left_out_and_memory_is_bounded():
     assert len(a._counters._counts[1]) == MAX_INCARNATIONS
 
 
-def test_a_restart_is_seen_by_whoever_was_linked_before():
-    a = ears("a")
+def test_a_restart_is_noticed_by_a_host_that_was_linked_before():
+    a = membership_of("a")
     assert not a.on_linked("b", 1)
     a.on_unlinked("b", 1.0)
     assert not a.on_linked("b", 1)
@@ -304,15 +305,15 @@ def test_a_restart_is_seen_by_whoever_was_linked_before():
 
 
 @pytest.mark.parametrize(("hosts", "due"), [(("a",), None), (("a", "b"), None), (("a", "b", "c"), 5.0)])
-def test_two_hosts_have_nobody_to_tell_of(hosts, due):
-    assert ears("a", now=5.0, hosts=hosts).due == due
+def test_teams_of_two_hosts_send_no_gossip(hosts, due):
+    assert membership_of("a", now=5.0, hosts=hosts).due == due
 
 
 # Neighbours
 
 
 @pytest.mark.parametrize("number", [*range(2, 64), 100, 300, 1000])
-def test_neighbours_are_few_mutual_and_near_to_everybody(number):
+def test_neighbours_are_few_mutual_and_near_to_all_hosts(number):
     hosts = [f"h{n}" for n in range(number)]
     near = {host: Overlay(hosts, here).neighbours for here, host in enumerate(hosts)}
     assert all(len(others) == min(8, number - 1) for others in near.values())
@@ -326,7 +327,7 @@ def test_neighbours_are_few_mutual_and_near_to_everybody(number):
     assert steps <= 1 + 2 * round(number**0.25)
 
 
-def test_in_the_place_of_neighbours_that_do_not_answer_the_next_are_called():
+def test_neighbours_that_do_not_answer_are_replaced():
     hosts = [f"h{n}" for n in range(20)]
     one = Overlay(hosts, 0)
     assert one.links(0.0) == one.neighbours == {f"h{n}" for n in (1, 2, 3, 6, 14, 17, 18, 19)}
@@ -340,7 +341,7 @@ def test_in_the_place_of_neighbours_that_do_not_answer_the_next_are_called():
     assert one.links(61.0) == one.neighbours
 
 
-def test_a_host_that_nobody_answers_comes_round_to_everybody():
+def test_a_host_without_answers_dials_all_others_in_time():
     hosts = [f"h{n}" for n in range(20)]
     one = Overlay(hosts, 4)
     dice = random.Random(1)
@@ -351,7 +352,7 @@ def test_a_host_that_nobody_answers_comes_round_to_everybody():
     assert one.chosen == set(hosts) - {"h4"}
 
 
-def test_the_liveness_of_a_host_is_what_came_from_it_and_since_when_it_has_no_link() -> None:
+def test_the_liveness_of_a_host_is_its_own_last_contact_and_its_missing_link() -> None:
     contacts = Contacts(down={"b": 12.0, "c": 15.0}, heard={"b": 11.0})
     numbers = {host: number for number, host in enumerate(HOSTS)}
     one = Membership(HOSTS, numbers, 0, 1, 10.0, Overlay(HOSTS, 0), contacts)
@@ -361,4 +362,4 @@ def test_the_liveness_of_a_host_is_what_came_from_it_and_since_when_it_has_no_li
     assert one.missing_for("b", 20.0) == 0.0
     one.on_unlinked("b", 30.0)
     one.on_gossip("c", GossipUpdate([LivenessCounter(1, 7, 3)], []), 40.0)
-    assert one.last_contact("b") == 11.0, "another host has heard it, this one has not"
+    assert one.last_contact("b") == 11.0, "only another host has contact"

@@ -1,19 +1,20 @@
-"""Mobility on disks, under a bad network, with hosts that die before or after what they know is kept.
+"""Mobility with disks, under a faulty network, with hosts that crash before or after their records are
+durable.
 
-The same test is run on machines that keep too little, to show that it can fail.
+The same test is run on machines that store too little, to show that it can fail.
 """
 
 import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import precondition, rule
 from journaled_world import JournaledWorld
-from test_mobility_property import AGENTS, HOSTS, Wandering, explored, hosts, picks, rarely
+from test_mobility_property import AGENTS, HOSTS, MobilityMachine, explored, hosts, picks, rarely
 
 from lfield.replication.transfer.core import Mobility
 
 
-class Surviving(Wandering):
-    """Everything that can happen, and disks that are late."""
+class DurableMobilityMachine(MobilityMachine):
+    """All events, with disks that are late."""
 
     world_type = JournaledWorld
 
@@ -36,13 +37,13 @@ class Surviving(Wandering):
             self.world.boot(name)
 
 
-class Declared(Surviving):
-    """And hosts that are gone for good, by a person's true word; some come back later, and hear it first."""
+class Declared(DurableMobilityMachine):
+    """Also hosts that an operator truly declares lost; some return later, and receive that first."""
 
     @precondition(lambda self: any(host.running for host in self.world.hosts.values()))
     @rule(pick=picks, goal=hosts)
     def travel(self, pick, goal) -> None:
-        """A hop without trouble, if it can be: recoveries start from shadows."""
+        """A hop without faults if possible: recoveries start from shadows."""
         host, start = self._running(pick)
         if goal != host.name:
             self.world.wander(host, start, goal)
@@ -56,7 +57,7 @@ class Declared(Surviving):
     def recover(self, pick, sync, chance) -> None:
         found = self._left()
         host, agent = found[pick % len(found)]
-        if chance < 2 and self.world.bury(host, agent):
+        if chance < 2 and self.world.declare_newer_lost(host, agent):
             self.world.recover(host, agent)
             if sync:
                 self.world.sync(host.name)
@@ -79,19 +80,19 @@ class Declared(Surviving):
         self.world.boot(next(name for name in HOSTS if name not in up))
 
     def kill(self, name, back, chance) -> None:
-        """Left to `crash`."""
+        """`crash` does this."""
 
 
-def test_no_copy_runs_twice_and_some_disk_has_each():
-    explored(Surviving, Mobility, examples=60)
+def test_no_copy_runs_twice_and_each_is_on_some_disk():
+    explored(DurableMobilityMachine, Mobility, examples=60)
 
 
-def test_a_recovery_that_is_truly_declared_makes_no_second_copy():
+def test_a_truly_declared_recovery_makes_no_second_copy():
     explored(Declared, Mobility, examples=60)
 
 
 class ForgetsItsAnswer(Mobility):
-    """Keeps nothing of what it sends or takes in."""
+    """Stores nothing about transfers that it sends or accepts."""
 
     forgets = ("PREPARED",)
 
@@ -106,17 +107,17 @@ class ForgetsItsAnswer(Mobility):
 
 
 class SentTransferNotOnDisk(ForgetsItsAnswer):
-    """The page of what was sent is not on the disk."""
+    """The record of the sent transfer is not on the disk."""
 
 
 class AdmissionNotOnDisk(ForgetsItsAnswer):
-    """The verdict on what came is not on the disk."""
+    """The verdict on the received transfer is not on the disk."""
 
     forgets = ("RUN",)
 
 
-class Deaf(Mobility):
-    """Goes on with what its disk has before it hears of a recovery."""
+class IgnoresRecoveries(Mobility):
+    """Continues the copy on its disk before it receives a recovery."""
 
     def __init__(self, *args, **options) -> None:
         super().__init__(*args, **options)
@@ -128,10 +129,10 @@ class Deaf(Mobility):
 def test_a_restarted_host_that_ignores_a_failover_is_found():
     """A restarted host resumes the copy on its disk and ignores messages about a failover."""
     with pytest.raises(AssertionError, match="side by side"):
-        explored(Declared, Deaf, examples=400, shrink=False)
+        explored(Declared, IgnoresRecoveries, examples=400, shrink=False)
 
 
 @pytest.mark.parametrize("machine", [SentTransferNotOnDisk, AdmissionNotOnDisk])
 def test_a_host_that_stores_too_little_is_found(machine):
     with pytest.raises(AssertionError):
-        explored(Surviving, machine, examples=400, shrink=False)
+        explored(DurableMobilityMachine, machine, examples=400, shrink=False)

@@ -1,4 +1,4 @@
-"""Mobility under a network that loses, repeats, reorders and delays, and hosts that die at any moment.
+"""Mobility under a network that loses, repeats, reorders and delays, and hosts that crash at any moment.
 
 The same test is run on machines broken on purpose, to show that it can fail.
 """
@@ -22,11 +22,11 @@ AGENTS = {"Tour:one": "a", "Tour:two": "b"}
 
 hosts = st.sampled_from(HOSTS)
 picks = st.integers(0, 1 << 16)
-rarely = st.integers(0, 4)  # what ends a coordinator must not be as common as what moves it
+rarely = st.integers(0, 4)  # the end of a coordinator must be rarer than its hops
 
 
-class Wandering(RuleBasedStateMachine):
-    """Everything that can happen, in any order."""
+class MobilityMachine(RuleBasedStateMachine):
+    """All events, in any order."""
 
     machine = Mobility
     world_type = World
@@ -148,11 +148,15 @@ class Wandering(RuleBasedStateMachine):
 
 
 def explore(machine: type[Mobility], examples: int, shrink: bool = True) -> None:
-    explored(Wandering, machine, examples, shrink=shrink)
+    explored(MobilityMachine, machine, examples, shrink=shrink)
 
 
 def explored(
-    events: type[Wandering], machine: type[Mobility], examples: int, steps: int = 60, shrink: bool = True
+    events: type[MobilityMachine],
+    machine: type[Mobility],
+    examples: int,
+    steps: int = 60,
+    shrink: bool = True,
 ) -> None:
     broken = type(f"{events.__name__}{machine.__name__}", (events,), {"machine": machine})
     run_state_machine_as_test(
@@ -169,7 +173,7 @@ def explored(
     )
 
 
-def test_never_two_live_copies_and_none_vanishes():
+def test_no_coordinator_has_two_live_copies_or_vanishes():
     explore(Mobility, examples=120)
 
 

@@ -1,4 +1,4 @@
-"""A holder is gone for good: another host goes on from its shadow; earlier starts end when they hear it."""
+"""A holder is permanently lost: another host recovers from its shadow; earlier starts end when informed."""
 
 from itertools import combinations, permutations
 
@@ -67,7 +67,7 @@ def kept(*pages: CoordinatorRecord, name: str = "a") -> Mobility:
 
 
 @given(newest=st.integers(0, 10 * GENERATION_STRIDE), hosts=st.sets(st.integers(0, 50), min_size=2))
-def test_whatever_is_minted_after_a_start_is_above_it_and_nobody_mints_the_same(newest, hosts):
+def test_a_new_number_is_above_all_starts_and_unique(newest, hosts):
     minted = [next_recovery(newest, host) for host in hosts]
     assert all(number > newest and is_recovery(number) for number in minted)
     again = next_start(newest)
@@ -76,23 +76,23 @@ def test_whatever_is_minted_after_a_start_is_above_it_and_nobody_mints_the_same(
     assert len({*minted, again}) == len(hosts) + 1
 
 
-def test_a_home_counts_as_ever_until_it_knows_of_a_recovery():
+def test_a_home_counts_from_1_until_it_knows_of_a_recovery():
     assert [next_start(n) for n in (0, 1, GENERATION_STRIDE - 2)] == [1, 2, GENERATION_STRIDE - 1]
     assert next_start(RECOVERED) == 2 * GENERATION_STRIDE
     assert next_start(2 * GENERATION_STRIDE) == 3 * GENERATION_STRIDE
 
 
-def test_who_outranks_whom_is_one_order():
+def test_the_precedence_of_starts_is_a_total_order():
     order = [3 * GENERATION_STRIDE + 2, RECOVERED, 1, 2, GENERATION_STRIDE, 2 * GENERATION_STRIDE]
     for better, worse in combinations(order, 2):
         assert outranks(better, worse)
         assert not outranks(worse, better)
 
 
-# Going on from what is left
+# Recoveries from a shadow
 
 
-def test_it_goes_on_at_the_call_that_it_left_for(left):
+def test_a_recovery_continues_at_the_call_for_which_the_coordinator_left(left):
     assert left.mobility.recoverable_state(TOUR) == CoordinatorState(
         TOUR, 1, 1, 0, "MOVED", "b", receiver_memory=1
     )
@@ -109,7 +109,7 @@ def test_it_goes_on_at_the_call_that_it_left_for(left):
     assert states(left) == {1: "superseded", RECOVERED: "RUN"}
 
 
-def test_nobody_is_told_and_nothing_begins_before_it_is_on_the_disk():
+def test_a_recovery_is_durable_before_it_is_announced_or_begins():
     mobility = kept(CoordinatorRecord(TOUR, 1, "MOVED", 3, 2, target="b", program=PROGRAM, block=b"shadow"))
     effects = mobility.recover(TOUR, RECOVERED, put)
     pages = [effect.record for effect in effects if isinstance(effect, PersistRecord)]
@@ -121,7 +121,7 @@ def test_nobody_is_told_and_nothing_begins_before_it_is_on_the_disk():
     ]
 
 
-def test_a_copy_in_doubt_leaves_the_machine_and_its_answer_comes_too_late(left):
+def test_a_recovered_copy_in_doubt_is_removed_and_its_late_answer_ignored(left):
     left.mobility.recover(TOUR, RECOVERED, put)
     left.mobility.depart(TOUR, "b", seal, 1.0)
     left.mobility.tick(20.0)
@@ -134,18 +134,18 @@ def test_a_copy_in_doubt_leaves_the_machine_and_its_answer_comes_too_late(left):
     assert states(left) == {1: "superseded", RECOVERED: "superseded", 2 * GENERATION_STRIDE + 1: "RUN"}
 
 
-def test_one_that_never_came_to_a_call_that_acts_begins_again():
+def test_a_coordinator_without_an_acting_call_starts_again():
     mobility = kept(CoordinatorRecord(TOUR, 1, "RUN"))
     assert mobility.recover(TOUR, RECOVERED, put)[-1] == CoordinatorStarted(TOUR, RECOVERED)
     assert mobility.resume_restored(lambda *_, **__: pytest.fail("it was superseded"), 0.0) == []
 
 
-def test_what_cannot_be_read_is_left_as_it_is(left):
+def test_an_unreadable_copy_is_left_unchanged(left):
     assert left.mobility.recover(TOUR, RECOVERED, lambda copy: None) == []
     assert states(left) == {1: "MOVED"}
 
 
-def test_a_copy_that_runs_is_no_case_for_a_recovery(left):
+def test_a_running_copy_cannot_be_recovered(left):
     host = Host("c")
     host.mobility.start(TOUR, 1)
     assert host.mobility.recoverable_state(TOUR) is None
@@ -155,8 +155,8 @@ def test_a_copy_that_runs_is_no_case_for_a_recovery(left):
         left.mobility.recover(TOUR, 1, put)
 
 
-def test_an_answer_that_arrives_before_the_copy_is_in_the_machine_again_is_asked_for_again():
-    """It was relayed, or sent to the host before its restart; the machine has nothing to continue yet."""
+def test_an_answer_before_the_copy_is_restored_is_requested_again():
+    """It was relayed, or sent before the restart; the machine cannot continue the copy yet."""
     page = CoordinatorRecord(TOUR, 1, "PREPARED", 1, target="b", receiver_memory=1, block=b"block 1")
     mobility, refused = kept(page), TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, "it never arrived")
     mobility.on_linked(Hello("host", "b", 1, PROGRAM, PROGRAM, 1000, journal_id=1))
@@ -167,18 +167,18 @@ def test_an_answer_that_arrives_before_the_copy_is_in_the_machine_again_is_asked
     assert isinstance(resumed, ResumeWithException)
 
 
-# Others hear of it
+# Other hosts are informed
 
 NEWS = {
-    "it runs": CoordinatorState(TOUR, RECOVERED, 0, 2, "RUN"),
-    "it went on": CoordinatorState(TOUR, RECOVERED, 4, 2, "MOVED", "c", receiver_memory=1),
-    "it is done": CoordinatorState(TOUR, RECOVERED, 4, 2, "EXITED", "c", "done"),
-    "it is lost": CoordinatorState(TOUR, RECOVERED, 4, 2, "EXITED", "c", "lost"),
+    "running": CoordinatorState(TOUR, RECOVERED, 0, 2, "RUN"),
+    "moved": CoordinatorState(TOUR, RECOVERED, 4, 2, "MOVED", "c", receiver_memory=1),
+    "done": CoordinatorState(TOUR, RECOVERED, 4, 2, "EXITED", "c", "done"),
+    "lost": CoordinatorState(TOUR, RECOVERED, 4, 2, "EXITED", "c", "lost"),
 }
 
 
 @pytest.mark.parametrize("news", NEWS)
-def test_a_host_that_was_said_to_be_gone_hears_it_and_does_not_go_on(news):
+def test_a_returning_host_that_was_declared_lost_does_not_continue(news):
     back = kept(CoordinatorRecord(TOUR, 1, "RUN", 3, 2, program=PROGRAM, block=b"block"), name="b")
     back.on_linked(Host("a").hello(NEWS[news]))
     assert back.resume_restored(lambda *_, **__: pytest.fail("it was superseded"), 0.0) == []
@@ -187,7 +187,7 @@ def test_a_host_that_was_said_to_be_gone_hears_it_and_does_not_go_on(news):
 
 
 @pytest.mark.parametrize("news", NEWS)
-def test_a_copy_that_runs_is_stopped_when_its_host_hears(news):
+def test_a_running_copy_is_stopped_when_its_host_learns_of_the_recovery(news):
     host = Host("c")
     host.mobility.start(TOUR, 1)
     effects = host.mobility.on_linked(Host("a").hello(NEWS[news]))
@@ -195,14 +195,14 @@ def test_a_copy_that_runs_is_stopped_when_its_host_hears(news):
     assert (stop.generation, "recovered" in stop.reason) == (1, True)
 
 
-def test_an_ending_of_a_recovery_is_news_of_it():
+def test_an_end_of_a_recovery_supersedes_the_earlier_start():
     host = Host("c")
     host.mobility.start(TOUR, 1)
     host.mobility.on_message("a", Terminated(TOUR, RECOVERED, "done", "", "a"), 0.0)
     assert states(host) == {1: "superseded", RECOVERED: "done"}
 
 
-def test_an_earlier_start_that_arrives_is_refused_where_a_recovery_is_known(left):
+def test_an_arriving_earlier_start_is_refused_where_a_recovery_is_known(left):
     left.mobility.recover(TOUR, RECOVERED, put)
     left.mobility.on_ended(TOUR, RECOVERED, "done")
     for generation, sequence in ((1, 7), (2, 3)):
@@ -212,7 +212,7 @@ def test_an_earlier_start_that_arrives_is_refused_where_a_recovery_is_known(left
     assert left.injected == []
 
 
-def test_a_recovery_that_arrives_stops_the_earlier_start():
+def test_an_arriving_recovery_stops_the_earlier_start():
     host = Host("c")
     host.mobility.start(TOUR, 1)
     effects = host.receive("a", transfer(1, RECOVERED), b"block 1")
@@ -220,16 +220,16 @@ def test_a_recovery_that_arrives_stops_the_earlier_start():
     assert states(host) == {1: "superseded", RECOVERED: "RUN"}
 
 
-def test_a_start_after_a_recovery_has_ended_is_not_stopped_by_it(left):
+def test_a_start_after_the_end_of_a_recovery_is_not_stopped_by_it(left):
     left.mobility.recover(TOUR, RECOVERED, put)
     left.mobility.on_ended(TOUR, RECOVERED, "done")
     left.mobility.start(TOUR, 2 * GENERATION_STRIDE)
-    left.mobility.on_linked(Host("c").hello(NEWS["it is done"]))
+    left.mobility.on_linked(Host("c").hello(NEWS["done"]))
     assert states(left)[2 * GENERATION_STRIDE] == "RUN"
 
 
 @pytest.mark.parametrize("order", list(permutations([1, RECOVERED, 2 * GENERATION_STRIDE])))
-def test_whatever_is_heard_first_the_recovery_that_is_alive_goes_on(order):
+def test_a_live_recovery_continues_in_any_order_of_messages(order):
     host = Host("b")
     for generation in order:
         host.mobility.on_linked(Host("c").hello(CoordinatorState(TOUR, generation, 9, 1, "RUN")))

@@ -40,7 +40,7 @@ UNREACHABLE = "UnreachableResourceException"
 
 
 class Host:
-    """One machine with a list of what was injected and what the next injections answer."""
+    """One machine with the list of admitted blocks and the answer to the next ones."""
 
     def __init__(self, name: str, incarnation: int = 1, max_block: int = 1000) -> None:
         self.name, self.incarnation, self.max_block = name, incarnation, max_block
@@ -99,7 +99,7 @@ def away(a, b) -> Host:
 # The sender
 
 
-def test_a_hop_is_one_message_there_and_one_back(a, b):
+def test_a_hop_is_one_transfer_and_one_acknowledgement(a, b):
     a.mobility.on_linked(b.greeting())
     b.mobility.on_linked(a.greeting())
     (sent,) = a.mobility.depart(TOUR, "b", seal, 0.0)
@@ -115,7 +115,7 @@ def test_a_hop_is_one_message_there_and_one_back(a, b):
     assert a.mobility.next_deadline() is None
 
 
-def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
+def test_without_a_link_a_coordinator_waits_frozen_until_there_is_one(a, b):
     assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
     assert a.known().state == "FROZEN"
     assert a.mobility.next_deadline() == 10.0
@@ -124,28 +124,28 @@ def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
     assert a.mobility.on_linked(b.hello()) == [SendTransfer("b", transfer(1), b"block 1")]
 
 
-def test_who_waits_for_a_link_may_give_up_and_go_on_where_it_is(a, b):
+def test_a_departure_that_waits_for_a_link_can_be_cancelled(a, b):
     a.mobility.depart(TOUR, "b", seal, 0.0)
     assert a.mobility.cancel_departure(TOUR, 1)
     assert a.known().state == "RUN"
     assert a.mobility.next_deadline() is None
     assert a.mobility.on_linked(b.hello()) == []
-    # It may leave again, and under the number that was never sent.
+    # It may leave again, under the number that was never sent.
     assert a.mobility.depart(TOUR, "b", seal, 1.0) == [SendTransfer("b", transfer(1), b"block 1")]
 
 
-def test_what_was_sent_is_not_given_up(away):
+def test_a_sent_transfer_cannot_be_cancelled(away):
     assert not away.mobility.cancel_departure(TOUR, 1)
     assert away.known().state == "PREPARED"
     assert not away.mobility.cancel_departure(TOUR, 2)
-    assert not away.mobility.cancel_departure("nobody", 1)
+    assert not away.mobility.cancel_departure("unknown", 1)
 
 
-def test_who_runs_has_nothing_to_give_up(a):
+def test_a_running_coordinator_has_no_departure_to_cancel(a):
     assert not a.mobility.cancel_departure(TOUR, 1)
 
 
-def test_a_host_that_stays_away_is_unreachable(a):
+def test_an_unreachable_host_raises_an_exception_after_the_patience(a):
     a.mobility.depart(TOUR, "b", seal, 0.0)
     (resume,) = a.mobility.tick(10.0)
     assert resume == ResumeWithException(
@@ -156,7 +156,7 @@ def test_a_host_that_stays_away_is_unreachable(a):
 
 
 @pytest.mark.parametrize("said", [PAUSED, "its disk is full"])
-def test_what_a_host_said_of_its_room_is_not_believed_when_its_link_is_gone(a, b, said):
+def test_backpressure_of_a_host_is_ignored_when_its_link_is_lost(a, b, said):
     a.mobility.on_linked(b.hello())
     assert a.mobility.on_backpressure("b", said) == []
     assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
@@ -171,7 +171,7 @@ def test_what_a_host_said_of_its_room_is_not_believed_when_its_link_is_gone(a, b
     ]
 
 
-def test_who_is_linked_anew_says_anew_whether_it_has_room(a, b):
+def test_a_new_link_clears_the_backpressure(a, b):
     a.mobility.on_linked(b.hello())
     a.mobility.on_backpressure("b", "its disk is full")
     a.mobility.depart(TOUR, "b", seal, 0.0)
@@ -179,7 +179,7 @@ def test_who_is_linked_anew_says_anew_whether_it_has_room(a, b):
     assert sent == SendTransfer("b", transfer(1), b"block 1")
 
 
-def test_a_refusal_resumes_and_its_number_is_not_used_again(away):
+def test_a_refusal_resumes_and_its_number_is_not_reused(away):
     (resume,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, "LimitException", "full"), 0.1)
     assert resume == ResumeWithException(TOUR, 1, 1, "LimitException", "full")
     (sent,) = away.mobility.depart(TOUR, "b", seal, 1.0)
@@ -187,7 +187,7 @@ def test_a_refusal_resumes_and_its_number_is_not_used_again(away):
     assert sent.block == b"block 2"
 
 
-def test_a_block_larger_than_the_peer_takes_is_not_sent(a):
+def test_a_block_over_the_limit_of_the_peer_is_not_sent(a):
     a.mobility.on_linked(Host("b", max_block=3).hello())
     (resume,) = a.mobility.depart(TOUR, "b", seal, 0.0)
     assert resume == ResumeWithException(
@@ -195,7 +195,7 @@ def test_a_block_larger_than_the_peer_takes_is_not_sent(a):
     )
 
 
-def test_answers_to_other_numbers_and_from_other_hosts_mean_nothing(away):
+def test_answers_with_other_numbers_or_from_other_hosts_have_no_effect(away):
     for host, answer in [
         ("b", TransferAccepted(TOUR, 1, 2)),
         ("b", TransferAccepted(TOUR, 2, 1)),
@@ -208,7 +208,7 @@ def test_answers_to_other_numbers_and_from_other_hosts_mean_nothing(away):
     assert away.known().state == "PREPARED"
 
 
-def test_any_host_may_know_that_it_has_gone_on_from_its_receiver(away):
+def test_any_host_may_confirm_that_the_receiver_accepted(away):
     away.mobility.on_unlinked("b")
     assert [type(effect) for effect in away.mobility.on_message("c", TransferAccepted(TOUR, 1, 1), 0.0)] == [
         MarkMigrated
@@ -216,12 +216,12 @@ def test_any_host_may_know_that_it_has_gone_on_from_its_receiver(away):
     assert away.known().state == "MOVED"
 
 
-def test_any_host_may_know_that_it_was_recovered(away):
+def test_any_host_may_report_a_recovery(away):
     away.mobility.on_message("c", TransferRefused(TOUR, 1, 1, SUPERSEDED, "recovered"), 0.0)
     assert away.known().outcome == "superseded"
 
 
-def test_a_host_vouches_for_a_transfer_to_another_one_by_a_higher_number_or_a_recovery_only(a):
+def test_a_host_proves_a_transfer_to_another_only_by_a_higher_number_or_a_recovery(a):
     asked = TransferQuery(TOUR, 1, 3, 99)
     assert a.mobility.prove_outcome(asked) is None
     a.mobility.on_message("c", TransferQuery(TOUR, 1, 3, 1), 0.0)
@@ -232,12 +232,12 @@ def test_a_host_vouches_for_a_transfer_to_another_one_by_a_higher_number_or_a_re
     assert a.mobility.prove_outcome(TransferQuery(TOUR, 1, 9, 99)).kind == SUPERSEDED
 
 
-def test_after_a_lost_link_the_sender_asks(away, b):
+def test_after_a_lost_link_the_sender_queries(away, b):
     away.mobility.on_unlinked("b")
     assert away.mobility.on_linked(b.hello()) == [Send("b", TransferQuery(TOUR, 1, 1, 1))]
 
 
-def test_what_never_arrived_is_sent_again_while_there_is_time(away):
+def test_a_transfer_that_never_arrived_is_repeated_within_the_patience(away):
     (sent,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 5.0)
     assert sent.header.sequence == 2
     away.mobility.on_unlinked("b")
@@ -245,7 +245,7 @@ def test_what_never_arrived_is_sent_again_while_there_is_time(away):
     assert away.known().state == "FROZEN"
 
 
-def test_what_never_arrived_is_resumed_when_the_time_is_over(away):
+def test_a_transfer_that_never_arrived_is_resumed_after_the_patience(away):
     (resume,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 10.0)
     assert (resume.kind, resume.sequence) == (UNREACHABLE, 1)
 
@@ -259,7 +259,7 @@ def test_silence_leads_to_doubt_and_never_to_a_second_copy(away):
     assert away.known().detail == doubt.reason
 
 
-def test_a_restarted_receiver_leaves_the_sender_in_doubt_for_good(away):
+def test_a_restarted_receiver_leaves_the_sender_in_doubt(away):
     away.mobility.on_unlinked("b")
     (doubt,) = away.mobility.on_linked(Host("b", incarnation=2).hello())
     assert "restarted" in doubt.reason
@@ -292,14 +292,14 @@ def test_only_proof_ends_the_doubt(away, state, sequence, moved):
     assert effects == ([MarkMigrated(TOUR, 1, 1, "b")] if moved else [])
 
 
-def test_coming_home_ends_the_doubt_and_replaces_the_shadow(away):
+def test_a_return_ends_the_doubt_and_replaces_the_shadow(away):
     (_, answer) = away.receive("b", transfer(2, hops=2), b"block 2")
     assert answer == Send("b", TransferAccepted(TOUR, 1, 2))
     assert away.known() == CoordinatorState(TOUR, 1, 2, 2, "RUN")
     assert away.mobility.shadow(TOUR, 1) is None
 
 
-def test_a_return_that_is_refused_still_proves_the_departure(away):
+def test_a_refused_return_proves_the_departure(away):
     away.refusal = TransferRefusal("LimitException", "full")
     departed, answer = away.receive("b", transfer(2), b"block 2")
     assert departed == MarkMigrated(TOUR, 1, 1, "b")
@@ -307,13 +307,13 @@ def test_a_return_that_is_refused_still_proves_the_departure(away):
     assert away.known().state == "MOVED"
 
 
-def test_an_inquiry_for_a_later_number_proves_the_departure(away):
+def test_a_query_for_a_later_number_proves_the_departure(away):
     departed, answer = away.mobility.on_message("b", TransferQuery(TOUR, 1, 2, 1), 1.0)
     assert departed == MarkMigrated(TOUR, 1, 1, "b")
     assert answer.message.kind == NEVER_ARRIVED
 
 
-def test_misuse_is_an_error(a):
+def test_invalid_operations_raise_an_error(a):
     with pytest.raises(ValueError, match="cannot be started"):
         a.mobility.start(TOUR, 1)
     with pytest.raises(ValueError, match="cannot be started"):
@@ -327,7 +327,7 @@ def test_misuse_is_an_error(a):
 # The receiver
 
 
-def test_a_repeated_transfer_is_injected_once(b):
+def test_a_repeated_transfer_is_admitted_once(b):
     go, accepted = b.receive("a", transfer(1), b"block 1")
     assert go == ResumeCopy(TOUR, 1)
     assert b.receive("a", transfer(1), b"block 1") == [accepted]
@@ -344,7 +344,7 @@ def test_a_refused_transfer_stays_refused(b):
     assert third.message == TransferAccepted(TOUR, 1, 2)
 
 
-def test_a_transfer_that_comes_after_the_question_is_refused(b):
+def test_a_transfer_that_arrives_after_its_query_is_refused(b):
     (answer,) = b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0)
     assert answer.message.kind == NEVER_ARRIVED
     (late,) = b.receive("a", transfer(1), b"block 1")
@@ -353,20 +353,20 @@ def test_a_transfer_that_comes_after_the_question_is_refused(b):
     assert b.mobility.known_states() == []
 
 
-def test_a_question_about_what_arrived_is_answered(b):
+def test_a_query_about_an_accepted_transfer_is_answered(b):
     b.receive("a", transfer(1), b"block 1")
     assert b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0) == [
         Send("a", TransferAccepted(TOUR, 1, 1))
     ]
 
 
-def test_a_number_that_was_overtaken_is_accepted_and_not_injected(b):
+def test_an_overtaken_number_is_accepted_and_not_admitted(b):
     b.receive("a", transfer(5), b"block 5")
     assert b.receive("a", transfer(3), b"block 3") == [Send("a", TransferAccepted(TOUR, 1, 3))]
     assert b.injected == [(5, b"block 5")]
 
 
-def test_what_was_meant_for_an_earlier_life_is_not_answered(b):
+def test_a_message_for_an_earlier_life_is_not_answered(b):
     (note,) = b.receive("a", transfer(1, receiver=99), b"block 1")
     assert isinstance(note, LogAnomaly)
     (note,) = b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 99), 0.0)
@@ -382,14 +382,14 @@ def test_what_was_meant_for_an_earlier_life_is_not_answered(b):
         (transfer(1, agent="Stranger:x"), UNREACHABLE, "knows no coordinator Stranger:x"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_injection(b, header, kind, words):
+def test_a_foreign_coordinator_or_program_is_refused_before_admission(b, header, kind, words):
     (answer,) = b.receive("a", header, b"block 1")
     assert answer.message.kind == kind
     assert words in answer.message.reason
     assert b.injected == []
 
 
-def test_too_large_a_block_is_refused(b):
+def test_an_oversized_block_is_refused(b):
     (answer,) = b.receive("a", transfer(1), bytes(1001))
     (unread,) = b.mobility.on_oversize("a", transfer(1), 1001)
     assert answer == unread
@@ -402,7 +402,7 @@ def test_a_second_copy_is_refused_while_the_first_is_here(a):
     assert a.injected == []
 
 
-def test_strangers_do_not_fill_the_memory(b):
+def test_queries_about_unknown_starts_do_not_fill_the_memory(b):
     for generation in range(1, 1000):
         b.mobility.on_message("a", TransferQuery(TOUR, generation, 1, 1), 0.0)
         b.mobility.on_message("a", TransferQuery(f"Stranger:{generation}", 1, 1, 1), 0.0)
@@ -413,7 +413,7 @@ def test_strangers_do_not_fill_the_memory(b):
     assert "starts of it" in answer.message.reason
 
 
-def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
+def test_only_the_newest_ended_starts_are_kept(b):
     for generation in range(1, 1000):
         b.mobility.on_message("a", Terminated(TOUR, generation, "done", "", "a"), 0.0)
     assert [known.generation for known in b.mobility.known_states()] == list(range(1000 - MAX_STARTS, 1000))
@@ -424,7 +424,7 @@ def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
 # Endings
 
 
-def test_an_ending_is_told_until_every_host_confirms(a, b):
+def test_an_end_is_sent_until_every_host_confirms(a, b):
     a.mobility.on_linked(b.hello())
     (told,) = a.mobility.on_ended(TOUR, 1, "died", "it fell\n  at line 3")
     ended = Terminated(TOUR, 1, "died", "it fell\n  at line 3", "a", is_of_this_run=True)
@@ -439,7 +439,7 @@ def test_an_ending_is_told_until_every_host_confirms(a, b):
     assert b.known() == CoordinatorState(TOUR, 1, 0, 0, "EXITED", "a", "died", "it fell\n  at line 3")
 
 
-def test_a_host_that_was_away_learns_endings_from_anybody(a, b):
+def test_a_host_that_was_away_learns_ends_from_any_host(a, b):
     a.mobility.on_ended(TOUR, 1, "done")
     assert b.mobility.on_linked(a.greeting()) == [DropTerminated(TOUR, 1, "done", "", "a")]
     c = Host("c")
@@ -447,21 +447,21 @@ def test_a_host_that_was_away_learns_endings_from_anybody(a, b):
     assert c.mobility.on_linked(a.greeting()) == []
 
 
-def test_an_ending_settles_a_copy_in_doubt(away):
+def test_an_end_settles_a_copy_in_doubt(away):
     away.mobility.tick(10.0)
     finished, _ = away.mobility.on_message("c", Terminated(TOUR, 1, "done", "", "c"), 11.0)
     assert isinstance(finished, DropTerminated)
     assert away.known().state == "EXITED"
 
 
-def test_an_ending_does_not_stop_a_copy_that_is_here(a):
+def test_an_end_elsewhere_does_not_stop_a_copy_that_is_here(a):
     assert a.mobility.on_message("c", Terminated(TOUR, 1, "lost", "", "c"), 0.0) == [
         Send("c", TerminatedAck(TOUR, 1))
     ]
     assert a.known().state == "RUN"
 
 
-def test_lost_is_a_presumption(away):
+def test_the_outcome_lost_is_replaced_by_a_known_end(away):
     away.mobility.tick(10.0)
     away.mobility.on_ended(TOUR, 1, "lost", "given up")
     finished, _ = away.mobility.on_message("c", Terminated(TOUR, 1, "done", "", "c"), 11.0)
@@ -471,7 +471,7 @@ def test_lost_is_a_presumption(away):
     ]
 
 
-def test_a_coordinator_given_up_as_lost_may_still_come_back(away):
+def test_a_coordinator_given_up_as_lost_may_still_return(away):
     away.mobility.tick(10.0)
     away.mobility.on_ended(TOUR, 1, "lost")
     (_, answer) = away.receive("c", transfer(2), b"block 2")
@@ -479,36 +479,36 @@ def test_a_coordinator_given_up_as_lost_may_still_come_back(away):
     assert away.known().state == "RUN"
 
 
-def test_a_transfer_after_the_end_is_not_injected(b):
+def test_a_transfer_after_the_end_is_not_admitted(b):
     b.mobility.on_message("a", Terminated(TOUR, 1, "done", "", "a"), 0.0)
     assert b.receive("a", transfer(3), b"block 3") == [Send("a", TransferAccepted(TOUR, 1, 3))]
     assert b.injected == []
 
 
-def test_a_long_detail_is_cut_to_what_travels(a):
+def test_a_long_detail_is_cut_to_the_limit_of_a_message(a):
     a.mobility.on_ended(TOUR, 1, "died", "x" * 10000)
     assert len(a.known().detail) == MAX_TEXT
 
 
-# What waits to be taken in
+# Transfers that wait for admission
 
 
-def test_who_is_greeted_hears_of_a_coordinator_that_waits_to_be_taken_in(away, b):
+def test_a_hello_names_a_coordinator_that_waits_for_admission(away, b):
     (known,) = b.mobility.handshake_states([transfer(1)])
     assert known == CoordinatorState(TOUR, 1, 1, 1, "PREPARED", "b", receiver_memory=1)
-    # That is no verdict: its sender goes on waiting for one.
+    # This is no verdict: the sender still waits for one.
     assert away.mobility.on_linked(b.hello(known)) == [Send("b", TransferQuery(TOUR, 1, 1, 1))]
     assert away.known().state == "PREPARED"
 
 
-def test_who_is_greeted_hears_nothing_of_what_will_not_be_taken_in(b):
+def test_a_hello_does_not_name_a_transfer_that_will_be_refused(b):
     b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0)
     assert b.mobility.handshake_states([transfer(1)]) == []
     assert len(b.mobility.handshake_states([transfer(2)])) == 1
     assert b.mobility.handshake_states([transfer(2, receiver=7)]) == []
 
 
-def test_who_is_greeted_hears_once_of_each_start(b):
+def test_a_hello_names_each_start_once(b):
     b.receive("a", transfer(1), b"block 1")
     assert b.mobility.handshake_states([transfer(2), transfer(1)]) == b.mobility.known_states()
 
@@ -516,7 +516,7 @@ def test_who_is_greeted_hears_once_of_each_start(b):
 # Two starts of one coordinator
 
 
-def test_a_later_start_ends_when_it_hears_of_the_earlier(b):
+def test_a_later_start_ends_when_it_learns_of_the_earlier(b):
     restarted = Host("a", incarnation=2)
     restarted.mobility.start(TOUR, 2)
     b.receive("a", transfer(1), b"block 1")
@@ -528,8 +528,8 @@ def test_a_later_start_ends_when_it_hears_of_the_earlier(b):
     assert b.known(1).state == "RUN"
 
 
-def test_the_host_of_the_earlier_start_has_the_later_one_ended(b):
-    """Its own greeting may have been too early to show the copy."""
+def test_the_host_of_the_earlier_start_ends_the_later_one(b):
+    """Its own Hello may have been too early for the copy."""
     b.receive("a", transfer(1), b"block 1")
     c = Host("c")
     c.receive("a", transfer(1, generation=2), b"block 1")
@@ -539,7 +539,7 @@ def test_the_host_of_the_earlier_start_has_the_later_one_ended(b):
     assert isinstance(stop, TerminateCopy)
 
 
-def test_a_later_start_that_arrives_where_the_earlier_is_alive_is_ended(b):
+def test_an_arriving_later_start_is_ended_where_the_earlier_is_alive(b):
     b.receive("a", transfer(1), b"block 1")
     (answer,) = b.receive("a", transfer(1, generation=2), b"block 1")
     assert answer.message.kind == SUPERSEDED
@@ -552,7 +552,7 @@ def test_a_later_start_that_arrives_where_the_earlier_is_alive_is_ended(b):
     assert b.mobility.on_message("a", TransferQuery(TOUR, 2, 1, 1), 0.0) == [answer]
 
 
-def test_an_earlier_start_that_arrives_ends_the_later(b):
+def test_an_arriving_earlier_start_ends_the_later(b):
     b.receive("a", transfer(1, generation=2), b"later")
     stop, _, answer = b.receive("c", transfer(4, generation=1), b"earlier")
     assert isinstance(stop, TerminateCopy)
@@ -567,17 +567,17 @@ def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
     stop, _, answer = away.receive("b", transfer(1, generation=2), b"later")
     assert stop.generation == 1
     assert answer.message == TransferAccepted(TOUR, 2, 1)
-    # That is no proof of a loss: b may have it.
+    # This is no proof of a loss: b may have it.
     known = away.known(1)
     assert (known.state, known.where, known.outcome) == ("IN DOUBT", "b", "")
     assert known.detail.endswith("its copy here was displaced by a later start")
     assert away.mobility.shadow(TOUR, 1) == b"block 1"
     assert away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 11.0) == []
-    # Now it is one: b will never take it, and here it cannot go on.
+    # Now it is: b will never accept it, and it cannot continue here.
     assert (away.known(1).state, away.known(1).outcome) == ("EXITED", "lost")
 
 
-def test_a_copy_that_gave_way_in_doubt_is_asked_for_again(away, b):
+def test_a_displaced_copy_in_doubt_is_queried_again(away, b):
     away.mobility.tick(10.0)
     away.receive("b", transfer(1, generation=2), b"later")
     away.mobility.on_unlinked("b")
@@ -596,7 +596,7 @@ def test_a_copy_in_doubt_does_not_end_a_later_start(away):
     assert restarted.known(2).state == "RUN"
 
 
-def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
+def test_a_restored_copy_whose_end_is_known_does_not_continue():
     page = CoordinatorRecord(TOUR, 1, "PREPARED", 1, target="b", receiver_memory=1, block=b"block 1")
     host = Host("a")
     host.mobility.restore([page])
@@ -610,8 +610,8 @@ def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
 
 
 @pytest.mark.parametrize(("memory", "gone"), [(7, False), (8, True)], ids=["the same", "another disk"])
-def test_what_a_receiver_says_of_itself_may_not_be_on_its_disk_yet(memory, gone):
-    """So the sender asks, since that answer waits for the disk; another disk's word counts."""
+def test_a_state_in_a_hello_counts_only_from_another_disk(memory, gone):
+    """The state may not be durable yet, so the sender queries: that answer waits for the disk."""
 
     def hello(host, memory, *known):
         return Hello(

@@ -1,6 +1,6 @@
-"""Long random walks through the same world as the property test: no shrinking, many more steps.
+"""Long random walks through the same world as the property test: without shrinking, with many more steps.
 
-Broken machines whose fault needs a long run of bad luck are found out here.
+They find broken machines whose fault needs a rare sequence.
 """
 
 import random
@@ -14,7 +14,7 @@ from lfield.wire.coordinator_messages import NEVER_ARRIVED, TransferQuery, Trans
 
 
 def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
-    """One walk, judged after every step and once more after everything is healed."""
+    """One walk, checked after every step and after the network is healed."""
     dice = random.Random(seed)
     world = World("abc", {"Tour:one": "a", "Tour:two": "b"}, machine)
     for pair in world.unlinked_pairs():
@@ -40,7 +40,7 @@ def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
 
 
 def walks(machine: type[Mobility], seeds: range) -> int:
-    """Many walks; how many hops they made."""
+    """Many walks; returns the number of hops."""
     return sum(sum(walk(machine, seed).injected.values()) for seed in seeds)
 
 
@@ -92,7 +92,7 @@ def notice(world: World, dice: random.Random) -> None:
 
 
 def disturb(world: World, dice: random.Random) -> None:
-    """What ends a life: a kill, a restart, a coordinator's end, a machine that takes no more."""
+    """End a life: a kill, a restart, a coordinator's end, a full machine."""
     name = dice.choice(world.names)
     host = world.hosts.get(name)
     if host is None:
@@ -107,8 +107,8 @@ def disturb(world: World, dice: random.Random) -> None:
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("start", range(0, 1000, 100))
-def test_walks(start):
-    assert walks(Mobility, range(start, start + 100)) > 500, "the walks must get somewhere"
+def test_random_walks_keep_all_promises(start):
+    assert walks(Mobility, range(start, start + 100)) > 500, "the walks must contain hops"
 
 
 class ForgetsItsAnswer(Mobility):

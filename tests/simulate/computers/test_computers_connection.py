@@ -1,4 +1,4 @@
-"""A simulated connection whose reader is busy: what comes waits, in order, its end too."""
+"""A simulated connection whose reader is busy: data and the end of the stream wait in order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lfield.simulate.computers.simulated_machine import NetworkPaths, SimulatedM
 
 
 class Slow(asyncio.Protocol):
-    """Reads one piece, then nothing until it is told to."""
+    """Reads one piece, then nothing until it is resumed."""
 
     def __init__(self) -> None:
         self.got: list[bytes | None] = []
@@ -28,7 +28,7 @@ class Slow(asyncio.Protocol):
         self.got.append(None)
 
 
-def test_what_comes_while_nobody_reads_waits_in_its_order():
+def test_data_that_arrives_while_reading_is_paused_waits_in_order():
     timeline, reader = EventQueue(), Slow()
     alpha, bravo = (ProcessLoop(SimulatedMachine(name, timeline, random.Random(1))) for name in "ab")
     near, far = SimulatedConnection(NetworkPaths(random.Random(2)), alpha, bravo, (("a", 1), ("b", 2))).ends

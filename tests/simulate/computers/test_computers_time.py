@@ -1,4 +1,4 @@
-"""Time on simulated computers: clocks of their own, processors that take time, stories with an end."""
+"""Time on simulated computers: separate clocks, processors that take time, scenarios with an end."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ def test_a_clock_runs_at_its_rate_and_boot_time_counts_suspensions() -> None:
     assert clock.monotonic() == pytest.approx(65.15)
 
 
-def test_a_process_that_never_waits_lets_time_go_on() -> None:
+def test_time_advances_while_a_process_never_waits() -> None:
     timeline = EventQueue()
     machine = SimulatedMachine("m", timeline, random.Random(1))
     process = SimulatedComputer(
         machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {}
     ).start()
 
-    async def spins() -> None:
+    async def run_forever() -> None:
         while True:
             await asyncio.sleep(0)
 
-    process.loop.enter(lambda: process.loop.create_task(spins()))
+    process.loop.enter(lambda: process.loop.create_task(run_forever()))
     timeline.run(0.5)
     assert timeline.now == 0.5
     assert 100 < timeline.events < 1000
 
 
-def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it() -> None:
+def test_computation_takes_time_in_which_the_process_handles_no_event() -> None:
     timeline = EventQueue()
     machine = SimulatedMachine("m", timeline, random.Random(1))
     computer = SimulatedComputer(machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {})
@@ -69,7 +69,7 @@ def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it(
     other.enter(lambda: note("beside"))
     timeline.run(1.0)
     assert seen == [("beside", 0.0), ("later", 0.5), ("came", 0.5)]
-    # What is hardly anything is owed until it is something.
+    # A very short computation is charged together with later ones.
     seen.clear()
     for _ in range(3):
         one.enter(lambda: computes(0.0004))
@@ -78,7 +78,7 @@ def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it(
     assert seen[-1] == ("later", pytest.approx(1.0012))
 
 
-def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_ever() -> None:
+def test_a_wake_up_slightly_too_early_does_not_repeat_without_end() -> None:
     timeline = EventQueue()
     timeline.now, timeline.most = 1e6, 100
     machine = SimulatedMachine("m", timeline, random.Random(1))
@@ -102,7 +102,7 @@ def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_eve
     assert came
 
 
-def test_more_events_than_may_be_end_a_simulation() -> None:
+def test_too_many_events_end_a_simulation() -> None:
     timeline = EventQueue()
     timeline.most = 1000
 
@@ -114,13 +114,13 @@ def test_more_events_than_may_be_end_a_simulation() -> None:
         timeline.run(1.0)
 
 
-def test_a_story_that_goes_on_for_ever_is_a_breach(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scenario_without_an_end_is_a_breach(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scenario_run, "MAX_EVENTS", 100)
     verdict = scenario_run.run_scenario(replace(plain(3), keep=frozenset()))
     assert [breach.name for breach in verdict.breaches] == ["endless"]
 
 
-def test_what_its_watchdog_has_stopped_does_not_move_again_when_it_is_fed() -> None:
+def test_a_device_stopped_by_its_watchdog_does_not_move_when_it_is_fed_again() -> None:
     timeline = EventQueue()
     hardware = Hardware(timeline, random.Random(1))
     hardware.command(1, "setVelocity", (), float("inf"))

@@ -1,4 +1,4 @@
-"""A killed process does nothing more: nobody resumes its coroutines, and nobody unwinds them."""
+"""A killed process does nothing more: its coroutines are neither resumed nor unwound."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _begun(timeline: EventQueue, said: list[str]) -> SimulatedProcess:
     return process
 
 
-def test_what_was_killed_is_never_unwound() -> None:
+def test_a_killed_process_is_never_unwound() -> None:
     timeline, said = EventQueue(), list[str]()
     process = _begun(timeline, said)
     timeline.run(1.0)
@@ -53,8 +53,8 @@ async def _ends_with_more(loops: list[asyncio.AbstractEventLoop]) -> None:
         await asyncio.gather(*(asyncio.sleep(1.0) for _ in range(2)))
 
 
-def test_a_finally_block_that_runs_after_the_simulation_starts_its_tasks_on_the_loop_of_its_process() -> None:
-    """Else asyncio makes a loop that is never closed, and coroutines that are never awaited."""
+def test_a_finally_block_after_the_simulation_uses_the_loop_of_its_process() -> None:
+    """Otherwise asyncio makes a loop that is never closed, and coroutines that are never awaited."""
     timeline, loops = EventQueue(), list[asyncio.AbstractEventLoop]()
     process = _computer(timeline).start()
     process.loop.enter(lambda: process.loop.create_task(_ends_with_more(loops)))
@@ -64,7 +64,7 @@ def test_a_finally_block_that_runs_after_the_simulation_starts_its_tasks_on_the_
     assert not process.loop.machine.pinned
 
 
-def test_nor_is_what_nobody_simulates_any_more() -> None:
+def test_processes_of_a_discarded_simulation_are_not_unwound() -> None:
     said = list[str]()
     timeline = EventQueue()
     process = _begun(timeline, said)
@@ -74,7 +74,7 @@ def test_nor_is_what_nobody_simulates_any_more() -> None:
     assert said == []
 
 
-def test_who_ends_by_himself_does_so_in_order() -> None:
+def test_a_process_that_exits_is_unwound() -> None:
     timeline, said = EventQueue(), list[str]()
     _begun(timeline, said)
     timeline.run(6.0)
@@ -96,7 +96,7 @@ async def _takes_one(said: list[str]) -> None:
         break
 
 
-def test_a_generator_that_is_left_is_closed_by_its_process() -> None:
+def test_an_unfinished_generator_is_closed_by_its_process() -> None:
     timeline, said = EventQueue(), list[str]()
     process = _computer(timeline).start()
     with closing_generators():

@@ -1,4 +1,4 @@
-"""Bugs that this code had, or might well have, as patches of the real code: the judge must find them all."""
+"""Bugs that the code had, or might have, as patches of the real code: the judge must find them all."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ Patch = pytest.MonkeyPatch
 class Bug:
     """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
 
-    `draws` has the kind of stories that finds it fastest. When `seed` finds it no more, since a change has
-    moved what happens in it, the `within` stories from `first` on are searched; a thousand find every bug.
+    `draws` draws the kind of scenarios that find it fastest. If `seed` no longer finds it after a change,
+    the `within` scenarios from `first` on are searched; a thousand find every bug.
     """
 
     plant: Callable[[Patch], None]
@@ -58,7 +58,8 @@ class Bug:
 
 
 def forgotten(seed: int) -> Scenario:
-    """One of a small team without journals, in which a home often begins anew what it cannot hear."""
+    """A scenario of a small team without journals, in which a home often starts again what it cannot
+    reach."""
     dice = random.Random(f"forgotten {seed}")
     means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "island", "cut")}
     story = replace(forgetful(seed), cast=3, hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
@@ -99,7 +100,7 @@ def guards_get_heartbeats_from_a_failed_host(patch: Patch) -> None:
     def breaks(self: HostCore, host: str) -> None:
         self.breaks = getattr(self, "breaks", 0) + 1  # type: ignore[attr-defined]
         if self.breaks == 3:
-            raise ValueError("a bug that nobody has met yet")
+            raise ValueError("an unknown bug")
         unlinked(self, host)
 
     def enter_if_alive(self: Host, *entry: Any) -> None:
@@ -139,17 +140,17 @@ def a_receiver_forgets_its_answers(patch: Patch) -> None:
 
 
 def a_restart_counts_as_proof_of_absence(patch: Patch) -> None:
-    take_up = TransferSender._retry
+    retry = TransferSender._retry
 
-    def take_up_boldly(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
+    def retry_without_query(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
         restarted = copy.state == "PREPARED" and peer.state_id != copy.receiver_memory
-        return self._send(copy) if restarted else take_up(self, copy, peer)
+        return self._send(copy) if restarted else retry(self, copy, peer)
 
-    patch.setattr(TransferSender, "_retry", take_up_boldly)
+    patch.setattr(TransferSender, "_retry", retry_without_query)
 
 
 def _drops(patch: Patch, cls: type, name: str, states: str) -> None:
-    """Whatever this method decides, pages of these states do not come to the disk."""
+    """Records of these states that this method decides are not written to disk."""
     go = getattr(cls, name)
 
     def forgets(self: Any, *given: Any, **named: Any) -> list[Effect]:

@@ -1,4 +1,4 @@
-"""What makes hosts keep what they confirm to a person, each left out; and links beyond the neighbours."""
+"""The rules by which hosts keep confirmed orders, each removed; and links beyond the neighbours."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from simulation_testing.scenarios.scenario_drawing import crowd, under_orders, w
 
 
 def ordered(seed: int) -> Scenario:
-    """One under orders of a person, of hosts with journals that are often killed."""
+    """A scenario with orders of an operator, of hosts with journals that are often killed."""
     dice = random.Random(f"ordered {seed}")
     means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "guard_kill")}
     story = replace(plain(seed), cast=3, hosts=3, arms=2, calls=FOR_EVER, stay=0.04, means=means)
@@ -57,14 +57,14 @@ def a_pause_does_not_make_devices_safe(patch: Patch) -> None:
 
 
 def hasty(seed: int) -> Scenario:
-    """One in which the end of a stop is under way on slow links while the next stop comes over quick ones."""
+    """A scenario in which the end of a stop is in flight on slow links while the next stop uses fast ones."""
     dice, story = random.Random(f"hasty {seed}"), ordered(seed)
     aimed: list[Fault] = []
     for round in range(3):
         pressed = 2.0 + 7.0 * round + dice.uniform(0.0, 0.5)
         ended = pressed + 1.0
         aimed.append(Fault(pressed, "estop", "h0", "h1", 1.0, 0.0))
-        # What the person sends is slow: the end has left when the next stop comes, and has not arrived.
+        # The operator's link is slow: the end has been sent when the next stop arrives, and has not arrived.
         aimed += [Fault(ended - 0.01, "slow", host, host, 2.0, 0.0) for host in ("h0", "h1")]
         aimed.append(Fault(ended + 2.05, "estop", "h0", "h1", 3.0, 0.0))
     return replace(story, cast=2, hosts=2, means={}, aimed=tuple(aimed), weather=25.0, seconds=25.0)

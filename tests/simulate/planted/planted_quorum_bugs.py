@@ -1,4 +1,4 @@
-"""What makes leases and fences safe, each left out: a judge must find the copy that acts beside another."""
+"""The rules that make leases and fences safe, each removed: a judge must find the second acting copy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from simulation_testing.seed_runner import DrawScenario
 #: A seed of `parted` that finds `the_fence_is_not_on_disk`: at 6 s the former holder of a coordinator meets a
 #: host that had promised it to another one, and was restarted since. Plant that bug to find another seed.
 MEETING = 199
-#: By which breaches they may be found.
+#: The breaches by which they may be found.
 TWO_ACT = frozenset({"I1", "I4", "start"})
 
 
@@ -50,7 +50,7 @@ def a_fence_is_sent_once_and_lost_with_its_link(patch: Patch) -> None:
 
 
 def interrupted(seed: int) -> Scenario:
-    """The story of `parted` with that meeting; the link of the two hosts is slow at first, and breaks."""
+    """The scenario of `parted` with that meeting; the link of the two hosts is slow at first, and breaks."""
     story, met = parted(MEETING), 5.8 + random.Random(f"interrupted {seed}").uniform(0.0, 0.25)
     slow = Fault(met, "slow", "h2", "h0", 0.5, 1.0)
     return replace(story, aimed=(slow, replace(slow, at=met + 0.5, kind="reset")))
@@ -61,7 +61,7 @@ def a_refusal_counts_before_the_copy_is_loaded(patch: Patch) -> None:
 
 
 def _answers(patch: Patch, fences: Any) -> None:
-    """Heartbeats are acknowledged with these fences."""
+    """Acknowledge heartbeats with these fences."""
     on_heartbeat = Quorum._on_heartbeat
 
     def answers(self: Quorum, host: str, message: Heartbeat, now: float) -> list[Any]:
@@ -86,7 +86,7 @@ def a_failover_waits_less_than_a_lease(patch: Patch) -> None:
 
 
 def the_fence_is_not_on_disk(patch: Patch) -> None:
-    """As on a disk, but its page is never written."""
+    """The record counts as durable, but is never written."""
     put = WriteAheadQueue.put
 
     def forgets(self: WriteAheadQueue, effects: Any, now: float) -> list[Effect]:
@@ -112,7 +112,7 @@ def a_minority_of_promises_is_enough(patch: Patch) -> None:
 
 
 def one_acknowledgement_renews_a_lease(patch: Patch) -> None:
-    """Of two groups of a team each goes on with the lease, as long as one other of its group answers."""
+    """In two groups of a team the lease continues, as long as one other member of the group answers."""
 
     def count(self: Lease) -> None:
         times = sorted(self._acknowledged.values(), reverse=True)
@@ -168,7 +168,8 @@ QUORUM_BUGS = [
         0,
         interrupted,
     ),
-    # Greetings and acknowledgements would tell whoever forgot: it is found where those who know never meet.
+    # A Hello and acknowledgements would inform a host that forgot: the bug is found where such hosts never
+    # meet.
     _bug(
         the_fence_is_not_on_disk,
         "a restarted voter forgets its fence and grants a lease to the fenced start",

@@ -1,4 +1,4 @@
-"""What makes a reservation its holder's alone, each left out: the judge must find what comes of it."""
+"""The rules that give a reservation to its holder alone, each removed: the judge must find the effect."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from simulation_testing.scenarios.scenario import Scenario, doubted, keeper
 def a_reservation_number_is_granted_before_it_is_on_disk(patch: Patch) -> None:
     write = ReservationService._write
 
-    def boldly(self: ReservationService, effect: Any) -> None:
+    def write_and_confirm(self: ReservationService, effect: Any) -> None:
         write(self, effect)
         if effect.holder is not None:
             self._reservations.on_durable(effect.resource, effect.number, self._clock.monotonic())
 
-    patch.setattr(ReservationService, "_write", boldly)
+    patch.setattr(ReservationService, "_write", write_and_confirm)
 
 
 def a_restarted_host_grants_without_waiting(patch: Patch) -> None:
@@ -49,22 +49,24 @@ def an_expired_holder_renews(patch: Patch) -> None:
 
 
 def reservation_numbers_restart_at_1(patch: Patch) -> None:
-    def nothing(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
-        """Nothing is known of earlier lives."""
+    def restore_nothing(
+        self: Reservations, resource: str, number: int, holder: StartKey | None, now: float
+    ) -> None:
+        """Restore nothing of earlier lives."""
         self._first = 1
 
-    patch.setattr(Reservations, "restore", nothing)
+    patch.setattr(Reservations, "restore", restore_nothing)
 
 
 def reservation_numbers_are_not_checked(patch: Patch) -> None:
     serves = Reservations.may_serve
 
-    def whoever(
+    def serve_any_start(
         self: Reservations, start: StartKey, resource: str, number: int, now: float, *, nested: bool
     ) -> bool:
         return bool(number) or serves(self, start, resource, number, now, nested=nested)
 
-    patch.setattr(Reservations, "may_serve", whoever)
+    patch.setattr(Reservations, "may_serve", serve_any_start)
 
 
 def a_reservation_is_granted_while_other_calls_run(patch: Patch) -> None:

@@ -1,4 +1,4 @@
-"""What keeps a coordinator that has terminated from being recovered, each left out: the judge must see it."""
+"""The rules against the recovery of a terminated coordinator, each removed: the judge must find it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.replication.transfer.core import Mobility
 from simulation_testing.scenarios.scenario import Scenario, ending
 from simulation_testing.seed_runner import DrawScenario
 
-#: By which breaches they may be found.
+#: The breaches by which they may be found.
 RECOVERED = frozenset({"terminated", "promised"})
 
 
@@ -32,7 +32,7 @@ def _no_ends_in_answers(patch: Patch) -> None:
 
 
 def a_termination_is_not_reported(patch: Patch) -> None:
-    """A coordinator that has terminated looks like one of which nothing is known."""
+    """A terminated coordinator looks like an unknown one."""
     _no_ends_in_answers(patch)
     patch.setattr(TeamLeases, "_termination_checkpoint", lambda self, agent: None)
 
@@ -58,7 +58,7 @@ def a_termination_is_sent_before_it_is_on_disk(patch: Patch) -> None:
 
 
 def a_termination_is_stored_despite_a_promise(patch: Patch) -> None:
-    """It becomes final while the recovery that was promised begins, and its proposer is not told."""
+    """It becomes final while the promised recovery begins, and its proposer is not informed."""
     patch.setattr(TerminationLog, "is_delayed", lambda self, ended, now: False)
     patch.setattr(TerminationLog, "all", property(lambda self: []))
 
@@ -68,13 +68,13 @@ def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = ending) -> Bu
 
 
 def calm(seed: int) -> Scenario:
-    """One of three hosts in which nothing else happens than that one link is cut."""
+    """A scenario of three hosts with one cut link as the only fault."""
     story = replace(ending(seed), means={}, cast=3, hosts=3, walkers=3, witnesses=0)
     return replace(story, aimed=story.aimed[:1])
 
 
 def slowly(seed: int) -> Scenario:
-    """One in which a host loses power while the end of a coordinator is on its way to the disk."""
+    """A scenario in which a host loses power while the end of a coordinator is written to disk."""
     story = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
     slow = replace(
         story.aimed[0], kind="disk_slow", at=story.calls - 0.3 * random.Random(seed).random(), lasts=6.0

@@ -1,4 +1,4 @@
-"""What makes calls that are begun together durable, each left out: the judge must find what comes of it."""
+"""The rules that make concurrent calls durable, each removed: the judge must find the effect."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from simulation_testing.scenarios.scenario import crew, racer
 
 
 def a_result_is_returned_before_it_is_on_disk(patch: Patch) -> None:
-    came_back = PendingCallStore.on_call_completed
+    complete = PendingCallStore.on_call_completed
 
-    def boldly(self: PendingCallStore, begun: PendingCall) -> None:
-        came_back(self, begun)
+    def complete_and_confirm(self: PendingCallStore, begun: PendingCall) -> None:
+        complete(self, begun)
         self._machine.pending_calls.on_persisted(begun.key)
 
-    patch.setattr(PendingCallStore, "on_call_completed", boldly)
+    patch.setattr(PendingCallStore, "on_call_completed", complete_and_confirm)
 
 
 def the_start_of_a_call_is_not_on_disk(patch: Patch) -> None:

@@ -1,4 +1,4 @@
-"""Every planted bug is found: by a known seed, or by a bounded search that names another one."""
+"""Every planted bug is found: by a known seed, or by a bounded search that reports another one."""
 
 from __future__ import annotations
 

@@ -37,12 +37,12 @@ HOSTS = ("s0", "s1", "s2", "s3", "s4", "s5", "c")
 
 
 def lines(fleet: Fleet, start: str) -> list[str]:
-    """What the walker and the posts have logged, from `start` on."""
+    """The log lines of the walker and the posts from `start` on."""
     return [text.strip().partition(": ")[2] for _, _, text in fleet.log if f": {start}" in text]
 
 
 def run_until(fleet: Fleet, text: str, seconds: float) -> None:
-    """Runs until a line has this text; fails when none has within so many seconds."""
+    """Run until a line has this text; fail after so many seconds."""
     end = fleet.now + seconds
     while not any(text in line for _, _, line in fleet.log):
         assert fleet.now < end, "".join(line for _, _, line in fleet.log[-20:])

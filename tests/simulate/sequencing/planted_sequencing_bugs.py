@@ -1,4 +1,4 @@
-"""Bugs of `start` and `stop`, as patches of the real code: a story must find each."""
+"""Bugs of `start` and `stop`, as patches of the real code: a scenario must find each."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Patch = pytest.MonkeyPatch
 
 
 def a_request_starts_again_after_a_restart(patch: Patch) -> None:
-    """The number of a request is ignored: it is made again after a restart."""
+    """The number of a request is ignored: it is executed again after a restart."""
     patch.setattr(StartableRuns, "started_by", lambda self, request: False)
     patch.setattr(StartableRuns, "where", lambda self, known: "")
 
 
 def a_running_coordinator_is_started_again(patch: Patch) -> None:
-    """A start does not ask whether the last run has ended."""
+    """A start does not check whether the last run has ended."""
     where = StartableRuns.where
 
     def forgetful(self: StartableRuns, known: Sequence[CoordinatorState]) -> str:

@@ -1,7 +1,7 @@
-"""A team whose boss starts, awaits and stops another coordinator, and a judge of what both do.
+"""A team whose boss starts, awaits and stops another coordinator, and a judge of both.
 
-The judge is called after each event. A start that was asked for once is made at most once; no two copies of
-the started coordinator run; and whoever asks gets an answer, or an exception at its limit.
+The judge is called after each event. A requested start is made at most once; no two copies of the started
+coordinator run; and each request gets an answer, or an exception at its limit.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ _STARTED = re.compile(
 
 
 class SequencingTeam:
-    """The team, and what the judge has found."""
+    """The team, and the findings of the judge."""
 
     def __init__(
         self, folder: Path, seed: int, home: str = "bravo", rounds: int = 4, *, keeps: bool = True
@@ -113,7 +113,7 @@ class SequencingTeam:
 
     @property
     def starts(self) -> list[int]:
-        """The numbers of the starts, in the order in which they were made."""
+        """The numbers of the starts, in their order."""
         return [int(found[1]) for _, _, text in self.fleet.log if (found := _STARTED.search(text))]
 
     def count(self, text: str) -> int:
@@ -126,7 +126,7 @@ class SequencingTeam:
             self.fleet.run(0.5)
 
     def finish(self, at_most: float = 600.0) -> None:
-        """The boss has done all its rounds; each start was asked for, and each has had an end."""
+        """Run until the boss has done all its rounds; each start was requested, and each has ended."""
         self.until(lambda: self.count("boss is done") > 0, at_most)
         self.fleet.run(5.0)
         assert self.starts == sorted(set(self.starts)), self.last_lines()
@@ -136,7 +136,7 @@ class SequencingTeam:
 
 
 def run_story(folder: Path, seed: int, at_most: float = 600.0) -> None:
-    """A team whose hosts die and return, and whose links break; then all is well, and it gets on."""
+    """A team whose hosts crash and return, and whose links break; without faults it then finishes."""
     home = HOSTS[seed % 3]
     team = SequencingTeam(folder, seed, home, rounds=4)
     fleet, rng = team.fleet, team.rng

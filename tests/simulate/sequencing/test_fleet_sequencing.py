@@ -1,4 +1,4 @@
-"""Coordinators that start, stop and await others: hosts that die, links that break, requests that repeat."""
+"""Coordinators that start, stop and await others: hosts that crash, links that break, repeated requests."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ def test_without_faults_each_start_is_made_once(tmp_path: Path, home: str, keeps
 
 @pytest.mark.few(12)
 @pytest.mark.parametrize("seed", range(40))
-def test_hosts_that_die_and_links_that_break(tmp_path: Path, seed: int) -> None:
+def test_starts_are_made_once_despite_crashes_and_broken_links(tmp_path: Path, seed: int) -> None:
     run_story(tmp_path, seed)

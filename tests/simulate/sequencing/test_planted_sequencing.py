@@ -1,4 +1,4 @@
-"""Every planted bug of the sequencing is found by a story with faults."""
+"""Every planted bug of the sequencing is found by a scenario with faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from planted_sequencing_bugs import SEQUENCING_BUGS
 from sequencing_team import run_story
 
-#: Stories that are searched.
+#: Seeds that are searched.
 SEEDS = range(60)
 
 

@@ -1,4 +1,4 @@
-"""What ends a wait for another coordinator, who may start it, and what its end means for the mission."""
+"""Limits of a wait for another coordinator, rights to start it, and the effect of its end on the mission."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def attempt(what: str) -> str:
     return TRY.replace("{what}", what)
 
 
-def said(fleet: Fleet, text: str) -> int:
+def count_logged(fleet: Fleet, text: str) -> int:
     return sum(text in line for _, _, line in fleet.log)
 
 
@@ -75,23 +75,23 @@ def when(fleet: Fleet, text: str) -> float:
 
 
 @pytest.mark.parametrize("what", ['start("patrol", 4.0);', 'running("patrol", 4.0);', 'stop("patrol", 4.0);'])
-def test_a_home_that_is_missing_is_waited_for_as_long_as_the_limit(team, what: str) -> None:
+def test_a_missing_home_is_waited_for_until_the_limit(team, what: str) -> None:
     fleet = team('sleep(5.0); print("asks");' + attempt(what))
     fleet.run(3.0)
     fleet.power_off("bravo")
     fleet.run(20.0)
-    assert said(fleet, "boss: limit: ") == 1, fleet.log
+    assert count_logged(fleet, "boss: limit: ") == 1, fleet.log
     assert 3.5 < when(fleet, "limit: ") - when(fleet, "boss: asks") < 6.0
-    assert said(fleet, "patrol started") == 0
+    assert count_logged(fleet, "patrol started") == 0
 
 
-def test_another_host_that_is_missing_prevents_no_start(team) -> None:
-    """A fallback starts because a robot is missing; the started one deals with it by its own limits."""
+def test_another_missing_host_prevents_no_start(team) -> None:
+    """A fallback starts because a robot is missing; the started coordinator has its own limits."""
     fleet = team("sleep(5.0);" + attempt('start("patrol", 4.0);'))
     fleet.run(3.0)
     fleet.lose("carol")
     fleet.run(20.0)
-    assert (said(fleet, "went on"), said(fleet, "home")) == (1, 1)
+    assert (count_logged(fleet, "went on"), count_logged(fleet, "home")) == (1, 1)
 
 
 def test_a_home_without_a_record_waits_for_the_reports_of_all_hosts(team) -> None:
@@ -105,10 +105,10 @@ def test_a_home_without_a_record_waits_for_the_reports_of_all_hosts(team) -> Non
     fleet.power_off("carol")
     fleet.boot("bravo")
     fleet.run(18.0)
-    assert (said(fleet, "boss: limit: "), said(fleet, "patrol started")) == (1, 0), fleet.log
+    assert (count_logged(fleet, "boss: limit: "), count_logged(fleet, "patrol started")) == (1, 0), fleet.log
     fleet.boot("carol")
     fleet.run(20.0)
-    assert (said(fleet, "went on"), said(fleet, "patrol started")) == (1, 1), fleet.log
+    assert (count_logged(fleet, "went on"), count_logged(fleet, "patrol started")) == (1, 1), fleet.log
 
 
 def test_an_ordered_stop_stays_in_force_after_its_limit(team) -> None:
@@ -121,14 +121,14 @@ def test_an_ordered_stop_stays_in_force_after_its_limit(team) -> None:
     for other in ("alpha", "bravo"):
         fleet.cut("carol", other)
     fleet.run(8.0)
-    assert said(fleet, "boss: limit: the time is over; patrol has not ended") == 1, fleet.log
+    assert count_logged(fleet, "boss: limit: the time is over; patrol has not ended") == 1, fleet.log
     fleet.heal_all()
     fleet.run(15.0)
-    assert said(fleet, "home") == 1, fleet.log
+    assert count_logged(fleet, "home") == 1, fleet.log
     assert not any("patrol" in life.core.machine.agents for life in fleet.lives.values())
 
 
-def test_who_may_start_and_stop(team) -> None:
+def test_start_and_stop_need_separate_rights(team) -> None:
     access = "coordinators:\n  boss:\n    Post: all\n    patrol: [start]\n"
     fleet = team(
         attempt('start("patrol", 4.0);')
@@ -138,16 +138,16 @@ def test_who_may_start_and_stop(team) -> None:
     )
     fleet.run(20.0)
     assert (
-        said(
+        count_logged(
             fleet,
             "boss: access: boss may not call patrol.stop(): mission.access.yaml:4 allows start()",
         )
         == 1
     )
-    assert said(fleet, "boss: done") == 1
+    assert count_logged(fleet, "boss: done") == 1
 
 
-def test_an_access_file_knows_what_may_be_done_with_a_startable_coordinator(team) -> None:
+def test_an_access_file_rejects_an_unknown_action_on_a_coordinator(team) -> None:
     with pytest.raises(ProgramError) as caught:
         team("", "coordinators:\n  boss:\n    patrol: [begin]\n")
     assert [found.code for found in caught.value.diagnostics] == ["Y113"]
@@ -163,13 +163,13 @@ def test_a_started_coordinator_is_recovered_and_can_be_stopped_and_started_again
     fleet.run(25.0)
     fleet.boot("carol")
     fleet.run(60.0)
-    assert said(fleet, "patrol recovered on this host as start 65539") == 1
-    assert (said(fleet, "boss: stopped"), said(fleet, "boss: again")) == (1, 1), fleet.log
-    assert said(fleet, "patrol started by boss (start 131072)") == 1
+    assert count_logged(fleet, "patrol recovered on this host as start 65539") == 1
+    assert (count_logged(fleet, "boss: stopped"), count_logged(fleet, "boss: again")) == (1, 1), fleet.log
+    assert count_logged(fleet, "patrol started by boss (start 131072)") == 1
 
 
 @pytest.mark.parametrize(("argument", "status"), [("3", exit_status.DONE), ("x", exit_status.FAILED)])
-def test_a_mission_lasts_until_what_was_started_has_ended(team, argument: str, status: int) -> None:
+def test_a_mission_lasts_until_started_coordinators_have_ended(team, argument: str, status: int) -> None:
     deployment = DEPLOYMENT.replace("p1&3", f"p1&{argument}") + "startable Patrol:never@carol?p1&1\n"
     fleet = team('start("patrol", 4.0);', deployment=deployment, lost_after=5.0)
     fleet.run(30.0)
@@ -179,4 +179,4 @@ def test_a_mission_lasts_until_what_was_started_has_ended(team, argument: str, s
 def test_a_coordinator_does_not_wait_for_itself(team) -> None:
     fleet = team("", deployment="//Post:p1@alpha\n//Boss:boss@alpha\nstartable Patrol:patrol@alpha?p1&1\n")
     fleet.run(5.0)
-    assert said(fleet, "patrol") == 0
+    assert count_logged(fleet, "patrol") == 0

@@ -1,4 +1,4 @@
-"""Bugs that the service had, or might well have, as patches of the real code: the judge must find each."""
+"""Bugs that the service had, or might have, as patches of the real code: the judge must find each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Patch = pytest.MonkeyPatch
 class PushBug:
     """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
 
-    When `seed` finds it no more, the `within` stories from 0 on are searched.
+    If `seed` no longer finds it, the `within` scenarios from 0 on are searched.
     """
 
     plant: Callable[[Patch], None]
@@ -156,7 +156,7 @@ def an_open_ballot_is_never_closed(patch: Patch) -> None:
 
 def a_result_is_not_carried_out_after_a_restart(patch: Patch) -> None:
     async def settle(self: Service) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     patch.setattr(Service, "settle", settle)
 

@@ -1,4 +1,4 @@
-"""Every planted bug of the service is found: by a known seed, or by a bounded search that names another."""
+"""Every planted bug of the service is found: by a known seed, or by a bounded search that reports another."""
 
 from __future__ import annotations
 

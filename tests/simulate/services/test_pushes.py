@@ -1,4 +1,4 @@
-"""Stories with pushes: several desks, faults in each phase, and a judge of what services promise."""
+"""Scenarios with pushes: several desks, faults in each phase, and a judge of the promises of services."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
     assert {len(story.steps) for story in stories} == {1, 2, 3}
 
 
-def test_one_seed_is_one_run() -> None:
+def test_the_same_seed_gives_the_same_run() -> None:
     assert run_push_seed(3).digest == run_push_seed(3).digest
     assert run_push_seed(3).digest != run_push_seed(4).digest
 
 
-def test_a_story_leaves_nothing_in_memory() -> None:
+def test_a_push_scenario_leaves_nothing_in_memory() -> None:
     gc.collect()
     before = sum(type(found) is Service for found in gc.get_objects())
     assert run_push_seed(0).counts["yes"]
@@ -52,7 +52,7 @@ def test_a_story_leaves_nothing_in_memory() -> None:
 
 
 @pytest.mark.few(0)
-def test_a_run_does_not_depend_on_the_process() -> None:
+def test_a_push_run_does_not_depend_on_the_process() -> None:
     """Sets of strings have another order in every process."""
     line = [sys.executable, str(Path(__file__).parents[1] / "simulate.py"), "--pushes", "--story", "5"]
     runs = [
@@ -66,7 +66,7 @@ def test_a_run_does_not_depend_on_the_process() -> None:
 
 
 @pytest.mark.few(0)
-def test_a_story_with_a_breach_is_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_push_scenario_with_a_breach_is_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:
     from planted_push_bugs import a_held_host_is_not_released
 
     a_held_host_is_not_released(monkeypatch)

@@ -4,8 +4,8 @@
 `python tests/simulate/simulate.py --pushes --seeds 1000` does that with pushes to the services of robots.
 `python tests/simulate/simulate.py MISSION.dL --seed 7 --faults cut=5 kill=20` runs a mission in virtual time.
 
-Hosts and guards are the real ones. Whatever devices the mission has do what their manifests say, and nothing
-else: what they tell are constants.
+Hosts and guards are the real ones. The devices of the mission behave as their manifests describe; their
+telemetry is constant.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from simulation_testing.seed_runner import IN_A_LINE, lines_of, run_seeds
 from simulation_testing.services.push_runner import run_push_seeds
 from simulation_testing.services.push_story import draw_push_story, run_push_story
 
-#: What can go wrong.
+#: The kinds of faults.
 FAULTS = [field.name for field in fields(FaultRates)]
 
 
 def main() -> int:
-    """Run it and print what was said; returns the exit status."""
+    """Run the command, print its result and return the exit status."""
     parser = _parser()
     args = parser.parse_args()
     if args.pushes:
@@ -52,20 +52,26 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
     parser.add_argument("--quiet", action="store_true", help="print the last line only")
     many = parser.add_argument_group("stories")
-    many.add_argument("--seeds", type=_count, metavar="N", help="tell and judge the stories of N seeds")
-    many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them")
-    many.add_argument("--processes", type=_count, default=0, metavar="N", help="one for each core")
-    many.add_argument("--pushes", action="store_true", help="stories with pushes to the services of robots")
-    many.add_argument("--outcomes", type=Path, metavar="FILE", help="write what came of each, as digests")
-    many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
+    many.add_argument("--seeds", type=_count, metavar="N", help="run and check the scenarios of N seeds")
+    many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first seed")
+    many.add_argument(
+        "--processes",
+        type=_count,
+        default=0,
+        metavar="N",
+        help="number of processes, default one for each core",
+    )
+    many.add_argument("--pushes", action="store_true", help="scenarios with pushes to the services of robots")
+    many.add_argument("--outcomes", type=Path, metavar="FILE", help="write the digest of each outcome")
+    many.add_argument("--story", type=int, metavar="SEED", help="repeat one scenario, whole or reduced:")
     for name in ("hosts", "walkers", "arms"):
         many.add_argument(f"--{name}", type=int, metavar="N")
-    many.add_argument("--as", choices=KINDS, dest="kind", help="what becomes of its coordinators")
-    many.add_argument("--keep", type=_numbers, metavar="N,N", help="the faults of it that strike")
+    many.add_argument("--as", choices=KINDS, dest="kind", help="the kind of its coordinators")
+    many.add_argument("--keep", type=_numbers, metavar="N,N", help="the numbers of the faults to inject")
     one = parser.add_argument_group("a mission")
     one.add_argument("mission", metavar="MISSION.dL", type=Path, nargs="?", help="the deployment")
-    one.add_argument("--seed", type=int, default=0, help="of everything that is left to chance")
-    one.add_argument("--seconds", type=float, help="how long it runs, in virtual time")
+    one.add_argument("--seed", type=int, default=0, help="the seed of all random numbers")
+    one.add_argument("--seconds", type=float, help="duration in virtual time")
     kinds = f"mean seconds between two faults of a kind: {', '.join(FAULTS)}"
     one.add_argument("--faults", metavar="KIND=SECONDS", type=_fault, nargs="*", default=[], help=kinds)
     return parser

@@ -1,7 +1,7 @@
-"""What goes wrong in a simulation, drawn from dice before it begins: a forecast, which is data.
+"""Faults of a simulation, drawn before it begins: a forecast, which is data.
 
-So a run can be repeated without some of its faults, which changes nothing about the others. Each fault passes
-after a while; when the weather ends everything is healed, so that what may go on can be seen to do so.
+A run can be repeated without some of its faults, which does not change the others. Each fault ends after a
+while; at the end of the forecast everything is healed, so that progress can be checked.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from lfield.simulate.host_fleet import Fleet
 from lfield.wire.observer_messages import EmergencyStopResult
 from simulation_testing.simulated_operator import AnswerChecks, Hold, SimulatedOperator
 
-#: How long a fault lasts at least and at most, in seconds, where nothing else is said.
+#: Least and greatest duration of a fault, in seconds, unless stated otherwise.
 FAULT_TIMES = (0.05, 8.0)
-#: Seconds that something takes on a slow way: what is sent on two connections comes in any order.
+#: Delay on a slow path, in seconds: messages on two connections arrive in any order.
 SLOW = (0.3, 2.0)
-#: So much of it is of what a person orders, where there is one.
+#: Share of the faults that are orders of an operator, where there is one.
 SLOW_ORDERS = 0.5
-#: Seconds that a process or a computer stands still for.
+#: Seconds for which a process or a computer is suspended.
 STOPPED = (0.05, 6.0)
-#: For how long a team is split: the majority may go on with what the others have meanwhile.
+#: For how long a team is split: the majority may continue with the coordinators of the others meanwhile.
 SPLIT = (4.0, 10.0)
-#: How long faults of some kinds last.
+#: Duration of faults of some kinds.
 LENGTHS = {"stop": STOPPED, "suspend": STOPPED, "guard_stop": STOPPED, "split": SPLIT}
 #: How fast a clock runs that drifts, as leases allow for; one that is broken; and by how many seconds a time
 #: of day jumps at most.
 DRIFT, RACE, JUMP = (0.99, 1.01), (0.9, 1.1), 1e7
-#: A forecast of no length reaches so far, in seconds.
+#: The length of a forecast without a stated length, in seconds.
 LONG = 300.0
-#: The kinds that are orders of a person, or need one.
+#: The kinds that are orders of an operator, or need one.
 ORDERS = ("estop", "pause", "wreck")
-#: So often a person goes on with what a wreck had; else that is given up.
+#: How often an operator recovers the coordinators of a wreck; otherwise they are given up.
 RECOVERS = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: when in true time, its kind, the hosts it is about, for how long, and a number in 0..1."""
+    """One fault: its true time, its kind, its hosts, its duration, and a number in 0..1."""
 
     at: float
     kind: str
@@ -85,7 +85,7 @@ class FaultRates:
     disk_slow: float = 0.0
 
     def forecast(self, hosts: Sequence[str], rng: random.Random, seconds: float) -> list[Fault]:
-        """The faults of so many seconds from now, in their order."""
+        """The faults of the next `seconds`, in order."""
         faults: list[Fault] = []
         for kind, mean in asdict(self).items():
             own = random.Random(rng.random())
@@ -98,22 +98,22 @@ class FaultRates:
         return sorted(faults, key=lambda fault: fault.at)
 
     def inject(self, fleet: Fleet, rng: random.Random, seconds: float = LONG) -> FaultInjector:
-        """Let it break over a team from now on."""
+        """Apply it to a team from now on."""
         return FaultInjector(fleet, self.forecast(fleet.mission.team.hosts, rng, seconds), NoChecks())
 
 
 class FaultInjector:
-    """A forecast that comes true over one team, until `end`. A fault of a host that is down does nothing."""
+    """Applies a forecast to one team, until `end`. A fault of a host that is down does nothing."""
 
     def __init__(self, fleet: Fleet, forecast: Iterable[Fault], judges: AnswerChecks) -> None:
         self.fleet = fleet
         forecast = list(forecast)
-        #: The person who gives orders, if anybody has to: `judges` hears what hosts answer.
+        #: The operator who gives orders, if one is needed: `judges` receives the answers of hosts.
         self.operator: SimulatedOperator | None = None
         self._judges, self._rng = judges, random.Random(repr(forecast[:1]))
         if any(fault.kind in ORDERS for fault in forecast):
             self.operator = SimulatedOperator(fleet, judges, self._rng)
-        #: Every fault that struck: when, and what.
+        #: Every fault that was applied: its time and its description.
         self.faults: list[tuple[float, str]] = []
         self._is_over = False
         kinds: Mapping[str, Callable[[Fault], None]] = {
@@ -131,7 +131,7 @@ class FaultInjector:
             self._after(fault.at, partial(self._inject, kinds[fault.kind], fault))
 
     def end(self) -> None:
-        """The sun comes out: all ways speak, all computers are on, all hosts run."""
+        """Heal everything: all paths work, all computers are on, all hosts run."""
         self._is_over = True
         for disk in self.fleet.disks.values():
             disk.full, disk.broken, disk.slow = False, False, 0.0
@@ -151,7 +151,7 @@ class FaultInjector:
     def _note(self, what: str) -> None:
         self.faults.append((self.fleet.timeline.now, what))
 
-    # --- ways -----------------------------------------------------------------------------------------
+    # --- paths ----------------------------------------------------------------------------------------
 
     def _cut(self, fault: Fault) -> None:
         self._note(f"cut {fault.one} - {fault.other}")
@@ -163,7 +163,7 @@ class FaultInjector:
         self._silence(fault.one, fault.other, fault.lasts)
 
     def _mute(self, fault: Fault) -> None:
-        """Nobody hears it, and it hears all."""
+        """No host receives from it, and it receives from all."""
         self._note(f"{fault.one} is mute")
         for other in self._others(fault.one):
             self._silence(fault.one, other, fault.lasts)
@@ -175,9 +175,10 @@ class FaultInjector:
             self._silence(other, fault.one, fault.lasts)
 
     def _swap(self, fault: Fault) -> None:
-        """One is cut off from all, then another; in between, those that have heard both are killed.
+        """One is cut off from all, then another; in between, the hosts that were in contact with both are
+        killed.
 
-        So the two never meet, and what one is told of the other is what was on the disks.
+        So the two never meet, and information about each other comes from the disks.
         """
         self._island(fault)
         swapped = replace(fault, one=fault.other, other=fault.one)
@@ -190,7 +191,7 @@ class FaultInjector:
                 self._kill(replace(fault, one=name, lasts=fault.size))
 
     def _split(self, fault: Fault) -> None:
-        """The team falls into two groups of at least two hosts, where it has that many."""
+        """The team is split into two groups of at least two hosts, where it has that many."""
         others = sorted(set(self._others(fault.one)) - {fault.other})
         count = 2 + int(fault.size * max(1, len(others) - 2))
         near = [fault.one, *random.Random(fault.size).sample(others, min(count - 1, len(others)))]
@@ -250,10 +251,10 @@ class FaultInjector:
             self._after(fault.lasts, partial(self._start, fault.one))
 
     def _gone(self, fault: Fault) -> None:
-        """It never comes back, if the others can go on without it."""
+        """It never returns, if the others can continue without it."""
         members, gone = self.fleet.mission.recovery.members, self.fleet.gone
         if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
-            self._note(f"{fault.one} is gone for good")
+            self._note(f"{fault.one} is permanently lost")
             self.fleet.lose(fault.one)
 
     def _disk_new(self, fault: Fault) -> None:
@@ -263,7 +264,7 @@ class FaultInjector:
             self._after(fault.lasts, partial(self._start, fault.one))
 
     def _start(self, name: str) -> None:
-        """Start a host again; one that is still about to end, when it has."""
+        """Start a host again; if it is still ending, after its end."""
         life = self.fleet.lives.get(name)
         if life is not None and life.shutdown_signals.first_requested.is_set():
             self._after(0.5, partial(self._start, name))
@@ -279,7 +280,7 @@ class FaultInjector:
         self._after(fault.lasts, process.loop.thaw)
 
     def _suspend(self, fault: Fault) -> None:
-        """Its monotonic clock stands still, its time of day does not; nothing comes in or goes out."""
+        """Its monotonic clock is suspended, its time of day is not; nothing is received or sent."""
         computer, clock = self.fleet.computers[fault.one], self.fleet.machines[fault.one].clock
         if clock.suspended or not self._runs(fault, "suspend"):
             return
@@ -331,7 +332,7 @@ class FaultInjector:
         disk.slow = fault.lasts
         self._after(fault.lasts, partial(setattr, disk, "slow", 0.0))
 
-    # --- orders of a person ---------------------------------------------------------------------------
+    # --- orders of an operator ------------------------------------------------------------------------
 
     def _estop(self, fault: Fault) -> None:
         if self.operator is not None:
@@ -344,7 +345,7 @@ class FaultInjector:
             self.operator.press("pause", fault.lasts)
 
     def _wreck(self, fault: Fault) -> None:
-        """A host is gone for good, and no majority may go on without it: a person must."""
+        """A host is permanently lost, and no majority may continue without it: an operator must act."""
         if self.operator is None or self.fleet.gone or self.fleet.mission.fenced:
             return
         self._note(f"{fault.one} is wrecked")
@@ -370,7 +371,7 @@ class FaultInjector:
 
 
 class NoChecks:
-    """Nobody checks what hosts answer to a person."""
+    """The answers of hosts to an operator are not checked."""
 
     def on_confirmed(self, hold: Hold, host: str, answer: EmergencyStopResult) -> None:
         """See `AnswerChecks`."""
@@ -386,4 +387,4 @@ class NoChecks:
 
 
 def _nothing() -> None:
-    """What lets a loop look at its clock."""
+    """An event that makes a loop read its clock."""

@@ -1,6 +1,6 @@
-"""Thousands of stories, over several processes: `make simulate SEEDS=10000`.
+"""Thousands of scenarios, over several processes: `make simulate SEEDS=10000`.
 
-A story in which a promise is broken is told with the command that repeats it, and again made smaller.
+A scenario with a breach is printed with the command that repeats it, and again shrunk.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from simulation_testing.scenarios.scenario_drawing import draw_scenario
 from simulation_testing.scenarios.scenario_run import RunVerdict, run_scenario
 from simulation_testing.scenarios.scenario_shrinker import command, shrink_scenario
 
-#: Seeds that a process is given at a time, and after how many it makes room for a new one.
+#: Seeds of a process at a time, and the number after which it is replaced.
 CHUNK, MAX_SEEDS_PER_PROCESS = 8, 160
-#: So many stories are made smaller at most; of the others the command is told.
+#: The most scenarios that are shrunk; of the others the command is printed.
 MAX_SHRUNK = 3
 
 
 @dataclass(slots=True)
 class SeedTally:
-    """What came of many stories."""
+    """The results of many scenarios."""
 
     runs: int = 0
     seconds: float = 0.0
@@ -43,7 +43,7 @@ class SeedTally:
     outcomes: dict[int, str] = field(default_factory=dict)
 
     def add(self, verdict: RunVerdict) -> None:
-        """One more."""
+        """Add a result."""
         self.runs += 1
         self.seconds += verdict.seconds
         self.faults += len(verdict.faults)
@@ -57,12 +57,12 @@ class SeedTally:
 
     @property
     def digest(self) -> str:
-        """What tells these runs from others."""
+        """A digest of all runs."""
         lines = (f"{seed} {digest}\n" for seed, digest in sorted(self.digests.items()))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-#: So many digits of an outcome are written, of so many seeds in a line.
+#: Digits of a written outcome, and seeds of a line.
 DIGITS, IN_A_LINE = 8, 10
 
 
@@ -78,24 +78,24 @@ def lines_of(outcomes: Mapping[int, str]) -> list[str]:
     return [" ".join([str(seeds[0]), *(outcomes[seed][:DIGITS] for seed in seeds)]) for seeds in lines]
 
 
-#: Draws the story of a seed.
+#: Draws the scenario of a seed.
 DrawScenario = Callable[[int], Scenario]
 
 
 def run_seed(seed: int, draws: DrawScenario = draw_scenario) -> RunVerdict:
-    """What came of the story of a seed."""
+    """The result of the scenario of a seed."""
     return run_scenario(draws(seed))
 
 
 def first_broken(seeds: Iterable[int], draws: DrawScenario = draw_scenario) -> RunVerdict | None:
-    """The first story of some, told one after another, in which a promise is broken."""
+    """The first scenario of these seeds with a breach."""
     verdicts = (run_seed(seed, draws) for seed in seeds)
     return next((verdict for verdict in verdicts if verdict.breaches), None)
 
 
 @contextmanager
 def _spread(seeds: range, processes: int) -> Iterator[Iterator[RunVerdict]]:
-    """What comes of the stories, as it comes."""
+    """The results of the scenarios, as they arrive."""
     if processes == 1:
         yield map(run_seed, seeds)
         return
@@ -106,7 +106,7 @@ def _spread(seeds: range, processes: int) -> Iterator[Iterator[RunVerdict]]:
 
 
 def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) -> SeedTally:
-    """Tell the stories of some seeds, and of each that breaks a promise; `processes` 0: one for each core."""
+    """Run the scenarios of some seeds, and print each breach; `processes` 0: one for each core."""
     console = console or Console()
     processes = processes or len(os.sched_getaffinity(0))
     tally, began = SeedTally(), time.monotonic()
@@ -122,7 +122,7 @@ def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) 
             if verdict.breaches:
                 _write_verdict(progress.console.print, verdict)
     for verdict in sorted(tally.broken, key=lambda verdict: verdict.story.seed)[:MAX_SHRUNK]:
-        console.print("made smaller:", highlight=False)
+        console.print("shrunk:", highlight=False)
         _write_verdict(console.print, shrink_scenario(verdict))
     took = time.monotonic() - began
     console.print(summary(tally, took), highlight=False, soft_wrap=True)
@@ -130,12 +130,12 @@ def run_seeds(seeds: range, processes: int = 0, console: Console | None = None) 
 
 
 def summary(tally: SeedTally, took: float) -> str:
-    """What came of it, in two lines; `took` is in real seconds."""
+    """The summary in two lines; `took` is in real seconds."""
     kinds = Counter(verdict.breaches[0].name for verdict in tally.broken)
     of = f" ({', '.join(f'{name} {count}' for name, count in sorted(kinds.items()))})" if kinds else ""
     return (
         f"{tally.runs:,} seeds, {len(tally.broken):,} breaches{of}; "
-        f"{tally.faults:,} faults, {tally.calls:,} calls, {tally.restarts:,} restarts told, "
+        f"{tally.faults:,} faults, {tally.calls:,} calls, {tally.restarts:,} restarts, "
         f"{tally.recovered:,} recoveries\n"
         f"{tally.seconds:,.0f} virtual seconds in {took:,.1f} s: {tally.seconds / took:,.0f} per second; "
         f"digest {tally.digest[:16]}"
@@ -143,7 +143,7 @@ def summary(tally: SeedTally, took: float) -> str:
 
 
 def _write_verdict(write: Callable[..., None], verdict: RunVerdict) -> None:
-    """What was broken, how large the story is, and how to repeat it."""
+    """Print the breach, the size of the scenario, and the command that repeats it."""
     story = verdict.story
     write(f"{verdict.breaches[0]}", markup=False, highlight=False, soft_wrap=True)
     size = (

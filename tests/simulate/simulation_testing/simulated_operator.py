@@ -1,7 +1,7 @@
-"""A person at a computer beside a simulated team, who gives the orders that the commands give.
+"""An operator at a computer beside a simulated team, who gives the orders of the commands.
 
-Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over links of their
-own. What is held (a stop, a pause) is taken back after a while, and at the end whatever the hosts still hold.
+Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over separate
+links. A hold (a stop, a pause) is lifted after a while, and at the end whatever the hosts still hold.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ from lfield.operator.team_model.team_state import HostState
 from lfield.simulate.host_fleet import Fleet, host_at_address
 from lfield.wire.observer_messages import EmergencyStopResult, StartRequest, StartResponse
 
-#: What holds until it is taken back.
+#: The orders that hold until they are lifted.
 Hold = Literal["stop", "pause"]
 REASON = "pressed in a simulation"
-#: A set of tasks in the order of their begin: that of a set depends on addresses in memory.
+#: A set of tasks in the order of their start: that of a set depends on addresses in memory.
 Tasks = dict[asyncio.Task[None], None]
 
 _Hosts = Mapping[HostRef, HostState]
 
 
 class AnswerChecks(Protocol):
-    """Whoever checks what the answers promise."""
+    """The checks of answers."""
 
     def on_confirmed(self, hold: Hold, host: str, answer: EmergencyStopResult) -> None:
-        """A host has answered that it is stopped, or paused."""
+        """A host has confirmed that it is stopped, or paused."""
 
     def on_lifting(self, hold: Hold) -> None:
-        """From now on a host may hear that this is over."""
+        """From now on a host may receive the end of the hold."""
 
     def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
         """These hosts have given up a coordinator, up to these starts."""
 
     def on_recovery_by_operator(self) -> None:
-        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
+        """A host is lost, and the operator recovers its coordinators from copies, or gives them up."""
 
 
 class SimulatedOperator:
-    """The person. `checks` hears what hosts have answered, and that an order ends before any host does."""
+    """The operator. `checks` receives the answers of hosts, and the end of an order before any host does."""
 
     def __init__(self, fleet: Fleet, checks: AnswerChecks, rng: random.Random) -> None:
         self._fleet, self._checks = fleet, checks
@@ -69,14 +69,15 @@ class SimulatedOperator:
         #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
         self._held: dict[Hold, float] = {}
         self.presses: Counter[Hold] = Counter()
-        #: What gives an order of a kind, and what takes one back, until every host has answered. A person
+        #: The task that gives an order of a kind, and the task that lifts one, until every host has
+        #: answered. The operator
         #: does one of the two at a time.
         self._pressing: defaultdict[Hold, Tasks] = defaultdict(dict)
         self._lifting: defaultdict[Hold, Tasks] = defaultdict(dict)
-        #: What is to be done with coordinators whose host is gone for good.
+        #: The pending actions for coordinators of lost hosts.
         self._orphans: dict[str, Callable[[str, _Hosts], Awaitable[bool]]] = {}
         self._retries = self._starts = False
-        #: How many orders of a kind hosts have carried out.
+        #: The number of executed orders of a kind.
         self.carried_out: Counter[str] = Counter()
 
     def _start_task(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -85,7 +86,7 @@ class SimulatedOperator:
     # --- stop and pause -------------------------------------------------------------------------------
 
     def press(self, hold: Hold, seconds: float) -> None:
-        """Stop or pause the team, and take that back after so many seconds."""
+        """Stop or pause the team, and lift that after so many seconds."""
         self._interrupt(self._lifting.pop(hold, {}))
         self.presses[hold] += 1
         self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
@@ -94,7 +95,7 @@ class SimulatedOperator:
             self._start_task(partial(self._order, hold, place))
 
     def _interrupt(self, tasks: Tasks) -> None:
-        """As by Ctrl-C: what is on its way already may come later."""
+        """Interrupt as by Ctrl-C: messages in flight may arrive later."""
         for task in list(tasks):
             self._process.loop.enter(task.cancel)
 
@@ -102,7 +103,7 @@ class SimulatedOperator:
         press = self.presses[hold]
         with _registered(self._pressing[hold]):
             answer = await self._ask(place, self._request(hold, lift=False))
-        # An answer that comes when the button is let go promises nothing any more.
+        # An answer that arrives when the button is released promises nothing.
         if isinstance(answer, EmergencyStopResult) and hold in self._held and press == self.presses[hold]:
             self.carried_out[hold] += 1
             self._checks.on_confirmed(hold, place.host, answer)
@@ -132,7 +133,8 @@ class SimulatedOperator:
             await self._start()
 
     async def _start(self) -> None:
-        """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
+        """Start like `lfield start --without` the lost hosts: coordinators that were not started during a
+        stop."""
         request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, is_retried=True)
         self._starts = True
         try:
@@ -140,17 +142,17 @@ class SimulatedOperator:
         finally:
             self._starts = False
 
-    # --- coordinators of hosts that are gone ----------------------------------------------------------
+    # --- coordinators of lost hosts -------------------------------------------------------------------
 
     def lose(self, *, recovers: bool) -> None:
-        """A host is gone for good: go on with each coordinator that went there, or else give it up."""
+        """A host is permanently lost: recover each coordinator that went there, or give it up."""
         go = self._recover if recovers else self._forget
         self._checks.on_recovery_by_operator()
         self._orphans = {member.id: go for member in self._fleet.mission.team.coordinators}
         self.retry_orphans()
 
     def retry_orphans(self) -> None:
-        """Try what could not be done so far."""
+        """Retry the actions that were not possible so far."""
         if self._orphans and not self._retries:
             self._retries = True
             self._start_task(self._retry)
@@ -160,14 +162,14 @@ class SimulatedOperator:
             hosts = host_states(await ask_all(self._transport, self._places, SNAPSHOT))
             for agent, go in list(self._orphans.items()):
                 done = self._was_lost(agent, hosts) and await go(agent, hosts)
-                # A coordinator that was recovered may go to that host again before its link times out.
+                # A recovered coordinator may hop to that host again before its link times out.
                 if done and go != self._recover:
                     del self._orphans[agent]
         finally:
             self._retries = False
 
     def _was_lost(self, agent: str, hosts: _Hosts) -> bool:
-        """Whether the newest that anybody knows of a coordinator is that it went to a host that is gone."""
+        """Whether the newest known state of a coordinator is that it went to a lost host."""
         silent = {place.host for place, host in hosts.items() if not host.linked}
         known = [known for _, known in records(agent, hosts)]
         newest = max(known, key=lambda known: (known.generation, known.hops, known.sequence), default=None)
@@ -204,7 +206,7 @@ class SimulatedOperator:
     # --- the end --------------------------------------------------------------------------------------
 
     def free_all(self) -> None:
-        """Take back all that may hold; to be repeated, since an order may still be on its way to a host."""
+        """Lift all holds; to be repeated, since an order may still be in flight to a host."""
         for hold in list(self._held):
             del self._held[hold]
             self._checks.on_lifting(hold)
@@ -217,7 +219,7 @@ class SimulatedOperator:
 
 @contextmanager
 def _registered(tasks: Tasks) -> Iterator[None]:
-    """The task that runs now is one of these meanwhile."""
+    """The current task is in `tasks` meanwhile."""
     task = asyncio.current_task()
     assert task is not None
     tasks[task] = None

@@ -1,4 +1,4 @@
-"""A new start waits for the hosts that a mission needs, and says for which. Whole hosts, in virtual time."""
+"""A new start waits for the hosts that a mission needs, and names them. Whole hosts, in virtual time."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def fleets() -> Iterator[list[Fleet]]:
         fleet.close()
 
 
-def said(fleet: Fleet, text: str, host: str = "") -> int:
+def count_logged(fleet: Fleet, text: str, host: str = "") -> int:
     return sum(text in line and host in ("", name) for _, name, line in fleet.log)
 
 
@@ -70,7 +70,7 @@ def status(fleet: Fleet, host: str) -> Status:
 
 
 def started(fleet: Fleet) -> bool:
-    return said(fleet, "boss: begins") > 0
+    return count_logged(fleet, "boss: begins") > 0
 
 
 def event(fleet: Fleet, entry: HostInput) -> None:
@@ -80,7 +80,7 @@ def event(fleet: Fleet, entry: HostInput) -> None:
 
 
 def alone(made: Mission, *absent: str, keeps: bool = True) -> Fleet:
-    """A fleet of which some hosts are not there yet."""
+    """A fleet of which some hosts have not started yet."""
     fleet = Fleet(made, 1, options=FleetOptions(keeps=keeps))
     for name in absent:
         fleet.power_off(name)
@@ -102,10 +102,10 @@ def test_a_new_start_waits_for_every_host_with_resources_and_for_no_other(
     fleet.run(3.0)
     assert started(fleet)
     assert status(fleet, "alpha").start is None
-    assert said(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss: begins") == 1
 
 
-def test_without_a_record_a_witness_is_heard_too_unless_it_is_left_out(tmp_path: Path) -> None:
+def test_without_a_record_a_witness_must_answer_unless_it_is_left_out(tmp_path: Path) -> None:
     made = mission(tmp_path, "dora")
     fleet = Fleet(made, 1, options=FleetOptions(keeps=False))
     fleet.power_off("dora")
@@ -115,20 +115,20 @@ def test_without_a_record_a_witness_is_heard_too_unless_it_is_left_out(tmp_path:
     fleet.run(10.0)
     assert started(fleet)
     warning = "boss started without proof: this host has no record of earlier starts, and dora did not answer"
-    assert said(fleet, warning, "alpha") == 1
+    assert count_logged(fleet, warning, "alpha") == 1
 
 
-def test_a_host_that_is_left_out_by_the_devices_file_may_come_later(tmp_path: Path) -> None:
+def test_a_host_left_out_by_the_devices_file_may_start_later(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path, "carol", seconds=4.0), "carol")
     fleet.run(5.0)
     assert started(fleet)
     fleet.boot("carol")
     fleet.run(20.0)
-    assert said(fleet, "works", "carol") == 1
-    assert said(fleet, "boss: ends") == 1
+    assert count_logged(fleet, "works", "carol") == 1
+    assert count_logged(fleet, "boss: ends") == 1
 
 
-def test_a_command_starts_without_a_host_and_refuses_one_that_there_is_not(tmp_path: Path) -> None:
+def test_a_command_starts_without_a_host_and_refuses_an_unknown_one(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
     core = fleet.lives["alpha"].core
@@ -142,28 +142,28 @@ def test_a_command_starts_without_a_host_and_refuses_one_that_there_is_not(tmp_p
     assert (answer.started, answer.waiting, answer.trouble) == (["boss"], None, "")
     fleet.run(1.0)
     assert started(fleet)
-    # Whoever asks again gets the answer that nothing waits.
+    # A repeated command gets the answer that nothing waits.
     assert core.startup.start(["carol"]) == core.startup.start([])
 
 
-def test_a_host_that_is_lost_before_the_start_is_waited_for_again(tmp_path: Path) -> None:
+def test_a_host_lost_before_the_start_is_waited_for_again(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
     fleet.cut("alpha", "bravo")
     fleet.boot("carol")
     fleet.run(10.0)
     assert not started(fleet)
-    assert said(fleet, "bravo (its link was lost", "alpha")
+    assert count_logged(fleet, "bravo (its link was lost", "alpha")
     fleet.heal_all()
     fleet.run(5.0)
     assert started(fleet)
 
 
-def test_the_log_names_what_is_waited_for_at_once_and_then_ever_more_rarely(tmp_path: Path) -> None:
+def test_missing_hosts_are_logged_at_once_and_then_less_often(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(3.0)
     line = "boss not started: waiting for carol (no link yet)"
-    assert said(fleet, line, "alpha") == 1
+    assert count_logged(fleet, line, "alpha") == 1
     fleet.run(1200.0)
     times = [at for at, _, text in fleet.log if line in text]
     gaps = [later - at for at, later in pairwise(times)]
@@ -181,7 +181,7 @@ def other_bundle(fleet: Fleet, host: str, made: Mission) -> None:
     fleet.mission = before
 
 
-def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: Path) -> None:
+def test_a_host_with_another_bundle_prevents_the_start_and_both_report_it(tmp_path: Path) -> None:
     ours, theirs = b"\x11" * 32, b"\x22" * 32
     made = replace(mission(tmp_path), release=BundleId(ours))
     fleet = alone(made, "carol")
@@ -194,8 +194,8 @@ def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: P
     assert (refused.bundle, words in refused.reason or "carol runs" in refused.reason) == (theirs, True)
     assert {one.bundle for one in status(fleet, "carol").refused} == {ours}
     assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
-    assert said(fleet, "boss not started: waiting for carol (refused: ", "alpha")
-    assert said(fleet, "runs bundle 2222222222222222", "alpha")
+    assert count_logged(fleet, "boss not started: waiting for carol (refused: ", "alpha")
+    assert count_logged(fleet, "runs bundle 2222222222222222", "alpha")
     # The right bundle is copied there, and it joins.
     fleet.crash("carol")
     fleet.boot("carol")
@@ -204,7 +204,7 @@ def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: P
     assert status(fleet, "alpha").refused == []
 
 
-def test_what_goes_on_from_the_journal_waits_for_nobody(tmp_path: Path) -> None:
+def test_a_coordinator_restored_from_the_journal_does_not_wait(tmp_path: Path) -> None:
     for ends in ("crash", "stop"):
         fleet = Fleet(mission(tmp_path, seconds=8.0), 1)
         fleet.run(4.0)
@@ -215,8 +215,8 @@ def test_what_goes_on_from_the_journal_waits_for_nobody(tmp_path: Path) -> None:
             fleet.power_off(name)
         fleet.boot("alpha")
         fleet.run(5.0)
-        assert said(fleet, "boss: restarted", "alpha") == 1
-        assert not said(fleet, "not started: ")
+        assert count_logged(fleet, "boss: restarted", "alpha") == 1
+        assert not count_logged(fleet, "not started: ")
         fleet.close()
 
 
@@ -244,7 +244,7 @@ def test_a_stop_of_the_host_ends_the_wait(tmp_path: Path) -> None:
     assert not started(fleet)
 
 
-def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tmp_path: Path) -> None:
+def test_a_pause_during_the_wait_holds_the_start_until_the_resume(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
     event(fleet, PauseOrdered(True))
@@ -263,7 +263,7 @@ def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_p
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
-    # To lift it moves nothing.
+    # The lift itself starts nothing.
     event(fleet, StopOrdered(""))
     fleet.run(20.0)
     start = status(fleet, "alpha").start
@@ -275,7 +275,7 @@ def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_p
     assert started(fleet)
 
 
-def test_in_an_overlay_the_start_needs_all_hosts_and_not_only_the_neighbours(tmp_path: Path) -> None:
+def test_in_an_overlay_the_start_needs_all_hosts_not_only_neighbours(tmp_path: Path) -> None:
     names = [f"h{number:02}" for number in range(14)]
     team = "//Boss:boss@h00?{0}\n" + "".join(f"//Post:p{name}@{name}\n" for name in names)
     made = mission(tmp_path, team=team)
@@ -303,8 +303,8 @@ def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
     assert fleet.left == dict.fromkeys(fleet.mission.team.hosts, 0)
 
 
-def test_a_start_that_waits_for_hosts_and_for_a_lease_costs_no_processor(tmp_path: Path) -> None:
-    """What is due for the log is not looked at again and again while something else is waited for."""
+def test_a_start_that_waits_for_hosts_and_a_lease_uses_no_processor_time(tmp_path: Path) -> None:
+    """Due log lines are not evaluated repeatedly while the start waits for something else."""
     text = PROGRAM.replace('print("begins");', 'heartbeatInterval(3.0); print("begins");')
     made = mission(tmp_path, text=text)
     fleet = Fleet(made, 1)

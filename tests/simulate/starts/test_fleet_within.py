@@ -1,4 +1,4 @@
-"""`within` bounds what it encloses, whatever hosts cannot be reached. Whole hosts, in virtual time."""
+"""`within` limits its block, also if hosts cannot be reached. Whole hosts, in virtual time."""
 
 from __future__ import annotations
 
@@ -53,20 +53,20 @@ Event = Callable[[Fleet], None]
 
 
 def slow(seconds: float) -> Event:
-    """All that hosts say to one another is on its way for so long."""
+    """All messages between hosts take so long."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for one in fleet.machines:
             for other in fleet.machines:
                 fleet.network.ways.slow[one, other] = seconds, seconds
 
-    return happens
+    return apply
 
 
-def island(host: str, *, quietly: bool = False) -> Event:
-    """Nobody can reach a host; `quietly`: its links seem to stand."""
+def isolate(host: str, *, quietly: bool = False) -> Event:
+    """A host is cut off; `quietly`: its links seem to stand."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             if other != host and quietly:
                 fleet.network.silence(host, other)
@@ -74,45 +74,45 @@ def island(host: str, *, quietly: bool = False) -> Event:
             elif other != host:
                 fleet.cut(host, other)
 
-    return happens
+    return apply
 
 
 def process(host: str, *, frozen: bool) -> Event:
-    """The process of a host stands still, or is killed."""
+    """The process of a host is suspended, or killed."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         if frozen:
             fleet.lives[host].process.loop.freeze()
         else:
             fleet.crash(host)
 
-    return happens
+    return apply
 
 
-def mute(host: str) -> Event:
-    """A host hears all, and nobody hears it."""
+def cut_outgoing(host: str) -> Event:
+    """A host receives from all, and no host receives from it."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             fleet.network.silence(host, other)
 
-    return happens
+    return apply
 
 
-def deaf(host: str) -> Event:
-    """All hear a host, and it hears nobody."""
+def cut_incoming(host: str) -> Event:
+    """All hosts receive from a host, and it receives from none."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         for other in fleet.machines:
             fleet.network.silence(other, host)
 
-    return happens
+    return apply
 
 
 def ends(
     folder: Path, body: str, script: dict[float, Event], within: float = 60.0, transit: float = 0.0
 ) -> tuple[float, str]:
-    """After how many seconds the block has ended, and how; events are by seconds since then."""
+    """The seconds after which the block has ended, and how; events are by seconds since its begin."""
     (folder / "mission.L").write_text(PROGRAM.replace("//body", body))
     (folder / "mission.dL").write_text(TEAM)
     fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1)
@@ -147,33 +147,33 @@ def of(one: float, two: float) -> str:
 @pytest.mark.parametrize(
     ("body", "script"),
     [
-        # Both are under way, and the host of one is cut off: at the begin, in the middle, at the very end.
-        (of(20.0, 20.0), {0.5: island("bravo")}),
-        (of(20.0, 20.0), {3.9: island("bravo")}),
-        (of(0.5, 20.0), {1.0: island("bravo")}),
-        (of(20.0, 0.5), {0.2: island("bravo")}),
-        # It cannot be reached from the beginning, or its link is silent: nobody is told that it is gone.
-        (of(0.5, 0.5), {-1.0: island("carol")}),
-        (of(0.5, 0.5), {-1.0: island("bravo")}),
-        (of(20.0, 20.0), {1.5: island("bravo", quietly=True)}),
+        # Both calls run, and the host of one is cut off: at the begin, in the middle, at the very end.
+        (of(20.0, 20.0), {0.5: isolate("bravo")}),
+        (of(20.0, 20.0), {3.9: isolate("bravo")}),
+        (of(0.5, 20.0), {1.0: isolate("bravo")}),
+        (of(20.0, 0.5), {0.2: isolate("bravo")}),
+        # It cannot be reached from the beginning, or its link is silent without notice.
+        (of(0.5, 0.5), {-1.0: isolate("carol")}),
+        (of(0.5, 0.5), {-1.0: isolate("bravo")}),
+        (of(20.0, 20.0), {1.5: isolate("bravo", quietly=True)}),
         (of(20.0, 20.0), {1.0: process("bravo", frozen=True)}),
         (of(20.0, 20.0), {1.0: process("bravo", frozen=False)}),
-        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo", quietly=True)}),
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: isolate("bravo", quietly=True)}),
         ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: process("bravo", frozen=True)}),
         ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: process("bravo", frozen=True)}),
-        (WORKS_TWICE, {0.3: island("carol", quietly=True)}),
-        # One inside the other: the nearer end counts, and no catch inside keeps it.
-        (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: island("bravo")}),
-        (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: island("bravo")}),
-        # What else waits for a host.
-        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: island("bravo")}),
-        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: island("bravo")}),
+        (WORKS_TWICE, {0.3: isolate("carol", quietly=True)}),
+        # Nested blocks: the nearer end counts, and no catch inside keeps it.
+        (f"within (30.0) {{ {of(20.0, 20.0)} }}", {0.5: isolate("bravo")}),
+        (of(20.0, 20.0).replace("4.0", "30.0").join(("within (4.0) { ", " }")), {0.5: isolate("bravo")}),
+        # Other waits for a host.
+        ('within (4.0) { findPost("one").work(1, 0.5); }', {-1.0: isolate("bravo")}),
+        ('within (4.0) { reserve (findPost("one")) { sleep(1.0); } }', {-1.0: isolate("bravo")}),
         ("within (4.0) { sleep(60.0); }", {}),
         ('within (4.0) { findPost("zero").alone(60.0); }', {}),
         ("within (4.0) { while (true) { findPost(); yield(); } }", {}),
     ],
 )
-def test_a_block_ends_with_its_time_though_a_host_cannot_be_reached(
+def test_a_block_ends_in_time_although_a_host_cannot_be_reached(
     tmp_path: Path, body: str, script: dict[float, Event]
 ) -> None:
     seconds, how = ends(tmp_path, body, dict(script))
@@ -186,56 +186,56 @@ def test_a_block_ends_with_its_time_though_a_host_cannot_be_reached(
 @pytest.mark.parametrize(
     "script",
     [
-        {3.4: island("bravo", quietly=True)},
-        # Also one that was heard a moment before the end is asked when the time is over.
-        {3.88: island("bravo", quietly=True)},
-        {3.94: island("bravo", quietly=True)},
-        {3.99: island("bravo", quietly=True)},
-        {3.96: island("carol", quietly=True)},
-        # Then it stands on the host that is cut off.
-        {3.0: island("carol", quietly=True)},
-        {3.0: mute("bravo")},
-        {1.0: deaf("bravo")},
+        {3.4: isolate("bravo", quietly=True)},
+        # Also a host that was in contact just before the end is asked when the time is over.
+        {3.88: isolate("bravo", quietly=True)},
+        {3.94: isolate("bravo", quietly=True)},
+        {3.99: isolate("bravo", quietly=True)},
+        {3.96: isolate("carol", quietly=True)},
+        # Then the coordinator is on the host that is cut off.
+        {3.0: isolate("carol", quietly=True)},
+        {3.0: cut_outgoing("bravo")},
+        {1.0: cut_incoming("bravo")},
         {3.0: process("bravo", frozen=True)},
         {3.0: lambda fleet: fleet.power_off("bravo")},
     ],
 )
-def test_a_link_that_falls_silent_just_before_the_end_costs_the_time_of_one_sign_of_life(
+def test_a_link_that_becomes_silent_just_before_the_end_costs_one_sign_of_life(
     tmp_path: Path, script: dict[float, Event]
 ) -> None:
-    """The coordinator is not sent into the silence, where it would stay in doubt as long as that lasts."""
+    """The coordinator is not sent over the silent link, where it would stay in doubt."""
     seconds, how = ends(tmp_path, of(20.0, 20.0), dict(script))
     assert seconds == pytest.approx(4.0 + ANSWER_GRACE, abs=0.1), how
     assert how.startswith("time limit: the time is over; one.work() was not reached"), how
     assert how.endswith("; the block ends 0.3 s late: it waited for its calls and their hosts"), how
 
 
-def test_several_silent_hosts_cost_the_time_of_one_sign_of_life(tmp_path: Path) -> None:
+def test_several_silent_hosts_cost_one_sign_of_life_together(tmp_path: Path) -> None:
     last = 'got[1] = findPost("two").work(2, 20.0);'
     body = of(20.0, 20.0).replace(last, f'{last} findPost("zero").work(3, 20.0);')
-    # It has begun what is on carol last, and stands there.
-    seconds, how = ends(tmp_path, body, {3.5: island("carol", quietly=True)})
+    # It has begun the call on carol last, and is there.
+    seconds, how = ends(tmp_path, body, {3.5: isolate("carol", quietly=True)})
     assert seconds == pytest.approx(4.0 + ANSWER_GRACE, abs=0.1), how
     assert how.count("was not reached") == 2, how
 
 
-def test_leaving_a_together_by_an_exception_is_bounded_by_the_limit_around_it(tmp_path: Path) -> None:
+def test_an_exception_out_of_together_is_limited_by_the_enclosing_block(tmp_path: Path) -> None:
     body = """within (4.0) { together {
                 got[0] = findPost("one").work(1, 20.0);
                 sleep(1.0);
                 got[1] = findPost("two").work(2, 20.0);
                 findPost("zero").work(7 / (got.length() - 2), 1.0);
             } }"""
-    seconds, how = ends(tmp_path, body, {0.5: island("bravo")})
+    seconds, how = ends(tmp_path, body, {0.5: isolate("bravo")})
     assert seconds < 4.1, how
     assert how.startswith(("else: division by zero", "time limit: "))
 
 
-def test_a_copy_in_doubt_stays_and_the_exception_says_by_how_much_it_is_late(tmp_path: Path) -> None:
-    """It has been sent when the links fall silent: nothing is sent twice, and nothing is taken back."""
+def test_a_copy_in_doubt_stays_and_the_exception_names_the_delay(tmp_path: Path) -> None:
+    """It has been sent when the links become silent: nothing is repeated, and nothing is undone."""
     body = 'within (4.0) { findPost("two").work(2, 0.5); }'
     seconds, how = ends(
-        tmp_path, body, {0.0: island("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
+        tmp_path, body, {0.0: isolate("carol", quietly=True), 12.0: lambda fleet: fleet.heal_all()}
     )
     assert seconds > 12.0
     late = re.match(r"time limit: the time is over, ([0-9.]+) s late(.*)", how)
@@ -244,7 +244,7 @@ def test_a_copy_in_doubt_stays_and_the_exception_says_by_how_much_it_is_late(tmp
     assert late[2].startswith((" since it was sent to carol", " since it was on its way", ": "))
 
 
-def test_a_call_that_takes_long_to_be_cancelled_makes_the_block_late_and_that_is_said(tmp_path: Path) -> None:
+def test_a_slow_cancellation_delays_the_block_and_is_reported(tmp_path: Path) -> None:
     seconds, how = ends(tmp_path, 'within (4.0) { findPost("zero").tidies(2.0); }', {})
     assert seconds == pytest.approx(6.0, abs=0.1)
     assert how == (
@@ -258,7 +258,7 @@ def test_a_call_that_takes_long_to_be_cancelled_makes_the_block_late_and_that_is
     ), how
 
 
-def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tmp_path: Path) -> None:
+def test_a_finally_block_is_not_interrupted_and_its_delay_is_reported(tmp_path: Path) -> None:
     body = "within (4.0) { try { sleep(3.0); } finally { sleep(3.0); } sleep(60.0); }"
     seconds, how = ends(tmp_path, body, {})
     assert seconds == pytest.approx(6.0, abs=0.1)
@@ -269,11 +269,11 @@ def test_a_finally_is_not_cut_short_and_the_exception_says_what_that_has_cost(tm
 def paused(host: str, *, on: bool) -> Event:
     """The mission is paused at a host, or resumed there."""
 
-    def happens(fleet: Fleet) -> None:
+    def apply(fleet: Fleet) -> None:
         life = fleet.lives[host]
         life.process.loop.enter(lambda: life.host.dispatch(PauseOrdered(on)))
 
-    return happens
+    return apply
 
 
 @pytest.mark.parametrize(
@@ -283,7 +283,7 @@ def paused(host: str, *, on: bool) -> Event:
         (of(20.0, 20.0), {1.0: process("carol", frozen=True), 10.0: lambda fleet: fleet.heal_all()}),
     ],
 )
-def test_a_host_that_runs_no_programs_when_the_time_is_over_makes_the_block_late_and_that_is_said(
+def test_a_paused_or_suspended_host_delays_the_block_and_is_reported(
     tmp_path: Path, body: str, script: dict[float, Event]
 ) -> None:
     seconds, how = ends(tmp_path, body, dict(script))
@@ -294,7 +294,7 @@ def test_a_host_that_runs_no_programs_when_the_time_is_over_makes_the_block_late
     assert float(late[1]) == pytest.approx(seconds - 4.0, abs=0.2)
 
 
-def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: Path) -> None:
+def test_a_paused_remote_host_does_not_delay_a_block(tmp_path: Path) -> None:
     seconds, how = ends(tmp_path, of(20.0, 20.0), {1.0: paused("bravo", on=True)})
     assert seconds == pytest.approx(4.0, abs=0.1), how
 
@@ -310,7 +310,7 @@ def test_a_host_that_is_paused_does_not_keep_a_block_beyond_its_time(tmp_path: P
     ],
 )
 def test_the_time_between_hosts_counts(tmp_path: Path, body: str) -> None:
-    """0.5 s each way, which the heartbeats of the links have measured before the block begins."""
+    """0.5 s in each direction, which heartbeats have measured before the block begins."""
     seconds, how = ends(tmp_path, body, {}, transit=0.5)
     assert how.startswith("time limit: the time is over"), how
     late = re.search(r"([0-9.]+) s late", how)
@@ -319,7 +319,8 @@ def test_the_time_between_hosts_counts(tmp_path: Path, body: str) -> None:
 
 @pytest.mark.parametrize("seconds", [0.3, 1.2])
 def test_a_hop_that_would_arrive_too_late_is_not_begun(tmp_path: Path, seconds: float) -> None:
-    """It stays where it is, and the block ends in time; the exception says why. A question comes first."""
+    """The coordinator stays, and the block ends in time; the exception names the reason. A query comes
+    first."""
     body = f'within ({seconds}) {{ sleep({max(0.0, seconds - 0.3)}); findPost("one").work(1, 20.0); }}'
     took, how = ends(tmp_path, body, {}, transit=0.5)
     assert took == pytest.approx(seconds, abs=0.05), how

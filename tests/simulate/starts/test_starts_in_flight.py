@@ -1,11 +1,11 @@
-"""A new start while vehicles are off the ground, or where that is not known. Whole hosts, in virtual time."""
+"""A new start while vehicles are off the ground, or their state is unknown. Whole hosts, in virtual time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from test_fleet_starts import event, mission, said, started, status
+from test_fleet_starts import count_logged, event, mission, started, status
 
 from lfield.host.inputs import StartOrdered
 from lfield.mission.loader import load_mission
@@ -26,30 +26,30 @@ coordinator Boss {
 
 
 @pytest.mark.parametrize("keeps", [True, False])
-def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_anew(
+def test_a_restart_while_a_vehicle_is_off_the_ground_starts_no_coordinator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, keeps: bool
 ) -> None:
     (tmp_path / "mission.L").write_text(FLIES)
     (tmp_path / "mission.dL").write_text("//Boss:boss@alpha\n//Post:two@bravo\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=keeps))
     fleet.run(5.0)
-    assert said(fleet, "boss: begins") == said(fleet, "boss: ends") == 1
-    # The coordinator has ended and its vehicle flies on.
+    assert count_logged(fleet, "boss: begins") == count_logged(fleet, "boss: ends") == 1
+    # The coordinator has ended and its vehicle still flies.
     monkeypatch.setitem(hardware.VALUES, "boolean", False)  # type: ignore[arg-type]  # it is a dict
     fleet.run(1.0)
     fleet.stop("alpha")
     fleet.run(2.0)
     fleet.boot("alpha")
     fleet.run(5.0)
-    assert said(fleet, "boss: begins") == 1
-    assert said(fleet, "boss not started: two.fc of bravo is off the ground", "alpha") == 1
-    # It has landed: nothing takes off again by itself.
+    assert count_logged(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss not started: two.fc of bravo is off the ground", "alpha") == 1
+    # It has landed: it does not take off again by itself.
     monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
     fleet.run(30.0)
-    assert said(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss: begins") == 1
     event(fleet, StartOrdered([]))
     fleet.run(1.0)
-    assert said(fleet, "boss: begins") == 2
+    assert count_logged(fleet, "boss: begins") == 2
 
 
 def flying_team(folder: Path, team: str, without: str = "") -> Mission:
@@ -57,13 +57,13 @@ def flying_team(folder: Path, team: str, without: str = "") -> Mission:
 
 
 @pytest.mark.parametrize(("without", "order"), [("", ["alpha", "bravo"]), ("bravo", ["bravo", "alpha"])])
-def test_a_start_waits_until_each_vehicle_of_a_linked_host_says_whether_it_is_on_the_ground(
+def test_a_start_waits_until_vehicles_of_linked_hosts_report_ground_contact(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: str, order: list[str]
 ) -> None:
     """A host is linked before it has opened its devices, and a host that is left out may be linked."""
     fleet = Fleet(flying_team(tmp_path, "//Boss:boss@alpha\n//Post:two@bravo\n", without), 1)
     fleet.run(5.0)
-    assert said(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss: begins") == 1
     monkeypatch.setitem(hardware.VALUES, "boolean", False)  # type: ignore[arg-type]  # it is a dict
     fleet.run(1.0)
     fleet.stop("alpha")
@@ -73,13 +73,13 @@ def test_a_start_waits_until_each_vehicle_of_a_linked_host_says_whether_it_is_on
         fleet.boot(name)
         fleet.run(1.0)
     fleet.run(10.0)
-    assert said(fleet, "boss: begins") == 1
+    assert count_logged(fleet, "boss: begins") == 1
     start = status(fleet, "alpha").start
     assert start is not None
     assert start.held == "two.fc of bravo is off the ground: land first"
 
 
-def test_a_vehicle_that_does_not_say_where_it_is_stops_the_start_until_its_host_is_left_out(
+def test_a_vehicle_without_a_report_prevents_the_start_until_its_host_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(hardware.VALUES, "boolean", None)  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def test_a_vehicle_that_does_not_say_where_it_is_stops_the_start_until_its_host_
     assert start is not None
     assert (start.hosts, start.held) == (["bravo"], "")
     why = "boss not started: waiting for bravo (two.fc has not reported whether it is on the ground)"
-    assert said(fleet, why, "alpha") >= 1
+    assert count_logged(fleet, why, "alpha") >= 1
     event(fleet, StartOrdered(["bravo"]))
     fleet.run(2.0)
     assert started(fleet)

@@ -1,4 +1,4 @@
-"""Stories drawn from seeds keep every promise; one in which one is broken is found and made smaller."""
+"""Scenarios drawn from seeds keep every promise; one with a breach is found and shrunk."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from simulation_testing.seed_runner import run_seed, run_seeds
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("first", range(0, 96, 12))
-def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
+def test_scenarios_with_all_kinds_of_faults_keep_every_promise(first: int) -> None:
     calls = restarts = 0
     for seed in range(first, first + 12):
         verdict = run_seed(seed)
@@ -44,7 +44,7 @@ def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     assert restarts > 0
 
 
-def test_stories_of_crews_keep_every_promise() -> None:
+def test_crew_scenarios_keep_every_promise() -> None:
     calls = recovered = 0
     for seed in range(8):
         verdict = run_seed(seed, crew)
@@ -55,7 +55,7 @@ def test_stories_of_crews_keep_every_promise() -> None:
     assert recovered > 0
 
 
-def test_stories_of_racers_keep_every_promise() -> None:
+def test_racer_scenarios_keep_every_promise() -> None:
     recovered = 0
     ways = Counter[str]()
     for seed in range(12):
@@ -70,7 +70,7 @@ def test_stories_of_racers_keep_every_promise() -> None:
 
 
 @pytest.mark.few(0)
-def test_stories_of_keepers_keep_every_promise() -> None:
+def test_keeper_scenarios_keep_every_promise() -> None:
     recovered = 0
     rounds, begun = Counter[str](), Counter[str]()
     for seed in range(16):
@@ -86,7 +86,7 @@ def test_stories_of_keepers_keep_every_promise() -> None:
     assert {"done", "taken", "lost", "failed", "restarted"} <= rounds.keys()
 
 
-def test_a_judge_sees_what_it_judges() -> None:
+def test_the_judge_observes_all_kinds_of_events() -> None:
     judge = RunJudge()
     story = replace(draw_scenario(1), keep=frozenset(), walkers=3, arms=0, stay=0.04)
     judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
@@ -98,8 +98,8 @@ def test_a_judge_sees_what_it_judges() -> None:
     judge.fleet.close()
 
 
-def test_a_judge_sees_a_call_for_a_copy_that_has_a_successor() -> None:
-    """Two hosts that go on with one coordinator, which no host does: the judge need not ask it."""
+def test_the_judge_finds_a_call_for_a_superseded_copy() -> None:
+    """Two hosts continue one coordinator, which no real host does: the judge finds it independently."""
     judge = RunJudge()
     story = replace(fenced(1), keep=frozenset(), hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
     judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
@@ -124,13 +124,13 @@ def test_a_judge_sees_a_call_for_a_copy_that_has_a_successor() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_judge_sees_a_number_that_is_given_again_while_the_first_waits_elsewhere(
+def test_the_judge_finds_a_repeated_number_while_the_first_start_waits_elsewhere(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has called nothing, and the devices where it has come to are not open yet."""
+    """It has made no call, and the devices of its host are not open yet."""
     greeting = Mobility.handshake_states
     monkeypatch.setattr(Mobility, "handshake_states", lambda self, waiting: greeting(self))
-    # A start waits until vehicles say that they are on the ground, so until devices are open.
+    # A start waits until vehicles report that they are on the ground, so until devices are open.
     monkeypatch.setattr(Mission, "vehicles_of", lambda self, host: [])
     judge = RunJudge()
     story = replace(draw_scenario(1), keep=frozenset(), hosts=3, walkers=1, arms=2, calls=FOR_EVER, stay=0.04)
@@ -148,8 +148,8 @@ def test_a_judge_sees_a_number_that_is_given_again_while_the_first_waits_elsewhe
 
 
 @pytest.mark.few(0)
-def test_a_story_is_the_same_in_every_process() -> None:
-    """Sets of strings have another order in each."""
+def test_a_scenario_is_the_same_in_every_process() -> None:
+    """Sets of strings have another order in each process."""
     line = [sys.executable, str(Path(__file__).parents[1] / "simulate.py"), "--story", "11", "--quiet"]
     environment = {**os.environ, "PYTHONHASHSEED": "77"}
     other = subprocess.run(line, env=environment, capture_output=True, text=True, check=True).stdout
@@ -158,7 +158,7 @@ def test_a_story_is_the_same_in_every_process() -> None:
 
 
 @pytest.mark.few(0)
-def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
+def test_a_breach_is_reported_with_its_command_and_shrunk(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def overdue(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
@@ -193,11 +193,11 @@ def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
         (CoordinatorRecord("w", 1, "RUN", block=b"x"), False),
     ],
 )
-def test_some_disk_must_hold_a_state_to_go_on_from(page: CoordinatorRecord, held: bool) -> None:
+def test_some_disk_must_hold_a_state_to_continue(page: CoordinatorRecord, held: bool) -> None:
     assert unsaved_starts([StartCounter(2), page], [("w", 2)]) == ([] if held else [("w", 2)])
 
 
-def test_where_a_start_went_last_is_told_by_the_highest_number() -> None:
+def test_the_last_place_of_a_start_has_the_highest_number() -> None:
     def page(state, sequence: int, target: str = "") -> CoordinatorRecord:
         return CoordinatorRecord("w0", 1, state, sequence, 1, target=target)
 

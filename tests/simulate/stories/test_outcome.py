@@ -1,4 +1,4 @@
-"""The outcome of a story: what it covers, and that it depends on the seed alone."""
+"""The outcome of a scenario: its contents, and its dependence on the seed alone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simulation_testing.command_line import main
 from simulation_testing.seed_runner import SeedTally, run_seed
 
 
-def test_another_log_line_changes_the_digest_of_a_story_and_not_its_outcome(
+def test_a_changed_log_line_changes_the_digest_and_not_the_outcome(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     before, write = run_seed(3), ProcessLog.write
@@ -25,7 +25,7 @@ def test_another_log_line_changes_the_digest_of_a_story_and_not_its_outcome(
     assert after.outcome == before.outcome
 
 
-def test_another_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_changed_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
     before = run_seed(11)
 
     def resumes(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
@@ -35,8 +35,8 @@ def test_another_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) 
     assert run_seed(11).outcome != before.outcome
 
 
-def test_a_story_of_orders_is_the_same_at_other_addresses_in_memory() -> None:
-    """The tasks of the operator are cancelled in the order of their begin."""
+def test_a_scenario_with_orders_is_the_same_at_other_memory_addresses() -> None:
+    """The tasks of the operator are cancelled in the order of their start."""
     kept: list[object] = []
     outcomes = set()
     for _ in range(3):
@@ -55,7 +55,7 @@ def test_outcomes_are_written_to_a_file(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("words", [["--seeds", "15"], ["--seeds", "10", "--first", "10"]])
-def test_outcomes_are_written_of_all_seeds_from_the_first_in_tens(
+def test_outcomes_are_written_for_all_seeds_in_groups_of_ten(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["simulate", *words, "--outcomes", str(tmp_path / "outcomes.txt")])

@@ -1,4 +1,4 @@
-"""Stories of orders of a person, of wrecks, of split and large teams, and of slow computers."""
+"""Scenarios with orders of an operator, wrecks, split and large teams, and slow computers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from simulation_testing.simulated_operator import Hold, SimulatedOperator
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["split", "wrecked", "crowd", "flown"])
-def test_rarer_stories_keep_every_promise(kind: str) -> None:
+def test_rare_scenarios_keep_every_promise(kind: str) -> None:
     seen = Counter[str]()
     for seed in range(3):
         verdict = run_seed(seed, KINDS[kind])
@@ -35,7 +35,7 @@ def test_rarer_stories_keep_every_promise(kind: str) -> None:
     assert kind != "wrecked" or seen["recover"] + seen["forget"] > 0
 
 
-def test_hosts_keep_what_they_confirm_to_a_person() -> None:
+def test_hosts_keep_confirmed_orders() -> None:
     seen = Counter[str]()
     for seed in range(6):
         story = under_orders(replace(plain(seed), journals=True), random.Random(seed))
@@ -45,7 +45,7 @@ def test_hosts_keep_what_they_confirm_to_a_person() -> None:
     assert min(seen["stop"], seen["pause"]) > 3
 
 
-def test_seeds_draw_stories_of_all_kinds() -> None:
+def test_seeds_draw_scenarios_of_all_kinds() -> None:
     stories = [draw_scenario(seed) for seed in range(400)]
     assert {story.kind for story in stories} == KINDS.keys()
     struck = {kind for story in stories for kind in story.means}
@@ -53,14 +53,14 @@ def test_seeds_draw_stories_of_all_kinds() -> None:
     assert {story.slowness for story in stories} > {1.0}
 
 
-def test_a_team_of_more_than_nine_hosts_has_links_with_neighbours_only() -> None:
+def test_a_team_of_more_than_nine_hosts_links_only_neighbours() -> None:
     mission = KINDS["crowd"](0).mission
     hosts = mission.team.hosts
     assert len(Overlay(hosts, 0).neighbours) < len(hosts) - 1
 
 
 def test_code_takes_processor_time_on_a_slow_computer() -> None:
-    """So a host that runs much code comes late with all that it does."""
+    """A host that runs much code is late with all its actions."""
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=3, arms=0, calls=FOR_EVER, stay=0.04)
     calls = []
     for slowness in (1.0, 1000.0):
@@ -74,7 +74,7 @@ def test_code_takes_processor_time_on_a_slow_computer() -> None:
     assert calls[1] < 0.5 * calls[0]
 
 
-def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
+def test_an_operator_stops_and_pauses_a_team_until_it_is_lifted() -> None:
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
     judge = RunJudge()
     fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
@@ -101,7 +101,7 @@ def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
 
 
 @pytest.mark.parametrize("hold", ["stop", "pause"])
-def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(hold: Hold) -> None:
+def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
     judge = RunJudge()
     fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
@@ -114,7 +114,7 @@ def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(
     fleet.run(4.0)
     operator.press(hold, 1.0)
     fleet.run(0.9)
-    # What takes that back is on a link of its own, and on its way to h0 for some seconds.
+    # The lift has its own link, and is in flight to h0 for some seconds.
     fleet.network.ways.slow["operator", "h0"] = 2.0, 2.0
     fleet.run(3.5)
     assert held() == [True, False, False]
@@ -134,10 +134,10 @@ def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(
     fleet.close()
 
 
-def test_a_story_leaves_nothing_in_memory() -> None:
-    """What the processes of a simulation leave is freed with it: 2,000 stories fit into one process."""
+def test_a_scenario_leaves_nothing_in_memory() -> None:
+    """The objects of the simulated processes are freed with it: 2,000 scenarios fit into one process."""
     gc.collect()
-    # Not isinstance: it asks weak references of other tests for the class of what is gone.
+    # Not isinstance: it asks weak references of other tests for the class of freed objects.
     before = sum(type(found) is Host for found in gc.get_objects())
     verdict = run_seed(0)
     assert verdict.calls

@@ -1,4 +1,4 @@
-"""Somebody who watches hosts of a fleet, and the team that most are about."""
+"""A client that watches hosts of a fleet, and the team of most tests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 @dataclass(eq=False)
 class EventWatcher:
-    """Somebody who watches one host of a fleet, by whole messages; `reads` when it says what it has seen."""
+    """A client that watches one host of a fleet, by whole messages; `reads` tells whether it acknowledges."""
 
     fleet: Fleet
     host: str
@@ -58,7 +58,7 @@ class EventWatcher:
             life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
 
     def order(self, message: EmergencyStop | Pause) -> None:
-        """An order that names what the host says of itself now."""
+        """Send an order with the present epochs of the host."""
         self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
 
     def send(self, message: object) -> None:
@@ -99,14 +99,14 @@ def fleet_of(folder: Path, program: str = PROGRAM, team: str = TEAM, seed: int =
 
 
 def watch(fleet: Fleet, host: str, message: Subscribe | None = None, **options: bool) -> EventWatcher:
-    eye = EventWatcher(fleet, host, **options)
-    eye.say(message or Subscribe())
-    return eye
+    watcher = EventWatcher(fleet, host, **options)
+    watcher.say(message or Subscribe())
+    return watcher
 
 
-def chain(eye: EventWatcher, event: Event) -> list[str]:
-    """The kinds of what led to an event, the last one first."""
-    known, kinds = eye.by_number(), []
+def chain(watcher: EventWatcher, event: Event) -> list[str]:
+    """The kinds of the causes of an event, the last one first."""
+    known, kinds = watcher.by_number(), []
     while event.cause in known:
         event = known[event.cause]
         kinds.append(event.kind)

@@ -1,4 +1,4 @@
-"""What a host tells whoever watches it, in virtual time: hops with causes, latches, every line of its log."""
+"""The events of a watched host, in virtual time: hops with causes, latches, every line of its log."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
         assert isinstance(there, events.MigrationArrived)
         assert (there.of, there.size) == ("alpha", what.size)
         assert what.size > 100
-    # What it did here led to its leaving: it came, its portal began, commanded the copter, and ended.
+    # The causes of the departure: it arrived, its portal began, commanded the copter, and ended.
     last = chain(alpha, left[-2])
     assert last[:6] == ["printed", "ended", "answered", "asked", "began", "came"]
     hopped = alpha.of(events.MigrationConfirmed)
@@ -46,28 +46,28 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
 def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(5.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.run(10.0)
-    ended = [event.what for event in eye.of(events.PortalCallEnded)]
+    ended = [event.what for event in watcher.of(events.PortalCallEnded)]
     assert ended
     for what in ended:
         assert isinstance(what, events.PortalCallEnded)
         assert (what.agent, what.resource, what.portal, what.how) == ("walker", "p", "climb", "done")
         assert what.seconds > 0.0
-    answered = [event.what for event in eye.of(events.DeviceCallEnded)]
+    answered = [event.what for event in watcher.of(events.DeviceCallEnded)]
     assert {(w.agent, w.device, w.instruction, w.error) for w in answered} == {  # type: ignore[union-attr]
         ("p", "p.fc", "takeoff", "")
     }
 
 
-def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_path: Path) -> None:
+def test_every_line_of_log_and_output_is_one_event_and_vice_versa(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Subscribe(1))
+    watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(20.0)
     lines = "".join(text for _, host, text in fleet.log if host == "alpha").splitlines()
     told = []
-    for event in eye.states:
+    for event in watcher.states:
         what = event.what
         if isinstance(what, events.LineLogged):
             told.append(what.text)
@@ -77,73 +77,73 @@ def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_p
     assert len(told) > 10
 
 
-def test_states_are_numbered_without_a_gap_from_the_first_moment(tmp_path: Path) -> None:
+def test_events_are_numbered_without_a_gap_from_the_start(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(6.0)
-    eye = watch(fleet, "alpha", Subscribe(1, 0, 5.0))
+    watcher = watch(fleet, "alpha", Subscribe(1, 0, 5.0))
     fleet.run(6.0)
-    assert eye.batches[0].snapshot is not None
-    numbers = [event.number for event in eye.states]
+    assert watcher.batches[0].snapshot is not None
+    numbers = [event.number for event in watcher.states]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert any(isinstance(event.what, events.AgentStarted) for event in eye.states)
-    times = [event.up for event in eye.states]
+    assert any(isinstance(event.what, events.AgentStarted) for event in watcher.states)
+    times = [event.up for event in watcher.states]
     assert times == sorted(times)
 
 
-def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -> None:
+def test_an_emergency_stop_causes_the_latches_of_all_devices(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.run(1.0)
-    eye.order(EmergencyStop(token_bytes(16), "people on the field"))
+    watcher.order(EmergencyStop(token_bytes(16), "people on the field"))
     fleet.run(6.0)
-    (stopped,) = eye.of(events.EmergencyStopChanged)
+    (stopped,) = watcher.of(events.EmergencyStopChanged)
     assert stopped.what == events.EmergencyStopChanged("the eye", "people on the field")
-    (latched,) = eye.of(events.DeviceLatched)
+    (latched,) = watcher.of(events.DeviceLatched)
     assert latched.cause == stopped.number
-    (confirmed,) = eye.of(events.SafeStateConfirmed)
+    (confirmed,) = watcher.of(events.SafeStateConfirmed)
     assert confirmed.cause == latched.number
-    assert chain(eye, eye.of(events.DeviceMoving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
-    assert eye.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
+    assert chain(watcher, watcher.of(events.DeviceMoving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
+    assert watcher.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
     assert 0.0 <= latched.up - stopped.up < 0.2
-    eye.order(EmergencyStop(token_bytes(16), "", lift=True))
+    watcher.order(EmergencyStop(token_bytes(16), "", lift=True))
     fleet.run(0.5)
-    assert eye.of(events.EmergencyStopChanged)[-1].what == events.EmergencyStopChanged(
+    assert watcher.of(events.EmergencyStopChanged)[-1].what == events.EmergencyStopChanged(
         "the eye", "", lifted=True
     )
 
 
-def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> None:
+def test_a_pause_and_its_end_are_reported_with_the_person(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha")
-    eye.order(Pause(token_bytes(16)))
+    watcher = watch(fleet, "alpha")
+    watcher.order(Pause(token_bytes(16)))
     fleet.run(6.0)
-    eye.order(Pause(token_bytes(16), lift=True))
+    watcher.order(Pause(token_bytes(16), lift=True))
     fleet.run(6.0)
-    paused, resumed = eye.of(events.PauseChanged)
+    paused, resumed = watcher.of(events.PauseChanged)
     assert (paused.what, resumed.what) == (
         events.PauseChanged("the eye"),
         events.PauseChanged("the eye", lifted=True),
     )
-    assert [e.cause for e in eye.of(events.DeviceLatched)] == [paused.number]
-    assert chain(eye, eye.of(events.DeviceReleased)[0])
+    assert [e.cause for e in watcher.of(events.DeviceLatched)] == [paused.number]
+    assert chain(watcher, watcher.of(events.DeviceReleased)[0])
 
 
-def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> None:
+def test_broken_links_and_restarted_hosts_are_reported(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.run(0.1)
     fleet.crash("beta")
     fleet.run(4.0)
-    assert eye.of(events.LinkDown)[-1].what == events.LinkDown("beta")
+    assert watcher.of(events.LinkDown)[-1].what == events.LinkDown("beta")
     fleet.boot("beta")
     fleet.run(6.0)
-    assert eye.of(events.LinkUp)[-1].what == events.LinkUp("beta", restarted=True)
+    assert watcher.of(events.LinkUp)[-1].what == events.LinkUp("beta", restarted=True)
 
 
-def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) -> None:
+def test_positions_of_agents_are_sent_at_the_requested_rate(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     often, seldom = (
@@ -167,7 +167,7 @@ def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) ->
     assert min(gaps) > 0.15
 
 
-def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_watcher_that_reconnects_continues_at_its_last_event(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     first = watch(fleet, "alpha")
@@ -184,7 +184,7 @@ def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not any(batch.lost for batch in second.batches)
 
 
-def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tmp_path: Path) -> None:
+def test_a_restarted_host_sends_all_its_events_to_a_watcher_of_the_earlier_life(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
     before = watch(fleet, "alpha")
@@ -193,90 +193,90 @@ def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tm
     fleet.crash("alpha")
     fleet.boot("alpha")
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Subscribe(life, 5000))
+    watcher = watch(fleet, "alpha", Subscribe(life, 5000))
     fleet.run(1.0)
-    assert eye.batches[0].incarnation != life
-    assert isinstance(eye.batches[0].snapshot, Status)
-    assert eye.states[0].number == 1
+    assert watcher.batches[0].incarnation != life
+    assert isinstance(watcher.batches[0].snapshot, Status)
+    assert watcher.states[0].number == 1
 
 
-def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None:
+def test_a_watcher_that_stops_reading_gets_a_window_and_then_the_end(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
+    watcher = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
     other = watch(fleet, "alpha", Subscribe(telemetry=10.0))
     fleet.run(50.0)
-    assert len(eye.batches) == WINDOW
-    assert eye.refused == ""
+    assert len(watcher.batches) == WINDOW
+    assert watcher.refused == ""
     fleet.run(20.0)
-    assert eye.refused == "what it watches was not read for 60 s"
-    # One more says what it has lost, should it read that one day.
-    assert len(eye.batches) == WINDOW + 1
-    assert eye.batches[-1].lost.keys() == {"measured", "standing", "path"}
+    assert watcher.refused == "what it watches was not read for 60 s"
+    # A last message has the number of its lost events.
+    assert len(watcher.batches) == WINDOW + 1
+    assert watcher.batches[-1].lost.keys() == {"measured", "standing", "path"}
     assert len(other.batches) > 600
     assert not any("state" in batch.lost for batch in other.batches)
 
 
-def test_a_slow_watcher_loses_telemetry_is_told_so_and_loses_no_state(tmp_path: Path) -> None:
+def test_a_slow_watcher_loses_only_telemetry_and_is_informed(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Subscribe(telemetry=20.0), reads=False)
+    watcher = watch(fleet, "alpha", Subscribe(telemetry=20.0), reads=False)
     for _ in range(20):
         fleet.run(2.0)
-        eye.say(EventAck(eye.batches[-1].batch))
-    eye.reads = True
+        watcher.say(EventAck(watcher.batches[-1].batch))
+    watcher.reads = True
     fleet.run(2.0)
-    lost = [kind for batch in eye.batches for kind in batch.lost]
+    lost = [kind for batch in watcher.batches for kind in batch.lost]
     assert {"measured"} <= set(lost) <= events.TELEMETRY
-    numbers = [event.number for event in eye.states]
+    numbers = [event.number for event in watcher.states]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_one_more_than_may_watch_is_told_so(tmp_path: Path) -> None:
+def test_a_watcher_beyond_the_limit_is_refused(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(2.0)
-    eyes = [watch(fleet, "alpha") for _ in range(17)]
+    watchers = [watch(fleet, "alpha") for _ in range(17)]
     fleet.run(0.5)
-    assert [eye.refused for eye in eyes] == [*[""] * 16, "16 others watch alpha already"]
+    assert [watcher.refused for watcher in watchers] == [*[""] * 16, "16 others watch alpha already"]
 
 
-def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
+def test_repeated_subscriptions_do_not_keep_a_host_busy(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(2.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     for _ in range(500):
-        eye.say(Subscribe())
-    assert len(eye.batches) == 1
+        watcher.say(Subscribe())
+    assert len(watcher.batches) == 1
     fleet.run(1.0)
-    assert [batch.batch for batch in eye.batches[:2]] == [1, 1]
-    assert len(eye.batches) < 25
+    assert [batch.batch for batch in watcher.batches[:2]] == [1, 1]
+    assert len(watcher.batches) < 25
 
 
-def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Path) -> None:
+def test_a_host_that_ends_reports_it_and_the_rest_of_its_devices(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.run(0.2)
     fleet.stop("alpha")
     fleet.run(30.0)
-    (ending,) = eye.of(events.HostStopping)
-    (latched,) = eye.of(events.DeviceLatched)
+    (ending,) = watcher.of(events.HostStopping)
+    (latched,) = watcher.of(events.DeviceLatched)
     assert latched.cause == ending.number
-    assert eye.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
+    assert watcher.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
 
 
-def test_nothing_is_told_of_portal_calls_before_somebody_watches(tmp_path: Path) -> None:
+def test_portal_calls_are_not_reported_without_a_watcher(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(10.0)
     core = fleet.lives["alpha"].core
     assert core.machine.hooks.observer is None
-    eye = watch(fleet, "alpha", Subscribe(1))
+    watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(5.0)
     assert core.machine.hooks.observer is not None
-    began = eye.of(events.PortalCallStarted)
+    began = watcher.of(events.PortalCallStarted)
     assert began
     assert min(event.up for event in began) > 9.0
-    assert eye.of(events.MigrationStarted)[0].up < 9.0
+    assert watcher.of(events.MigrationStarted)[0].up < 9.0
 
 
 BUSY = """
@@ -292,42 +292,42 @@ coordinator Walker {
 """
 
 
-def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
+def test_too_frequent_events_are_counted(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Subscribe(1))
+    watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(12.0)
     skipped: dict[str, int] = {}
-    for event in eye.of(events.EventsDropped):
+    for event in watcher.of(events.EventsDropped):
         what = event.what
         assert isinstance(what, events.EventsDropped)
         skipped[what.skipped] = skipped.get(what.skipped, 0) + what.count
-    assert len(eye.of(events.PortalCallStarted)) + skipped["began"] == 12000
-    assert len(eye.of(events.PortalCallEnded)) == len(eye.of(events.PortalCallStarted))
-    assert len(eye.of(events.Printed)) + skipped["printed"] == 20000
-    assert not any(batch.lost for batch in eye.batches)
+    assert len(watcher.of(events.PortalCallStarted)) + skipped["began"] == 12000
+    assert len(watcher.of(events.PortalCallEnded)) == len(watcher.of(events.PortalCallStarted))
+    assert len(watcher.of(events.Printed)) + skipped["printed"] == 20000
+    assert not any(batch.lost for batch in watcher.batches)
 
 
-def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
+def test_an_exception_of_a_portal_is_reported_with_its_end(tmp_path: Path) -> None:
     program = PROGRAM.replace("fc.takeoff(height);", "int none = 0; print(i2s(1 / none));")
     fleet = fleet_of(tmp_path, program)
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Subscribe(1))
+    watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(6.0)
-    (ended,) = eye.of(events.PortalCallEnded)
+    (ended,) = watcher.of(events.PortalCallEnded)
     assert isinstance(ended.what, events.PortalCallEnded)
     assert (ended.what.how, ended.what.detail) == ("thrown", "ArithmeticException: division by zero")
-    (finished,) = eye.of(events.AgentFinished)
+    (finished,) = watcher.of(events.AgentFinished)
     assert isinstance(finished.what, events.AgentFinished)
     assert finished.what.how == "died"
     assert finished.what.detail.startswith("ArithmeticException")
-    assert chain(eye, finished)[:2] == ["ended", "began"]
+    assert chain(watcher, finished)[:2] == ["ended", "began"]
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("seed", range(4))
-def test_a_run_is_the_same_whether_or_not_it_is_watched(tmp_path: Path, seed: int) -> None:
-    """A watcher changes nothing of what the team does: not one line, nor when."""
+def test_a_run_is_the_same_with_and_without_a_watcher(tmp_path: Path, seed: int) -> None:
+    """A watcher does not change the actions of the team: no log line, and no time."""
 
     def logged(*, watched: bool) -> list[tuple[str, str]]:
         fleet = fleet_of(tmp_path, seed=seed)

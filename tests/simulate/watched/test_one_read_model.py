@@ -1,4 +1,4 @@
-"""A command that takes one snapshot and a page that follows events have the same state of a host."""
+"""A snapshot and a sequence of events give the same state of a host."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def asked(fleet: Fleet) -> HostState:
     return host_states({"alpha": batch})["alpha"]
 
 
-def essence(host: HostState) -> dict[str, object]:
-    """What events change."""
+def comparable_state(host: HostState) -> dict[str, object]:
+    """The parts of a state that events change."""
     held = {name: (each.latched, each.confirmed, each.moving) for name, each in host.devices.items()}
     known = "linked", "stopped", "paused", "waits_for", "start_held", "refused", "bundle", "ending"
     return {
@@ -47,38 +47,38 @@ def essence(host: HostState) -> dict[str, object]:
     }
 
 
-def stop(fleet: Fleet, eye: EventWatcher) -> None:
-    eye.order(EmergencyStop(token_bytes(16), "people on the field"))
+def stop(fleet: Fleet, watcher: EventWatcher) -> None:
+    watcher.order(EmergencyStop(token_bytes(16), "people on the field"))
 
 
-def lift(fleet: Fleet, eye: EventWatcher) -> None:
-    eye.order(EmergencyStop(token_bytes(16), "", lift=True))
+def lift(fleet: Fleet, watcher: EventWatcher) -> None:
+    watcher.order(EmergencyStop(token_bytes(16), "", lift=True))
 
 
-def pause(fleet: Fleet, eye: EventWatcher) -> None:
-    eye.order(Pause(token_bytes(16)))
+def pause(fleet: Fleet, watcher: EventWatcher) -> None:
+    watcher.order(Pause(token_bytes(16)))
 
 
-def crash(fleet: Fleet, eye: EventWatcher) -> None:
+def crash(fleet: Fleet, watcher: EventWatcher) -> None:
     fleet.crash("beta")
 
 
-def boot(fleet: Fleet, eye: EventWatcher) -> None:
+def boot(fleet: Fleet, watcher: EventWatcher) -> None:
     fleet.boot("beta")
 
 
 @pytest.mark.parametrize("steps", [(stop, lift), (pause, stop), (crash, boot)])
-def test_events_lead_to_the_state_that_a_snapshot_has(
+def test_events_lead_to_the_state_of_a_snapshot(
     tmp_path: Path, steps: Sequence[Callable[[Fleet, EventWatcher], None]]
 ) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye, states = watch(fleet, "alpha", Subscribe(telemetry=5.0)), []
+    watcher, states = watch(fleet, "alpha", Subscribe(telemetry=5.0)), []
     for step in steps:
-        step(fleet, eye)
+        step(fleet, watcher)
         fleet.run(6.0)
-        states.append(essence(asked(fleet)))
-        assert essence(followed(eye.batches)) == states[-1]
+        states.append(comparable_state(asked(fleet)))
+        assert comparable_state(followed(watcher.batches)) == states[-1]
     assert states[0] != states[1]
 
 

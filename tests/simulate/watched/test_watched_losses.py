@@ -1,4 +1,4 @@
-"""What is told when hosts, links and coordinators are lost, and of who can be called. In virtual time."""
+"""The events of lost hosts, links and coordinators, and of changed offers. In virtual time."""
 
 from __future__ import annotations
 
@@ -67,17 +67,17 @@ def mission(folder: Path, interval: str = "", team: str = TEAM) -> Mission:
 
 
 def holder(fleet: Fleet, *others: str) -> str:
-    """Let time go on until the coordinator runs on a host that is none of these."""
+    """Run until the coordinator runs on a host that is none of these."""
     for _ in range(2000):
         for name, life in fleet.lives.items():
             agent = life.core.machine.agents.get("walker")
             if name not in others and agent is not None and not agent.frozen:
                 return name
         fleet.run(0.05)
-    raise AssertionError("it is nowhere")
+    raise AssertionError("the coordinator runs on no host")
 
 
-def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path) -> None:
+def test_the_host_that_recovers_a_coordinator_reports_it(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 1)
     fleet.run(20.0)
     lost = holder(fleet)
@@ -85,7 +85,9 @@ def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path)
     fleet.run(0.2)
     fleet.lose(lost)
     fleet.run(60.0)
-    found = [(name, event) for name, eye in left.items() for event in eye.of(events.CoordinatorRecovered)]
+    found = [
+        (name, event) for name, watcher in left.items() for event in watcher.of(events.CoordinatorRecovered)
+    ]
     ((name, recovered),) = found
     assert isinstance(recovered.what, events.CoordinatorRecovered)
     agent = fleet.lives[name].core.machine.agents.get("walker")
@@ -93,29 +95,31 @@ def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path)
     assert recovered.what.agent == "walker"
     assert agent is not None or any(event.number > recovered.number for event in later)
     assert any(
-        event.what == events.LinkDown(lost) for eye in left.values() for event in eye.of(events.LinkDown)
+        event.what == events.LinkDown(lost)
+        for watcher in left.values()
+        for event in watcher.of(events.LinkDown)
     )
 
 
-def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: Path) -> None:
+def test_a_coordinator_that_cannot_leave_stays_with_an_exception(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 1)
     fleet.run(8.0)
     assert holder(fleet, "bravo") == "alpha"
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.crash("bravo")
     fleet.run(40.0)
-    stayed = eye.of(events.MigrationFailed)
+    stayed = watcher.of(events.MigrationFailed)
     assert stayed
     what = stayed[0].what
     assert isinstance(what, events.MigrationFailed)
     assert (what.agent, what.to, what.exception) == ("walker", "bravo", "UnreachableResourceException")
     assert "bravo" in what.reason
-    printed = next(e for e in eye.of(events.Printed) if e.number > stayed[0].number)
+    printed = next(e for e in watcher.of(events.Printed) if e.number > stayed[0].number)
     assert printed.what == events.Printed("walker", "away")
     assert printed.cause == stayed[0].number
 
 
-def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_path: Path) -> None:
+def test_an_abandoned_device_is_made_safe_with_its_cause(tmp_path: Path) -> None:
     made = mission(tmp_path)
     bound = {
         agent: {name: structs.replace(d, without_policy=OrphanPolicy(10.0, "hold")) for name, d in of.items()}
@@ -124,24 +128,24 @@ def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_p
     fleet = Fleet(replace(made, bindings=replace(made.bindings, devices=bound)), 1)
     fleet.run(12.0)
     gone = holder(fleet)
-    eyes = {name: watch(fleet, name) for name in fleet.lives if name != gone}
+    watchers = {name: watch(fleet, name) for name in fleet.lives if name != gone}
     fleet.run(0.1)
     fleet.lose(gone)
     fleet.run(60.0)
-    latched = [(eye, event) for eye in eyes.values() for event in eye.of(events.DeviceLatched)]
+    latched = [
+        (watcher, event) for watcher in watchers.values() for event in watcher.of(events.DeviceLatched)
+    ]
     assert latched
-    for eye, event in latched:
+    for watcher, event in latched:
         assert isinstance(event.what, events.DeviceLatched)
         assert "no coordinator that used it (walker" in event.what.reason
-        led = eye.by_number().get(event.cause)
+        led = watcher.by_number().get(event.cause)
         assert led is None or led.what.agent == "walker"  # type: ignore[union-attr]
         assert event.cause > 0
 
 
 @pytest.mark.parametrize("asks_for_capabilities", [True, False])
-def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
-    tmp_path: Path, asks_for_capabilities: bool
-) -> None:
+def test_changed_offers_are_reported_with_their_cause(tmp_path: Path, asks_for_capabilities: bool) -> None:
     if asks_for_capabilities:
         (tmp_path / "mission.L").write_text(HOISTS)
         (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
@@ -150,51 +154,51 @@ def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
     (tmp_path / "mission.dL").write_text("//Hoist:one@alpha\n//Hoist:two@bravo\n//Foreman:foreman@alpha\n")
     fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)
     fleet.run(10.0)
-    eye = watch(fleet, "alpha")
+    watcher = watch(fleet, "alpha")
     fleet.run(3.0)
-    snapshot = eye.batches[0].snapshot
+    snapshot = watcher.batches[0].snapshot
     assert snapshot is not None
     assert [(told.agent, told.refusal) for told in snapshot.directory] == [("one", ""), ("two", "")]
-    assert not eye.of(events.OfferWithdrawn) + eye.of(events.OfferPublished)
-    eye.order(EmergencyStop(token_bytes(16), "why"))
+    assert not watcher.of(events.OfferWithdrawn) + watcher.of(events.OfferPublished)
+    watcher.order(EmergencyStop(token_bytes(16), "why"))
     fleet.crash("bravo")
     fleet.run(5.0)
-    withdrawn = {event.what.agent: event for event in eye.of(events.OfferWithdrawn)}  # type: ignore[union-attr]
+    withdrawn = {event.what.agent: event for event in watcher.of(events.OfferWithdrawn)}  # type: ignore[union-attr]
     assert withdrawn.keys() == {"one", "two"}
-    assert "stopped" in chain(eye, withdrawn["one"])
-    assert chain(eye, withdrawn["two"]) == ["unlinked"]
+    assert "stopped" in chain(watcher, withdrawn["one"])
+    assert chain(watcher, withdrawn["two"]) == ["unlinked"]
     assert "unreachable" in withdrawn["two"].what.reason  # type: ignore[union-attr]
     fleet.boot("bravo")
     fleet.run(8.0)
-    (offered,) = eye.of(events.OfferPublished)
+    (offered,) = watcher.of(events.OfferPublished)
     assert offered.what == events.OfferPublished("two")
-    assert chain(eye, offered) == ["linked"]
+    assert chain(watcher, offered) == ["linked"]
 
 
-def test_a_coordinator_goes_on_from_the_journal_of_its_host(tmp_path: Path) -> None:
+def test_a_coordinator_continues_from_the_journal_of_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, team="//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha\n"), 3)
     fleet.run(10.0)
     assert holder(fleet, "bravo") == "alpha"
     fleet.crash("alpha")
     fleet.boot("alpha")
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Subscribe(1))
+    watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(8.0)
-    assert eye.states[0].number == 1
-    (kept,) = [e for e in eye.of(events.AgentStarted) if e.what.agent == "walker"]  # type: ignore[union-attr]
+    assert watcher.states[0].number == 1
+    (kept,) = [e for e in watcher.of(events.AgentStarted) if e.what.agent == "walker"]  # type: ignore[union-attr]
     assert kept.what == events.AgentStarted("walker", 1, kept=True)
 
 
-def reads_all(eye: EventWatcher) -> bool:
-    """Whether no state is missing in what it was told."""
-    numbers = [event.number for event in eye.states]
+def reads_all(watcher: EventWatcher) -> bool:
+    """Whether it has received every event."""
+    numbers = [event.number for event in watcher.states]
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> None:
+def test_no_event_is_missing_under_faults_of_links_and_hosts(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 5)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Subscribe(telemetry=10.0))
+    watcher = watch(fleet, "alpha", Subscribe(telemetry=10.0))
     for _ in range(6):
         fleet.cut("alpha", "bravo")
         fleet.run(3.0)
@@ -203,6 +207,6 @@ def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> N
         fleet.run(1.0)
         fleet.boot("charlie")
         fleet.run(4.0)
-    assert reads_all(eye)
-    assert len(eye.of(events.LinkDown)) >= 6
-    assert not any("state" in batch.lost for batch in eye.batches)
+    assert reads_all(watcher)
+    assert len(watcher.of(events.LinkDown)) >= 6
+    assert not any("state" in batch.lost for batch in watcher.batches)

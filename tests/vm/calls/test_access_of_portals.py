@@ -1,4 +1,4 @@
-"""A portal that its caller may not call never begins: directly, after a hop, in an offer of several."""
+"""A forbidden portal call never begins: directly, after a hop, and in a composed offer."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ LIFTING = Path(__file__).parents[2] / "golden" / "programs" / "lifting.yaml"
 
 
 class Ruled:
-    """Says no to some calls (`coordinator resource.portal`), and keeps what it was asked."""
+    """Refuses some calls (`coordinator resource.portal`), and records the requests."""
 
     def __init__(self, *refused: str) -> None:
         self.refused = refused
@@ -65,7 +65,7 @@ def stores(opening: str) -> Program:
 
 
 def clerk(rules: Ruled | None, opening: str = "") -> list[str]:
-    """What is said on the two hosts of the clerk."""
+    """The output on the two hosts of the clerk."""
     clock, desks, machines = ManualClock(), (GoldenWorld(), GoldenWorld()), []
     if rules is not None:
         rules.program = stores(opening)
@@ -91,15 +91,15 @@ def clerk(rules: Ruled | None, opening: str = "") -> list[str]:
     return [*(line for desk in desks for line in desk.output), ended.report.partition("\n")[0]]
 
 
-def test_without_rules_everything_begins() -> None:
+def test_without_rules_every_call_begins() -> None:
     assert clerk(None) == ["began", "0", "began", "2", "began", "0", "began", ""]
 
 
 @pytest.mark.parametrize("opening", ["", "sleep(1.0);"], ids=["open", "opening"])
-def test_a_refused_portal_has_not_begun_and_its_caller_can_go_on(opening: str) -> None:
+def test_a_refused_portal_has_not_begun_and_its_caller_can_continue(opening: str) -> None:
     rules = Ruled("clerk near.total", "clerk far.add")
-    told = clerk(rules, opening)
-    assert told == [
+    output = clerk(rules, opening)
+    assert output == [
         "near: no clerk near.total",
         "began",
         "2",
@@ -108,10 +108,10 @@ def test_a_refused_portal_has_not_begun_and_its_caller_can_go_on(opening: str) -
     assert rules.asked[-1] == "clerk far.add"
 
 
-def test_where_the_resource_is_it_is_asked_after_the_hop() -> None:
+def test_the_host_of_the_resource_checks_the_call_after_the_hop() -> None:
     rules = Ruled("clerk far.total")
-    told = clerk(rules)
-    assert "far: no clerk far.total" in told
+    output = clerk(rules)
+    assert "far: no clerk far.total" in output
     assert rules.asked == ["clerk near.total", "clerk far.total", "clerk near.add", "clerk far.add"]
 
 
@@ -149,9 +149,7 @@ def lifting() -> Registry:
         ("boss weak.climb", ["grips", "weak: no boss weak.climb", "stops"]),
     ],
 )
-def test_each_portal_of_a_composed_offer_is_asked_for(
-    lifting: Registry, refused: str, said: list[str]
-) -> None:
+def test_each_portal_of_a_composed_offer_is_checked(lifting: Registry, refused: str, said: list[str]) -> None:
     rules, desk, clock = Ruled(refused), GoldenWorld(), ManualClock()
     program = rules.program = compile_text(COMPOSED, registry=lifting)
     team = team_for(program, [("Copter", "weak", ""), ("Claw", "claw", ""), ("Boss", "boss", "")])

@@ -1,4 +1,4 @@
-"""A fenced coordinator begins no portal unless its host allows it; a call under way can be taken from it."""
+"""A fenced coordinator begins no portal call unless its host permits it; a running call can be detached."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STORE, CLERK = (
     TeamMember(1, "clerk", "Clerk", "coordinator", 0),
 )
 FAR, LIMITS = TeamMember(2, "far", "Store", "resource", 1), AgentLimits()
-#: More than the machine does before it looks at the world.
+#: More instructions than the machine executes before it returns to its host.
 BUSY = 20_000
 STORES = """
 resource Store {
@@ -45,7 +45,8 @@ def program(body: str, busy: int) -> Program:
 
 
 class Gate(GoldenWorld):
-    """A world that says what it was told to, and who asked: whether the portal acts, and what was kept."""
+    """A world with a settable answer, and its requests: whether the portal acts, and whether the block is
+    stored."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -60,7 +61,7 @@ class Gate(GoldenWorld):
 
 
 class Host:
-    """One host with a store, whose init takes so many rounds, and a clerk who does what a test says."""
+    """One host with a store, whose init takes `busy` rounds, and a clerk with the code of a test."""
 
     def __init__(self, body: str, busy: int = 0) -> None:
         self.gate, self.clock = Gate(), ManualClock()
@@ -79,7 +80,7 @@ class Host:
         return self.gate.output
 
     def until(self, seconds: float) -> list[str]:
-        """Run so many seconds, in small steps."""
+        """Run for some seconds, in small steps."""
         for _ in range(int(seconds * 10)):
             while self.machine.run() == 0.0:
                 pass
@@ -88,7 +89,7 @@ class Host:
 
     @property
     def calls(self) -> int:
-        """Portal calls under way."""
+        """The number of running portal calls."""
         return len(self.machine._scheduler.calls)
 
 
@@ -97,14 +98,14 @@ class Host:
 SEVERAL = "print(store.add(1)); print(store.total()); print(store.add(1)); print(store.total());"
 
 
-def test_a_fenced_coordinator_asks_before_every_call() -> None:
+def test_a_fenced_coordinator_requests_permission_for_every_call() -> None:
     host = Host(SEVERAL)
     assert host.run() == ["1", "1", "2", "2"]
     assert host.gate.asked == [(True, False), (False, False)] * 2
     assert host.clerk.ended == "done"
 
 
-def test_who_came_asks_too_and_its_block_is_kept() -> None:
+def test_an_arrived_coordinator_requests_permission_with_a_stored_block() -> None:
     host = Host('findStore("far").add(1); ')
     host.run()
     ((agent, _),) = host.gate.departures
@@ -130,7 +131,7 @@ def test_who_came_asks_too_and_its_block_is_kept() -> None:
     assert not machine.agents.get("clerk")
 
 
-def test_a_call_that_waited_for_a_resource_is_asked_about_when_it_would_begin() -> None:
+def test_a_call_that_waited_for_a_resource_is_checked_when_it_would_begin() -> None:
     host = Host("print(store.total());", busy=BUSY)
     host.machine.run()
     assert len(host.store.waiting) == 1
@@ -146,11 +147,11 @@ def test_a_call_that_waited_for_a_resource_is_asked_about_when_it_would_begin() 
     assert host.gate.asked == [(False, False)] * 2
 
 
-def test_a_call_that_must_not_begin_ends_by_an_exception_and_the_next_is_asked_about() -> None:
+def test_a_call_that_may_not_begin_ends_by_an_exception() -> None:
     host = Host("try { store.add(5); } catch (LimitException e) { print(e.message()); } print(store.add(1));")
     host.gate.open = False
     host.run()
-    host.clerk.is_persisted = True  # its page is on the disk
+    host.clerk.is_persisted = True  # its record is durable
     host.gate.open = True
     host.machine.resume(host.clerk, "LimitException", "no lease", "store")
     assert host.run() == ["no lease", "1"]
@@ -159,8 +160,8 @@ def test_a_call_that_must_not_begin_ends_by_an_exception_and_the_next_is_asked_a
 
 @settings(max_examples=60)
 @given(st.lists(st.booleans(), max_size=12))
-def test_nothing_begins_while_the_host_says_no(answers: list[bool]) -> None:
-    """Whatever the host answers, each call begins once, and only after a yes."""
+def test_no_call_begins_while_the_host_refuses(answers: list[bool]) -> None:
+    """With any answers of the host, each call begins once, and only after permission."""
     host = Host(SEVERAL)
     yes = 0
     for answer in [*answers, *[True] * 4]:
@@ -174,87 +175,87 @@ def test_nothing_begins_while_the_host_says_no(answers: list[bool]) -> None:
     assert host.gate.output == ["1", "1", "2", "2"]
 
 
-# --- a call that is taken from its caller --------------------------------------------------------------
+# --- a call that is detached from its caller ----------------------------------------------------------
 
 HOLD = """
 int[] a = new int[1];
 try { a = store.hold(a); } catch (RestartException e) { print(e.message() + " " + e.source()); }
 """
-TAKEN = ("RestartException", "the mission is paused")
+DETACHED = ("RestartException", "the mission is paused")
 
 
-def test_a_call_under_way_is_taken_and_its_portal_goes_on_alone() -> None:
+def test_a_running_call_is_detached_and_its_portal_continues_alone() -> None:
     host = Host(HOLD + "print(store.total()); store.free(); sleep(3.0); print(store.total()); print(a[0]);")
     host.until(8.0)
     assert host.calls == 1
     (thread,) = (t.id for t in view(host.store.block, host.machine.program).threads)
     assert host.machine.served_calls.caller(host.store, thread) is host.clerk
-    assert host.machine.detach_caller(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *DETACHED)
     assert host.calls == 0
     assert host.machine.served_calls.caller(host.store, thread) is None
-    assert not host.machine.detach_caller(host.clerk, *TAKEN)
-    # The portal goes on, and what it gives is dropped.
+    assert not host.machine.detach_caller(host.clerk, *DETACHED)
+    # The portal continues, and its result is dropped.
     assert host.run() == ["the mission is paused store", "0", "1", "0"]
     assert (host.clerk.ended, host.store.ended, host.store.served, host.calls) == ("done", "", 4, 0)
 
 
-def test_a_portal_that_throws_with_nobody_waiting_frees_its_monitor() -> None:
+def test_a_detached_portal_that_throws_frees_its_monitor() -> None:
     host = Host(
         "try { store.lock(); } catch (RestartException e) { print(e.source()); } store.free();"
         "sleep(3.0); print(store.after());"
     )
     host.until(8.0)
-    assert host.machine.detach_caller(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *DETACHED)
     assert host.run() == ["store", "0"]
     assert (host.store.ended, host.store.served, host.calls) == ("", 3, 0)
 
 
-def test_a_call_that_waits_for_its_resource_is_taken() -> None:
+def test_a_call_that_waits_for_its_resource_is_detached() -> None:
     body = "try { store.add(1); } catch (RestartException e) { print(e.source()); } print(store.add(1));"
     host = Host(body, busy=BUSY)
     host.machine.run()
     assert host.store.waiting
-    assert host.machine.detach_caller(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *DETACHED)
     assert host.store.waiting == []
     assert host.run() == ["store", "1"]
 
 
-def test_a_coordinator_that_dies_of_it_leaves_its_portal_alone() -> None:
+def test_a_coordinator_that_dies_of_the_detach_leaves_its_portal_running() -> None:
     host = Host("store.hold(new int[1]);")
     host.until(8.0)
-    assert host.machine.detach_caller(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *DETACHED)
     assert host.clerk.ended == "died"
     assert host.clerk.report.startswith("RestartException: the mission is paused\n    at Clerk.init")
     host.until(3.0)
     assert (host.store.ended, host.calls) == ("", 0)
 
 
-def test_a_resource_that_dies_meanwhile_troubles_nobody() -> None:
+def test_the_death_of_a_resource_with_a_detached_call_affects_no_caller() -> None:
     host = Host(HOLD + "sleep(20.0);")
     host.until(8.0)
-    assert host.machine.detach_caller(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *DETACHED)
     host.machine._scheduler.die(host.store, "bug")
     host.run()
     assert host.clerk.ended == "done"
 
 
 @pytest.mark.parametrize("body", ["sleep(100.0);", "while (true) { }", 'findStore("far").total();'])
-def test_who_waits_for_no_portal_is_left_alone(body: str) -> None:
+def test_a_coordinator_without_a_portal_call_is_not_affected(body: str) -> None:
     host = Host(body)
     host.until(1.0) if "while" not in body else host.machine.run()
-    assert not host.machine.detach_caller(host.clerk, *TAKEN)
-    assert not host.machine.detach_caller(host.store, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *DETACHED)
+    assert not host.machine.detach_caller(host.store, *DETACHED)
     assert not host.clerk.ended
 
 
-def test_who_is_frozen_before_its_call_is_left_alone() -> None:
+def test_a_coordinator_frozen_before_its_call_is_not_affected() -> None:
     host = Host("store.add(1);")
     host.gate.open = False
     host.run()
     assert host.clerk.frozen
-    assert not host.machine.detach_caller(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *DETACHED)
     host.gate.open = True
     host.machine.unfreeze(host.clerk)
     host.run()
     assert (host.clerk.ended, host.store.served) == ("done", 1)
-    assert not host.machine.detach_caller(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *DETACHED)

@@ -1,4 +1,4 @@
-"""`read`: which thread gets a line, what is kept, and what ends a wait."""
+"""`read`: which thread gets a line, which lines are kept, and the end of a wait."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class Desk:
         self.hosts.clock.advance(seconds)
         while self.machine.run() == 0:
             pass
-        said, self.world.output[:] = list(self.world.output), []
-        return said
+        output, self.world.output[:] = list(self.world.output), []
+        return output
 
 
 def test_the_thread_that_has_waited_longest_gets_the_next_line() -> None:
@@ -72,14 +72,14 @@ def test_the_thread_that_has_waited_longest_gets_the_next_line() -> None:
     assert desk.given.waiting_agents == []
 
 
-def test_a_line_that_no_thread_waits_for_is_kept_but_not_many() -> None:
+def test_a_limited_number_of_lines_is_kept_without_a_reader() -> None:
     desk = Desk()
     assert desk.given.enter("from the page", is_kept=False) == NO_READER
     assert {desk.given.enter(str(n), is_kept=True) for n in range(MAX_KEPT)} == {""}
     assert desk.given.enter("more", is_kept=True) == TOO_MANY
 
 
-def test_a_line_is_shortened() -> None:
+def test_a_long_line_is_cut() -> None:
     desk = Desk((10.0, 60.0))
     desk.given.enter("x" * (MAX_LINE + 1), is_kept=True)
     assert desk.run() == ["a1: " + "x" * MAX_LINE]
@@ -87,13 +87,13 @@ def test_a_line_is_shortened() -> None:
 
 def test_the_limit_of_the_caller_cancels_a_wait_and_the_line_goes_to_the_next() -> None:
     desk = Desk((10.0, 1.0), (10.0, 60.0))
-    said = desk.run(1.1)
-    assert "a1 is cancelled" in said
+    output = desk.run(1.1)
+    assert "a1 is cancelled" in output
     desk.given.enter("late", is_kept=False)
     assert desk.run() == ["a2: late"]
 
 
-def test_the_limit_is_that_of_each_thread() -> None:
+def test_each_thread_has_its_own_limit() -> None:
     desk = Desk((2.0, 60.0), (1.0, 60.0))
     assert [line.partition(":")[0] for line in desk.run(1.1)] == ["no line was entered at desk within 1 s"]
     assert [line.partition(":")[0] for line in desk.run(1.0)] == ["no line was entered at desk within 2 s"]

@@ -1,4 +1,4 @@
-"""What is decided at a portal call besides the call: later starts, older copies, and what is kept first."""
+"""Checks at a portal call: later starts of resources, older copies of callers, and stored blocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TEAM = [
 ]
 CLERK, LIMITS = TEAM[2], AgentLimits()
 
-#: Two stores on two hosts, and a clerk who does what a test says. `add` acts, `total` only queries.
+#: Two stores on two hosts, and a clerk with the code of a test. `add` acts, `total` only queries.
 STORES = """
 resource Store {
   int kept;
@@ -42,7 +42,8 @@ def program(body: str) -> Program:
 
 
 class Disk(GoldenWorld):
-    """A world that packs each agent that asks; a test lets it go on, or `volatile` does so at once."""
+    """A world that packs each agent before an acting call; a test permits the call, or `volatile` does at
+    once."""
 
     def __init__(self, volatile: bool) -> None:
         super().__init__()
@@ -93,16 +94,16 @@ TOLD = (
 
 
 @pytest.mark.parametrize("life", [99, (1 << 63) - 5])
-def test_each_proxy_tells_once_of_a_later_start_before_the_call_begins(life: int) -> None:
+def test_each_proxy_reports_a_later_start_once_before_the_call_begins(life: int) -> None:
     assert printed(joined(AWAY), restarted=life) == ["1", TOLD, "near", "1", "2", "3"]
 
 
-def test_a_host_that_was_not_restarted_throws_nothing() -> None:
+def test_a_host_that_was_not_restarted_raises_no_exception() -> None:
     assert printed(joined(AWAY)) == ["1", "2", "3", "4"]
 
 
-def test_a_call_that_was_refused_at_a_limit_is_no_first_call() -> None:
-    """What the proxy has not seen cannot be lost."""
+def test_a_call_refused_at_a_limit_is_no_first_call() -> None:
+    """A state that the proxy has not seen cannot be lost."""
     hosts = joined("try { near.add(1); } catch (LimitException e) { far.add(1); print(near.add(1)); }")
     hosts.machines[0].agents["near"].limits = AgentLimits(threads=0)
     assert printed(hosts, restarted=99) == ["1"]
@@ -140,7 +141,7 @@ VISIT = "try { print(far.add(1)); } catch (UnreachableResourceException e) { pri
 
 
 def visited(copies: list[tuple[int, int]], stopped: set[int]) -> list[str]:
-    """What copies with these generations and sequences print, which come to a store one after the other."""
+    """The output of copies with these generations and sequences, which arrive one after the other."""
     hosts = joined(VISIT)
     hosts.still()
     hosts.hop(0)
@@ -159,7 +160,7 @@ def visited(copies: list[tuple[int, int]], stopped: set[int]) -> list[str]:
         ([(2, 0), (1, 9)], "a later start of clerk has called far: this older one is no longer served"),
     ],
 )
-def test_a_resource_serves_no_older_copy(copies: list[tuple[int, int]], refused: str) -> None:
+def test_a_resource_refuses_older_copies(copies: list[tuple[int, int]], refused: str) -> None:
     assert visited(copies, set()) == ["1", refused]
 
 
@@ -171,7 +172,7 @@ def test_an_earlier_start_is_served_when_the_later_one_was_stopped_for_it() -> N
     assert visited([(2, 0), (1, 9), (1, 8)], {2})[:2] == ["1", "2"]
 
 
-# --- what is kept first --------------------------------------------------------------------------------
+# --- blocks are stored first ---------------------------------------------------------------------------
 
 SEVERAL = """
 print(near.total()); print(near.add(1)); print(near.total()); print(near.add(1));
@@ -179,14 +180,14 @@ print(far.add(1)); print(far.add(1)); print(near.total()); print(near.add(1)); p
 """
 
 
-def test_a_host_is_asked_before_each_further_call_that_acts() -> None:
+def test_a_host_is_asked_before_each_further_acting_call() -> None:
     hosts = joined(SEVERAL)
     assert printed(hosts) == ["0", "1", "1", "2", "2", "3", "2", "1", "2"]
-    # Twice before it leaves and once after it came back for a query; on the other host for the second call.
+    # Twice before it leaves and once after it returned for a query; on the other host for the second call.
     assert [disk.asked for disk in hosts.places] == [3, 1]
 
 
-def test_a_call_waits_until_its_block_is_kept_and_begins_once() -> None:
+def test_a_call_waits_until_its_block_is_stored_and_begins_once() -> None:
     hosts = joined("print(near.add(5)); print(near.add(5));", volatile=False)
     (disk, machine) = hosts.places[0], hosts.machines[0]
     for asked in (1, 2):
@@ -201,7 +202,7 @@ def test_a_call_waits_until_its_block_is_kept_and_begins_once() -> None:
     assert disk.asked == 2
 
 
-def test_a_call_that_could_not_be_kept_has_not_begun_and_the_next_is_asked_about() -> None:
+def test_a_call_whose_block_was_not_stored_has_not_begun() -> None:
     body = "try { near.add(5); } catch (LimitException e) { print(e.message()); } print(near.add(5));"
     hosts = joined(body, volatile=False)
     hosts.still()
@@ -214,7 +215,7 @@ def test_a_call_that_could_not_be_kept_has_not_begun_and_the_next_is_asked_about
     assert disk.output == ["the disk is full", "5"]
 
 
-def test_a_coordinator_that_was_stopped_meanwhile_does_not_go_on() -> None:
+def test_a_coordinator_stopped_meanwhile_does_not_continue() -> None:
     hosts = joined("near.add(5);", volatile=False)
     hosts.still()
     disk, machine = hosts.places[0], hosts.machines[0]
@@ -224,7 +225,7 @@ def test_a_coordinator_that_was_stopped_meanwhile_does_not_go_on() -> None:
     assert machine.agents["near"].served == 0
 
 
-def test_who_arrives_is_frozen_until_it_may_go_and_is_not_asked_about() -> None:
+def test_an_arrived_coordinator_is_frozen_until_it_is_released_once() -> None:
     hosts = joined("print(far.add(1));", volatile=False)
     hosts.still()
     agent = hosts.hop(0)
@@ -238,12 +239,12 @@ def test_who_arrives_is_frozen_until_it_may_go_and_is_not_asked_about() -> None:
     assert hosts.places[1].asked == 0
 
 
-def test_a_block_says_which_call_it_stands_at() -> None:
+def test_a_block_names_the_call_at_which_it_stands() -> None:
     hosts = joined("far.total();")
     hosts.still()
     agent = hosts.hop(0)
     assert hosts.machines[1].itinerary.current_target(agent) == (TEAM[1], "total")
-    # A block whose proxy is null is sound: its call throws a NullException.
+    # A block whose proxy is null is valid: its call throws a NullException.
     w = agent.block.w
     frame = w[w[layout.W_THREADS] + layout.THREAD_FRAME]
     for slot in range(1, (w[frame] >> 32) - layout.FRAME_SLOTS):
@@ -262,8 +263,8 @@ print(near.add(7));
 """
 
 
-def test_a_block_that_was_kept_at_a_local_call_goes_on_in_another_life_with_an_exception() -> None:
-    """Its trail and its hops are what they were: it has not left."""
+def test_a_block_stored_at_a_local_call_continues_after_a_crash_with_an_exception() -> None:
+    """Its trail and its hops are unchanged: it has not left."""
     hosts = joined(RECOVERS, volatile=False)
     hosts.still()
     for source in (0, 1):
@@ -283,7 +284,7 @@ def test_a_block_that_was_kept_at_a_local_call_goes_on_in_another_life_with_an_e
     assert disk.output[4:] == ["7"]
 
 
-def test_a_block_that_came_for_a_call_goes_on_in_another_life_with_an_exception() -> None:
+def test_a_block_that_arrived_for_a_call_continues_after_a_crash_with_an_exception() -> None:
     hosts = joined(
         "try { far.add(7); } catch (RestartException e) { print(e.message()); } print(far.add(1));"
     )

@@ -12,12 +12,12 @@ from maths_values import Lowered, arguments, differing
 
 from lfield.vm.maths.intrinsics import MATHS
 
-#: Arguments in one go.
+#: Arguments of one batch.
 BATCH = 100_000
 
 
 def main(count: int, seed: int) -> int:
-    """Try that many arguments for each function; prints a line for each, and the differences."""
+    """Compare that many arguments for each function; print a line for each, and the differences."""
     lowered, wrong = Lowered(), 0
     for name in MATHS:
         began, found = time.monotonic(), []

@@ -13,7 +13,7 @@ from lfield.vm.maths.intrinsics import MATHS
 from lfield.vm.memory.word_codec import canonical, real_from_bits
 from lfield.vm.wasm.lowering.maths_lowering import maths_name, maths_text
 
-#: Where somebody might have made a mistake.
+#: Edge cases.
 EDGES = [
     *(0.0, 5e-324, 2.2250738585072009e-308, 2.2250738585072014e-308, 1e-160, 1e-17, 7.4505805969238281e-09),
     *(0.25, 0.5, 0.7071067811865476, 0.7853981633974483, 1.0, 1.4142135623730951, 1.5, 2.0, 2.5, 3.0, 10.0),
@@ -71,7 +71,7 @@ class Lowered:
     """Every function of the maths as WebAssembly, from one array of reals to another."""
 
     def __init__(self) -> None:
-        # The functions in Python are tried where there is no wasmtime too.
+        # The functions in Python are tested without wasmtime too.
         import wasmtime
 
         loops = "\n".join(self._loop(name) for name in MATHS)

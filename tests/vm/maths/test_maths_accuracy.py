@@ -1,4 +1,4 @@
-"""Every function is within one unit in the last place of what mpmath says, whatever the argument."""
+"""Every function is within one unit in the last place of the result of mpmath, for all arguments."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from maths_values import EDGES, arguments, arity
 
 from lfield.vm.maths.intrinsics import MATHS, has_result
 
-#: Bits that mpmath calculates with: angles of 2^1023 need as many, and as many behind the point.
+#: Bits of the calculations of mpmath: angles of 2^1023 need as many, and as many behind the point.
 _BITS = 1300
 _EXACT: dict[str, Callable[..., mpmath.mpf]] = {
     "sin": mpmath.sin,
@@ -24,7 +24,7 @@ _EXACT: dict[str, Callable[..., mpmath.mpf]] = {
     "log": mpmath.log,
     "pow": lambda x, y: x**y,
 }
-#: The functions whose results need no rounding, as CPython has them.
+#: The functions whose results need no rounding, in CPython.
 _PLAIN: dict[str, Callable[..., float]] = {
     "modf": math.fmod,
     "abs_float": abs,
@@ -35,7 +35,7 @@ _PLAIN: dict[str, Callable[..., float]] = {
 
 
 def off_by(name: str, values: tuple[float, ...]) -> float:
-    """How many units in the last place the result is off."""
+    """The error of the result in units in the last place."""
     got = MATHS[name](*values)
     with mpmath.workprec(_BITS):
         exact = _EXACT[name](*(mpmath.mpf(v) for v in values))
@@ -45,8 +45,8 @@ def off_by(name: str, values: tuple[float, ...]) -> float:
 
 @pytest.mark.few(9)
 @pytest.mark.parametrize("name", _EXACT)
-def test_less_than_one_unit_in_the_last_place(name: str) -> None:
-    """Decision 58 has the worst that was found: 0.79."""
+def test_the_error_is_less_than_one_unit_in_the_last_place(name: str) -> None:
+    """Decision 58 has the largest error that was found: 0.79."""
     edges = [(x,) for x in EDGES] if arity(name) == 1 else [(y, x) for y in EDGES[::3] for x in EDGES[::2]]
     tried = [
         row
@@ -58,12 +58,12 @@ def test_less_than_one_unit_in_the_last_place(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", _PLAIN)
-def test_what_needs_no_rounding_is_exact(name: str) -> None:
+def test_functions_without_rounding_are_exact(name: str) -> None:
     for row in arguments(name, 3000, seed=6):
         try:
             expected = _PLAIN[name](*row)
         except (ValueError, OverflowError):
-            # C says so for what has none, and Python for a whole number that is infinite.
+            # C returns NaN or infinity without a result; Python raises for a whole number of infinity.
             assert not math.isfinite(MATHS[name](*row))
             continue
         assert MATHS[name](*row).hex() == expected.hex(), row
@@ -71,7 +71,7 @@ def test_what_needs_no_rounding_is_exact(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["atan2", "pow", "exp", "log", "sin", "asin", "acos", "sqrt", "modf"])
 def test_special_cases_are_those_of_c(name: str) -> None:
-    """What is infinite, not a number, a zero with a sign, or has no result: as C99 and Python say."""
+    """Infinity, NaN, signed zeros, and missing results, as in C99 and Python."""
     function = getattr(math, "fmod" if name == "modf" else name)
     special = [0.0, -0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 0.5, -0.5, 1e300, math.inf, -math.inf, math.nan]
     rows = [(x,) for x in special] if arity(name) == 1 else [(x, y) for x in special for y in special]

@@ -1,4 +1,4 @@
-"""The same bits everywhere: a table of results, and the one NaN (decision 58)."""
+"""The same bits on every computer: a table of results, and the one NaN (decision 58)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_the_table_of_bits(row: str) -> None:
 
 
 @given(st.integers(0, (1 << 51) - 1), st.booleans(), st.booleans())
-def test_every_nan_is_one_word(payload: int, quiet: bool, negative: bool) -> None:
+def test_every_nan_is_stored_as_one_word(payload: int, quiet: bool, negative: bool) -> None:
     word = (0x7FF0 << 48) | payload + 1 | (quiet << 51) | 0
     value = real_from_bits(word - (1 << 63) if negative else word)
     assert math.isnan(value)
@@ -36,7 +36,7 @@ def test_any_other_real_keeps_its_bits(value: float) -> None:
     assert struct.pack("<q", bits_of_real(value)) == struct.pack("<d", value)
 
 
-#: Ways to make a NaN, or to calculate with one.
+#: Expressions that make a NaN, or calculate with one.
 _MADE = ["i - i", "0.0 * i", "-(i - i)", "(i - i) + 1.0", "(i - i) * i", "(i - i) / 2.0", "2.0 / (i - i)"]
 _MADE += [f"{name}(i - i)" for name in ("abs", "sin", "cos", "tan", "asin", "acos", "exp", "log", "sqrt")]
 _MADE += [f"{name}(i - i)" for name in ("floor", "ceil", "round")]
@@ -51,7 +51,7 @@ _MADE += [
 
 
 @pytest.mark.parametrize("expression", _MADE)
-def test_whatever_makes_a_nan_makes_the_same(expression: str) -> None:
+def test_every_operation_makes_the_same_nan(expression: str) -> None:
     init = f"init(string[] arg) {{ real i = 1e308 * 10.0; x = {expression}; }}"
     _, machine = run_text(f"resource R {{ real x; {init} portal p() {{}} }}")
     block = machine.agents["r"].block

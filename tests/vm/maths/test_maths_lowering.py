@@ -1,4 +1,4 @@
-"""WebAssembly and Python give the same bits for the maths of L, whatever the argument."""
+"""WebAssembly and Python give the same bits for the maths of L, for all arguments."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def lowered() -> Lowered:
 
 
 @pytest.mark.parametrize("name", MATHS)
-def test_edges(name: str, lowered: Lowered) -> None:
+def test_edge_cases_give_the_same_bits(name: str, lowered: Lowered) -> None:
     single = [(x,) for x in EDGES]
     pairs = [(y, x) for y in EDGES for x in EDGES]
     assert differing(lowered, name, single if arity(name) == 1 else pairs) == []
 
 
 @pytest.mark.parametrize("name", MATHS)
-def test_many(name: str, lowered: Lowered) -> None:
-    """`tests/vm/maths/maths_many.py` takes millions."""
+def test_random_arguments_give_the_same_bits(name: str, lowered: Lowered) -> None:
+    """`tests/vm/maths/maths_many.py` compares millions."""
     assert differing(lowered, name, arguments(name, 4000, seed=1)) == []
 
 
@@ -38,7 +38,7 @@ def test_a_planted_fault_is_found(lowered: Lowered, monkeypatch: pytest.MonkeyPa
     assert len(differing(lowered, "sin", arguments("sin", 100, seed=1))) > 50
 
 
-def test_only_what_is_needed_is_there() -> None:
+def test_only_needed_functions_are_lowered() -> None:
     text = maths_text(["sqrt", "floor"])
     assert text.count("(func ") == 2
     assert maths_text(["asin"]).count("(func ") < maths_text(MATHS).count("(func ")
@@ -54,7 +54,7 @@ def test_only_what_is_needed_is_there() -> None:
         ("unknown", "'sorted((x, 1.0))[0]' in unknown cannot be lowered to WebAssembly"),
     ],
 )
-def test_what_is_beyond_the_subset_is_refused(name: str, said: str) -> None:
+def test_python_beyond_the_subset_is_refused(name: str, said: str) -> None:
     with pytest.raises(TypeError) as refused:
         functions_text([getattr(strange_maths, name)])
     assert str(refused.value).startswith(said)

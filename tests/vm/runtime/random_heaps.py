@@ -14,12 +14,12 @@ from lfield.vm.memory.heap_schema import ANY_FRAME, ANY_OBJECT, HeapSchema
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.wasm.heap_arena import HeapArena
 
-#: What fields may be, C standing for some class.
+#: Types of fields, C stands for some class.
 TYPES = ("int", "real", "boolean", "string", "C", "C[]", "int[]", "real[]", "string[]", "C[][]", "int[][]")
-#: The team: two resources of different types, and who goes round.
+#: The team: two resources of different types, and the coordinator.
 MEMBERS = ("R", "Q", "Boss")
 LIMIT = 1 << 17
-#: Texts of one to four bytes for a character, and of all lengths around a word.
+#: Characters of one to four bytes, for texts of all lengths around a word.
 LETTERS = "aZ0 é߿ࠀ€퟿\ue000\uffff\U00010000\U0010ffff"
 
 PROGRAM = """
@@ -43,7 +43,7 @@ coordinator Boss {{
 """
 
 
-#: What makes types of arrays growable.
+#: Statements that make types of arrays growable.
 GROWTH = (
     "got.append(one);",
     "int[] ints = {}; ints.append(1);",

@@ -1,4 +1,4 @@
-"""What a driver gives is the value that its manifest promises, or a DeviceError that names the device."""
+"""The result of a driver is a value of the type in its manifest, or a DeviceError that names the device."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ KINDS = {
     "real[]": 8,
     "int[]": 9,
 }
-#: A whole number that no real can hold.
+#: A whole number that is too large for a real.
 TOO_LARGE = 10**400
 
 SCALARS = st.one_of(
@@ -54,8 +54,8 @@ SCALARS = st.one_of(
 VALUES = st.one_of(SCALARS, st.lists(SCALARS, max_size=4), st.tuples(st.integers()), st.just({}))
 
 
-def brought(kind: str, value: object) -> object:
-    """The value as L has it."""
+def value_in_l(kind: str, value: object) -> object:
+    """The value in L."""
     block = Block.empty(bytes(32), 1 << 16)
     return decode_value(
         block, PROGRAM, KINDS[kind], encode_device_value(block, PROGRAM, KINDS[kind], value, "fc")
@@ -63,7 +63,7 @@ def brought(kind: str, value: object) -> object:
 
 
 def same(left: object, right: object) -> bool:
-    """Whether two values are one for L: of the same type, and not a number is like not a number."""
+    """Whether two values are equal in L: of the same type, and NaN equals NaN."""
     if isinstance(left, list) and isinstance(right, list):
         return len(left) == len(right) and all(map(same, left, right))
     if isinstance(left, float) and isinstance(right, float) and math.isnan(left):
@@ -72,15 +72,15 @@ def same(left: object, right: object) -> bool:
 
 
 @given(kind=st.sampled_from(list(KINDS)), value=VALUES)
-def test_a_value_or_an_error_that_names_the_device(kind: str, value: object) -> None:
+def test_a_result_is_a_value_or_an_error_that_names_the_device(kind: str, value: object) -> None:
     try:
-        found = brought(kind, value)
+        found = value_in_l(kind, value)
     except DeviceError as error:
-        told = error.device, error.reason[:20], len(error.reason) < 300
-        assert told == ("fc", "its driver returned ", True)
+        error_fields = error.device, error.reason[:20], len(error.reason) < 300
+        assert error_fields == ("fc", "its driver returned ", True)
         return
     if value is None:
-        # A text or an array may be null; nothing else may.
+        # Only a text or an array may be null.
         assert kind in ("void", "string", "real[]", "int[]")
         assert found == (0 if kind == "void" else None)
     elif isinstance(value, str):
@@ -90,12 +90,12 @@ def test_a_value_or_an_error_that_names_the_device(kind: str, value: object) -> 
 
 
 @given(kind=st.sampled_from(list(KINDS)), value=VALUES)
-def test_what_a_guard_lets_pass_arrives(kind: str, value: object) -> None:
+def test_a_value_accepted_by_the_guard_is_accepted_by_the_machine(kind: str, value: object) -> None:
     try:
         sent = conform(value, kind)
     except ValueError:
         return
-    brought(kind, sent)
+    value_in_l(kind, sent)
 
 
 @pytest.mark.parametrize(
@@ -122,14 +122,14 @@ def test_what_a_guard_lets_pass_arrives(kind: str, value: object) -> None:
         ("real[]", "text"),
     ],
 )
-def test_what_is_of_another_type(kind: str, value: object) -> None:
+def test_a_value_of_another_type_is_an_error(kind: str, value: object) -> None:
     with pytest.raises(
         DeviceError, match=r"^fc: its driver returned .*, but its manifest states another type$"
     ):
-        brought(kind, value)
+        value_in_l(kind, value)
 
 
-def test_every_type_of_a_driver_is_tried() -> None:
+def test_every_type_of_a_driver_is_tested() -> None:
     assert set(KINDS) == set(VALUE_CHECKS)
-    assert same(brought("real[]", [1, 2.5]), [1.0, 2.5])
-    assert same(brought("int[]", [1, -(2**63)]), [1, -(2**63)])
+    assert same(value_in_l("real[]", [1, 2.5]), [1.0, 2.5])
+    assert same(value_in_l("int[]", [1, -(2**63)]), [1, -(2**63)])

@@ -1,4 +1,4 @@
-"""Arrays that grow, on both heaps: collector, copier, and a verifier that refuses what is impossible."""
+"""Growable arrays on both heaps: collector, copier, and a verifier that refuses impossible ones."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_an_array_gets_no_capacity_beyond_the_limit() -> None:
     assert capacity(block, array) == 10
 
 
-def test_a_full_heap_leaves_the_array_as_it_was() -> None:
+def test_a_full_heap_leaves_the_array_unchanged() -> None:
     block = Block.empty(program().digest, layout.HEADER_WORDS + 15, HEAP_ALLOCATOR)
     array = block.new_array(kind(0), program().core.plain_array(kind(0)), 4)
     before = bytes(block.image())
@@ -133,7 +133,7 @@ def test_the_collector_drops_spare_words(space: BlockAllocator) -> None:
     assert words_of(block, more) == [node] * 3
     assert (capacity(block, numbers), capacity(block, more)) == (6, 3)
     assert block.top == layout.HEADER_WORDS + 3 + 3 + 3 + 7 + 4
-    # It grows again.
+    # It can grow again.
     block.insert_element(numbers, 6, 7, MOST)
     assert words_of(block, numbers) == [1, 2, 3, 4, 5, 6, 7]
 
@@ -149,7 +149,7 @@ def test_both_collectors_write_the_same_bytes() -> None:
     assert images[0] == images[1]
 
 
-def test_a_shared_array_of_elements_is_no_longer_than_it_is(space: BlockAllocator) -> None:
+def test_a_collection_limits_the_length_of_a_shared_element_array(space: BlockAllocator) -> None:
     """No engine makes such a block, but a peer may send one."""
     block = empty(space)
     node = block.w[layout.W_SELF] = node_of(block, [1, 2, 3, 4, 5], 0)
@@ -168,7 +168,7 @@ def test_a_shared_array_of_elements_is_no_longer_than_it_is(space: BlockAllocato
         assert 0 <= block.w[place + layout.GROWABLE_LENGTH] <= capacity(block, place)
 
 
-def test_a_copy_is_another_array(space: BlockAllocator) -> None:
+def test_a_copy_is_a_separate_array(space: BlockAllocator) -> None:
     source, target = empty(space), empty(space)
     node = node_of(source, [7, 8], 2)
     copy = deep_copy(source, [node], target, Layouts(program()))[0]
@@ -205,7 +205,7 @@ def test_a_block_with_an_impossible_array_is_refused(space: BlockAllocator, word
     assert not verifier.is_result(bytes(block.image()), thrown=False)
 
 
-def test_only_types_that_grow_have_another_representation() -> None:
+def test_only_growable_types_have_another_representation() -> None:
     plain = compile_text(TEXT.replace("n.more.append(n);", ""))
     core = plain.core
     node = core.classes[plain.class_index["Node"]]
@@ -215,7 +215,7 @@ def test_only_types_that_grow_have_another_representation() -> None:
     assert TypeRecord(GROWABLE, program().core.plain_array(kind(0))) in program().core.types
 
 
-def test_a_portal_that_changes_its_own_arrays_has_no_effects() -> None:
+def test_a_portal_that_changes_its_own_arrays_has_no_side_effects() -> None:
     names = {program().core.methods[i].name for i in effectful_methods(program())}
     assert {"shared", "shorter"} <= names
     assert not {"own", "passed"} & names

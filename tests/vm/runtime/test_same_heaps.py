@@ -1,4 +1,4 @@
-"""What WebAssembly makes of a heap is what Python makes of it, byte for byte."""
+"""Heap operations in WebAssembly and in Python give the same bytes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_collection_leaves_the_same_block(seed: int, version: int, room: int) 
 
 
 @given(seeds)
-def test_the_python_has_nothing_to_do_where_the_arena_can(seed: int) -> None:
+def test_the_arena_handles_valid_heaps_without_python(seed: int) -> None:
     heap = RandomHeap(seed, tickets=False)
     there, space = twin(heap.block, heaps()), heaps()
     assert space.copy(there.data, there.top, heap.roots(), there.data, there.top, there.end, heap.layouts)
@@ -67,7 +67,7 @@ def test_a_deep_copy_to_another_block_is_the_same(seed: int, crowded: bool) -> N
 
 
 @given(seeds, st.integers(-1, 300))
-def test_a_deep_copy_within_a_block_is_the_same_or_needs_as_much_room(seed: int, room: int) -> None:
+def test_a_deep_copy_within_a_block_is_the_same_or_needs_as_much_space(seed: int, room: int) -> None:
     heap = RandomHeap(seed)
     there = twin(heap.block, heaps())
     for block in (heap.block, there):
@@ -76,7 +76,7 @@ def test_a_deep_copy_within_a_block_is_the_same_or_needs_as_much_room(seed: int,
 
 
 def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> None:
-    """Both give the same copies, or lack as much room and have written nothing."""
+    """Both give the same copies, or need as much space and have written nothing."""
     outcomes = []
     for source, target in pairs:
         before = bytes(source.image()), bytes(target.image()), target.top
@@ -91,8 +91,8 @@ def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> N
 
 
 @given(seeds)
-def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
-    """It never comes to that, as arrivals are checked; but no bug of ours may reach another agent's block."""
+def test_a_damaged_heap_affects_no_other_block(seed: int) -> None:
+    """Arrivals are checked, so this does not happen; but no bug may reach the block of another agent."""
     heap, space = RandomHeap(seed), heaps()
     others = [space.allocate(len(heap.block.data)) for _ in range(4)]
     there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
@@ -114,14 +114,14 @@ def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
     with suppress(wasmtime.Trap):
         collect(there, heap.layouts)
     assert all(bytes(other) == b"\x5a" * len(other) for other in others)
-    # Nor does it harm what all of them need.
+    # Shared structures of the arena are not affected either.
     sound = twin(heap.block, space)
     collect(sound, heap.layouts)
     collect(heap.block, heap.layouts)
     same(heap.block, sound)
 
 
-def test_a_copy_of_many_roots_is_left_to_python() -> None:
+def test_a_copy_of_many_roots_is_done_in_python() -> None:
     heap = RandomHeap(7)
     there = twin(heap.block, heaps())
     roots = heap.places[:1] * 100
@@ -130,7 +130,7 @@ def test_a_copy_of_many_roots_is_left_to_python() -> None:
     assert len(set(deep_copy(there, roots, target, heap.layouts))) == 1
 
 
-def test_one_large_array_is_moved_too() -> None:
+def test_a_large_array_is_copied_and_moved() -> None:
     heap = RandomHeap(3)
     array = max(
         half
@@ -147,8 +147,8 @@ def test_one_large_array_is_moved_too() -> None:
     same(heap.block, there)
 
 
-def test_where_the_arena_is_full_python_does_it_to_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some blocks lie in the arena, some do not, and there may be no room for what the copier needs."""
+def test_with_a_full_arena_python_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some blocks lie in the arena, some do not, and there may be no space for the copier."""
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     done_here = set()
     for left in (0, 1 << 14, 1 << 17, 1 << 18, 1 << 20):

@@ -1,4 +1,5 @@
-"""What WebAssembly makes of strings is what Python makes of them; or it says that it leaves it to Python."""
+"""String operations in WebAssembly and in Python give the same results, or WebAssembly leaves them to
+Python."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ def called(name: str, count: int) -> Callable[..., int]:
 
 
 class Two:
-    """The same strings in two blocks: one that Python works on, one in the arena."""
+    """The same strings in two blocks: one for Python, one in the arena."""
 
     def __init__(self, *strings: str | None, room: int = 400, most: int = 100) -> None:
         program = random_program(1)
@@ -45,7 +46,7 @@ class Two:
             if text is not None:
                 self.arena.new_string(text)
         for block in (self.python, self.arena):
-            # Nothing of what lies there matters.
+            # The old contents there must not matter.
             block.w[block.top :] = memoryview(b"\xaa" * 8 * (len(block.w) - block.top)).cast("q")
             block.end = min(block.top + room, len(block.w))
         m = self.registers = Registers(program, [], float)
@@ -57,7 +58,8 @@ class Two:
         return heaps().base(self.arena.data)
 
     def made(self, name: str, *numbers: int) -> bool:
-        """Whether WebAssembly makes the same string as Python; it leaves where Python raises."""
+        """Whether WebAssembly makes the same string as Python; it leaves the operation where Python
+        raises."""
         block = self.arena
         size = called(name, 4 + len(numbers))(self.base, block.top, block.end, self.most, *numbers)
         before = bytes(block.image())
@@ -75,19 +77,19 @@ class Two:
         return True
 
     def given(self, name: str, *numbers: int) -> int | None:
-        """The number that both give; None where WebAssembly leaves."""
+        """The number that both give; None where WebAssembly leaves the operation."""
         number: int | None = called(name, 1 + len(numbers))(self.base, *numbers)
         number = None if number == {"str_len": -1, "index_of": -2}[name] else number
         return self.same(number, name, *numbers)
 
     def parsed(self, place: int) -> int | None:
-        """The number that both find in a text; None where WebAssembly leaves."""
+        """The number that both find in a text; None where WebAssembly leaves the operation."""
         store = heaps().store
         number, known = heaps().functions.instance.exports(store)["s2i"](store, self.base, place)
         return self.same(number if known else None, "s2i", place)
 
     def same(self, number: int | None, name: str, *numbers: int) -> int | None:
-        """The number, which Python gives too; it leaves where Python raises."""
+        """The number, which Python gives too; WebAssembly leaves where Python raises."""
         try:
             wanted = FUNCTIONS[name](self.registers, *numbers)
         except Trap:
@@ -98,7 +100,7 @@ class Two:
 
 
 @given(maybe, maybe, st.integers(0, 30), st.integers(0, 100))
-def test_concatenation(left: str | None, right: str | None, room: int, most: int) -> None:
+def test_concatenations_are_the_same(left: str | None, right: str | None, room: int, most: int) -> None:
     two = Two(left, right, room=room, most=most)
     made = two.made("str_concat", *two.places)
     if left is not None and right is not None and len((left + right).encode()) <= min(most, 8 * room - 24):
@@ -106,7 +108,7 @@ def test_concatenation(left: str | None, right: str | None, room: int, most: int
 
 
 @given(maybe, st.integers(-1, 45), st.integers(-1, 45), st.integers(0, 30), st.integers(0, 100))
-def test_substrings(text: str | None, start: int, end: int, room: int, most: int) -> None:
+def test_substrings_are_the_same(text: str | None, start: int, end: int, room: int, most: int) -> None:
     two = Two(text, room=room, most=most)
     made = two.made("substring", two.places[0], start, end)
     if text is not None and 0 <= start <= end <= len(text) and end - start <= most:
@@ -114,7 +116,7 @@ def test_substrings(text: str | None, start: int, end: int, room: int, most: int
 
 
 @given(maybe)
-def test_lengths(text: str | None) -> None:
+def test_lengths_are_the_same(text: str | None) -> None:
     two = Two(text)
     assert two.given("str_len", two.places[0]) == (None if text is None else len(text))
 
@@ -122,12 +124,12 @@ def test_lengths(text: str | None) -> None:
 @given(st.text("aé", max_size=60), st.text("aé", max_size=5))
 @example("", "")
 @example("é" * 1000, "a")
-def test_where_a_string_is_in_another(text: str, wanted: str) -> None:
+def test_positions_of_substrings_are_the_same(text: str, wanted: str) -> None:
     two = Two(text, wanted, most=10_000)
     assert two.given("index_of", *two.places) == text.find(wanted)
 
 
-def test_a_search_that_may_take_long_and_one_in_null_are_left() -> None:
+def test_a_long_search_and_one_in_null_are_left_to_python() -> None:
     two = Two("a" * 5000, "a" * 20 + "b", None)
     text, wanted, null = two.places
     assert two.given("index_of", text, wanted) is None
@@ -136,8 +138,8 @@ def test_a_search_that_may_take_long_and_one_in_null_are_left() -> None:
 
 
 @pytest.mark.parametrize(("size", "stays"), [(1024, True), (1025, False)])
-def test_long_strings_are_left(size: int, *, stays: bool) -> None:
-    """Nobody looks at a clock in WebAssembly."""
+def test_operations_on_long_strings_are_left_to_python(size: int, *, stays: bool) -> None:
+    """WebAssembly does not check the clock."""
     two = Two("a" * size, "a" * size, "b", most=10_000)
     text, same, short = two.places
     assert (two.given("str_len", text) is not None) == stays
@@ -148,13 +150,13 @@ def test_long_strings_are_left(size: int, *, stays: bool) -> None:
 
 
 @pytest.mark.parametrize(("size", "made"), [(1023, True), (1024, False)])
-def test_long_concatenations_are_left(size: int, *, made: bool) -> None:
+def test_long_concatenations_are_left_to_python(size: int, *, made: bool) -> None:
     two = Two("a" * size, "b", most=10_000)
     assert two.made("str_concat", *two.places) == made
 
 
 @given(maybe, maybe, st.booleans())
-def test_comparisons(left: str | None, right: str | None, same: bool) -> None:
+def test_comparisons_are_the_same(left: str | None, right: str | None, same: bool) -> None:
     right = left if same else right
     two = Two(left, right)
     equal = unsigned(called("str_equal", 3)(two.base, *two.places))
@@ -174,14 +176,14 @@ def test_comparisons(left: str | None, right: str | None, same: bool) -> None:
 )
 @example(-(1 << 63), 9, 99)
 @example(0, 9, 99)
-def test_whole_numbers_as_text(number: int, room: int, most: int) -> None:
+def test_integers_as_text_are_the_same(number: int, room: int, most: int) -> None:
     made = Two(room=room, most=most).made("i2s", number)
     assert made == (len(str(number)) <= most and 2 + (len(str(number)) + 7) // 8 <= room)
 
 
 @pytest.mark.parametrize("truth", [0, 1])
 @pytest.mark.parametrize("most", [3, 4, 5])
-def test_truth_as_text(truth: int, most: int) -> None:
+def test_booleans_as_text_are_the_same(truth: int, most: int) -> None:
     assert Two(most=most).made("b2s", truth) == (most >= 5 - truth)
 
 
@@ -189,7 +191,7 @@ def test_truth_as_text(truth: int, most: int) -> None:
 @example("+")
 @example("-12")
 @example("+0012")
-def test_text_as_whole_numbers(text: str | None) -> None:
+def test_texts_as_integers_are_the_same(text: str | None) -> None:
     two = Two(text)
     number = two.parsed(two.places[0])
     if text is not None and text.isascii() and text.isdigit() and len(text) < 19:

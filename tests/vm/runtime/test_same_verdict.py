@@ -1,4 +1,4 @@
-"""Images from peers, sound and damaged: WebAssembly and Python come to the same verdict, and say the same."""
+"""Images from peers, valid and damaged: WebAssembly and Python give the same verdict and error."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ TEAM = [
 
 
 def packed() -> list[bytes]:
-    """The images of coordinators that are about to travel, one with calls of a `together`."""
+    """The images of coordinators that are about to migrate, one with calls of a `together`."""
     desk, clock = GoldenWorld(), ManualClock()
     machine = desk.machine = Machine(TRAVELLER, MachineTeam(TEAM, 0, 1), desk, clock, random.Random(1))
     for member in (TEAM[0], *TEAM[2:]):
@@ -84,7 +84,7 @@ def packed() -> list[bytes]:
 
 
 IMAGES = packed()
-#: Of one that reserves nothing and has begun no call: of such WebAssembly is sure by itself.
+#: The image of a coordinator without reservations and calls: WebAssembly verifies it alone.
 WALKER = IMAGES[-1]
 IMAGE = max(IMAGES[:2], key=len)
 
@@ -97,8 +97,8 @@ def checkers(program: Program, members: tuple[str, ...]) -> list[BlockVerifier]:
 CHECKERS = checkers(TRAVELLER, tuple(member.type for member in TEAM))
 
 
-def told(check: Callable[[], object]) -> str:
-    """What is wrong, or nothing."""
+def error_of(check: Callable[[], object]) -> str:
+    """The error of a check, or ''."""
     try:
         check()
     except BlockError as error:
@@ -107,7 +107,7 @@ def told(check: Callable[[], object]) -> str:
 
 
 def damaged(image: bytes, dice: random.Random) -> bytes:
-    """A few words changed, to anything, to each other, or by a bit."""
+    """Change a few words: to any value, to each other, or by a bit."""
     data = bytearray(image)
     w = memoryview(data).cast("q")
     for _ in range(dice.choice([1, 1, 1, 2, 5])):
@@ -132,7 +132,9 @@ def damaged(image: bytes, dice: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("image", IMAGES)
-def test_who_travels_is_sound_and_python_is_not_asked(image: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_valid_image_is_verified_without_the_walk_in_python(
+    image: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     blocks = [checker.check(image, LIMIT) for checker in CHECKERS]
     assert len({bytes(block.image()) for block in blocks}) == 1
     assert len({block.end for block in blocks}) == 1
@@ -142,18 +144,18 @@ def test_who_travels_is_sound_and_python_is_not_asked(image: bytes, monkeypatch:
     assert CHECKERS[1].check(image, LIMIT).top == blocks[0].top
 
 
-def test_one_of_them_has_tickets() -> None:
+def test_one_image_has_tickets() -> None:
     counts = []
     for image in IMAGES:
         block = CHECKERS[1].check(image, LIMIT)
         walked = heaps().verify_heap(block.data, block.heap, block.top, CHECKERS[1].schema)
         assert walked is not None
         counts.append(len(walked[1]))
-    # Three calls, and what holds them.
+    # Three calls, and their list.
     assert sorted(counts) == [0, 0, 4]
 
 
-def test_of_one_that_only_walks_python_is_asked_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_image_without_calls_is_verified_without_python(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(BlockVerifier, "_adopt")
     assert bytes(CHECKERS[1].check(WALKER, LIMIT).image()) == WALKER
     for other in IMAGES[:2]:
@@ -163,31 +165,31 @@ def test_of_one_that_only_walks_python_is_asked_nothing(monkeypatch: pytest.Monk
 
 @settings(max_examples=400)
 @given(seeds)
-def test_a_damaged_walker_is_told_in_the_same_words(seed: int) -> None:
+def test_a_damaged_walker_gives_the_same_error(seed: int) -> None:
     image = damaged(WALKER, random.Random(seed))
-    first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
+    first, second = (error_of(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
     assert first == second
 
 
-def test_wherever_one_word_of_a_walker_is_another_the_verdict_is_the_same() -> None:
-    """Each word of its header, its thread and its frames, by each of these."""
+def test_any_changed_word_of_a_walker_gives_the_same_verdict() -> None:
+    """Each word of its header, its thread and its frames, with each of these values."""
     words = memoryview(WALKER).cast("q")
     for at in range(len(words)):
         for other in (0, 1, -1, words[at] + 1, words[at] - 1, 1 << 62, len(words)):
             image = bytearray(WALKER)
             memoryview(image).cast("q")[at] = max(-(1 << 63), min(other, (1 << 63) - 1))
-            first, second = (told(lambda c=c, i=image: c.check(i, LIMIT)) for c in CHECKERS)
+            first, second = (error_of(lambda c=c, i=image: c.check(i, LIMIT)) for c in CHECKERS)
             assert first == second, (at, other)
 
 
 @given(st.sampled_from(IMAGES), seeds)
-def test_a_damaged_coordinator_is_told_in_the_same_words(sound: bytes, seed: int) -> None:
+def test_a_damaged_coordinator_gives_the_same_error(sound: bytes, seed: int) -> None:
     image = damaged(sound, random.Random(seed))
-    first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
+    first, second = (error_of(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
     assert first == second
 
 
-def test_a_slot_that_holds_only_null_leads_nowhere_else_either() -> None:
+def test_a_slot_of_type_null_must_hold_null() -> None:
     core, block = TRAVELLER.core, CHECKERS[0].check(IMAGE, LIMIT)
     frame = block.w[block.w[layout.W_THREADS] + layout.THREAD_FRAME]
     index = block.w[frame] >> 8 & 0xFFFFFF
@@ -204,10 +206,10 @@ def test_a_slot_that_holds_only_null_leads_nowhere_else_either() -> None:
             checker.check(block.image(), LIMIT)
 
 
-def test_most_damages_are_found() -> None:
-    """So the property above is about something."""
+def test_most_damages_are_detected() -> None:
+    """Shows that the property above has cases to check."""
     verdicts = [
-        told(lambda i=i: CHECKERS[1].check(damaged(IMAGE, random.Random(i)), LIMIT)) for i in range(400)
+        error_of(lambda i=i: CHECKERS[1].check(damaged(IMAGE, random.Random(i)), LIMIT)) for i in range(400)
     ]
     assert 40 < verdicts.count("") < 360
     assert len(set(verdicts)) > 60
@@ -222,22 +224,22 @@ OF_THINGS = (
     "is one of its calls",
     "an array is longer than its elements",
 )
-#: Errors of tickets, which Python checks alone; something behind the ticket may be damaged as well.
+#: Errors of tickets, which only Python checks; objects behind the ticket may be damaged as well.
 OF_TICKETS = ("ticket", "a together")
 #: Errors of headers, which are checked before the heap.
 OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock", "its counters")
 
 
 @given(seeds, st.booleans())
-def test_random_heaps_sound_or_not(seed: int, tickets: bool) -> None:
-    """Where all things are sound, Python is not even asked for them; tickets it looks through."""
+def test_random_heaps_valid_or_not_give_the_same_verdict(seed: int, tickets: bool) -> None:
+    """Without errors of objects, Python is not asked about them; it checks tickets."""
     heap = RandomHeap(seed, tickets=tickets)
     dice = random.Random(seed)
     image = bytes(heap.block.image())
     if dice.random() < 0.8:
         image = damaged(image, dice)
     first, second = (
-        told(lambda c=checker: c.check(image, LIMIT)) for checker in checkers(heap.program, MEMBERS)
+        error_of(lambda c=checker: c.check(image, LIMIT)) for checker in checkers(heap.program, MEMBERS)
     )
     assert first == second
     space = heaps()
@@ -264,8 +266,8 @@ def test_random_heaps_sound_or_not(seed: int, tickets: bool) -> None:
 
 
 @given(st.binary(max_size=24), st.integers(-1, 30), st.integers(0, 4))
-def test_what_is_text_is_the_same(raw: bytes, length: int, words: int) -> None:
-    """UTF-8, no more bytes than needed, no surrogates; and the length must be in the string."""
+def test_valid_texts_are_the_same(raw: bytes, length: int, words: int) -> None:
+    """UTF-8 in its shortest form, without surrogates; the length must be within the string."""
     body = raw + bytes(-len(raw) % 8 + 8 * words)
     size = 2 + len(body) // 8
     thing = (
@@ -273,7 +275,7 @@ def test_what_is_text_is_the_same(raw: bytes, length: int, words: int) -> None:
     )
     image = bytearray(IMAGE + thing)
     memoryview(image).cast("q")[layout.W_TOP] = len(image) // 8
-    first, second = (told(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
+    first, second = (error_of(lambda c=checker: c.check(image, LIMIT)) for checker in CHECKERS)
     assert first == second
     text = body[: max(length, 0)]
     try:
@@ -286,9 +288,9 @@ def test_what_is_text_is_the_same(raw: bytes, length: int, words: int) -> None:
 
 @pytest.mark.few(16)
 @pytest.mark.parametrize("lead", range(0x80, 0x100))
-def test_every_lead_and_second_byte_of_text(lead: int) -> None:
+def test_every_lead_and_second_byte_of_text_gives_the_same_verdict(lead: int) -> None:
     for second in range(0x100):
         for rest in (b"", b"\x80", b"\x80\xbf", b"\x41\x80"):
-            test_what_is_text_is_the_same.hypothesis.inner_test(
+            test_valid_texts_are_the_same.hypothesis.inner_test(
                 bytes([lead, second]) + rest, 2 + len(rest), 0
             )

@@ -1,4 +1,4 @@
-"""A wagon with loops, whose motor and lamp answer when a test says so."""
+"""A wagon with loops, whose motor and lamp answer when the test decides."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def program(loops: str, boss: str, init: str) -> Program:
 
 
 class WagonHost(HostWorldStub):
-    """A host that keeps its log, and answers queries at once: 5 N, or not at all while it is `silent`."""
+    """A host that keeps its log, and answers queries at once: with 5 N, or not while it is `silent`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class WagonHost(HostWorldStub):
         return PENDING
 
 
-class Yard:
+class WagonTeam:
     """A wagon, a boss, and a clock."""
 
     def __init__(
@@ -137,11 +137,11 @@ class Yard:
             self.clock.advance(pause)
 
     def answer(self, number: int = 0) -> None:
-        """A device instruction is done."""
+        """End a device instruction."""
         agent, thread = self.host.waiting.pop(number)
         self.machine.answer(agent, thread, None, 0, "motor")
 
     def refuse(self, number: int = 0) -> None:
-        """It was cancelled, and the motor stands."""
+        """Cancel a device instruction; the motor stands."""
         agent, thread = self.host.waiting.pop(number)
         self.machine.throw_builtin(agent, thread, "CancelledException", "turn() was cancelled", "motor")

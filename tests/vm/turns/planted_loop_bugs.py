@@ -68,11 +68,11 @@ def an_unknown_condition_counts_as_false(patch: Patch) -> None:
     _recompiled(patch)
     set_ = _Ticks._set
 
-    def falsely(self: _Ticks, of: Any, to: Any) -> Any:
+    def set_false(self: _Ticks, of: Any, to: Any) -> Any:
         is_unknown = of is self._loop.engaged and isinstance(to, tree.Literal_)
         return set_(self, of, self._literal(to.type, False) if is_unknown else to)
 
-    patch.setattr(_Ticks, "_set", falsely)
+    patch.setattr(_Ticks, "_set", set_false)
 
 
 def a_loop_above_portals_controls_nothing(patch: Patch) -> None:

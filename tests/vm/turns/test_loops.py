@@ -1,10 +1,10 @@
-"""Loops of resources: their schedule, overruns, priorities, and what they do to devices."""
+"""Loops of resources: their schedule, overruns, priorities, and commands of devices."""
 
 from __future__ import annotations
 
 import planted_loop_bugs as bugs
 import pytest
-from loop_world import TWO, Yard
+from loop_world import TWO, WagonTeam
 
 from lfield.vm.engine_interface import AgentLimits
 
@@ -13,19 +13,19 @@ COUNT = "loop count at %s { n += 1; print(n); %s }"
 
 def a_schedule_without_drift(start: float = 0.0) -> None:
     """Each body takes a part of the period, and one takes more than two."""
-    yard = Yard(COUNT % ("10", "sleep(0.03); if (n == 40) sleep(0.25);"), start=start)
-    yard.run(3.95)
-    assert yard.output == [str(n) for n in range(1, 41)]
-    assert yard.run(0.22) == []
-    assert yard.codes == []
+    wagon_team = WagonTeam(COUNT % ("10", "sleep(0.03); if (n == 40) sleep(0.25);"), start=start)
+    wagon_team.run(3.95)
+    assert wagon_team.output == [str(n) for n in range(1, 41)]
+    assert wagon_team.run(0.22) == []
+    assert wagon_team.codes == []
     # The body ends at 4.18 s: the ticks at 4.0 and 4.1 s are skipped.
-    assert yard.run(0.02) == []
-    assert yard.run(0.02) == ["41"]
-    assert yard.codes == ["loop-overrun"]
-    assert {"loop": "count", "agent": "wagon", "skipped": 2}.items() <= yard.host.lines[0].as_data()[
+    assert wagon_team.run(0.02) == []
+    assert wagon_team.run(0.02) == ["41"]
+    assert wagon_team.codes == ["loop-overrun"]
+    assert {"loop": "count", "agent": "wagon", "skipped": 2}.items() <= wagon_team.host.lines[0].as_data()[
         "fields"
     ].items()
-    assert yard.run(0.3) == ["42", "43", "44"]
+    assert wagon_team.run(0.3) == ["42", "43", "44"]
 
 
 @pytest.mark.parametrize("start", [0.0, 1234567.1])
@@ -34,32 +34,32 @@ def test_ticks_are_on_a_grid(start: float) -> None:
 
 
 def test_many_ticks_do_not_drift() -> None:
-    yard = Yard(
+    wagon_team = WagonTeam(
         "loop count every 1.0 / 3 { n += 1; } portal n() emit int { return n; }",
         "sleep(299.9); print(wagon.n());",
     )
-    yard.run(300.0)
-    assert yard.output == ["900"]
+    wagon_team.run(300.0)
+    assert wagon_team.output == ["900"]
 
 
 def test_loops_begin_at_the_first_pause_of_init() -> None:
-    yard = Yard(COUNT % ("1", ""), init="motor.turn(); print(0); sleep(5); print(7);")
-    assert yard.run(2.5) == []
-    yard.answer()
-    assert yard.run(2.6) == ["0", "1", "2", "3"]
-    assert yard.run(10.0)[3:5] == ["7", "6"] or "7" in yard.output
+    wagon_team = WagonTeam(COUNT % ("1", ""), init="motor.turn(); print(0); sleep(5); print(7);")
+    assert wagon_team.run(2.5) == []
+    wagon_team.answer()
+    assert wagon_team.run(2.6) == ["0", "1", "2", "3"]
+    assert wagon_team.run(10.0)[3:5] == ["7", "6"] or "7" in wagon_team.output
 
 
-def test_reports_are_limited() -> None:
-    yard = Yard(
+def test_reports_of_a_loop_are_limited() -> None:
+    wagon_team = WagonTeam(
         """loop slow at 10 { sleep(0.15); }
         loop mute at 10 { if (n < 0) return; throw new DeviceException("x"); }"""
     )
-    yard.run(9.95)
-    assert sorted(yard.codes) == ["loop-failed", "loop-overrun"]
-    yard.run(10.0)
-    assert sorted(yard.codes) == ["loop-failed"] * 2 + ["loop-overrun"] * 2
-    again = {line.code: line.as_data()["fields"] for line in yard.host.lines[2:]}
+    wagon_team.run(9.95)
+    assert sorted(wagon_team.codes) == ["loop-failed", "loop-overrun"]
+    wagon_team.run(10.0)
+    assert sorted(wagon_team.codes) == ["loop-failed"] * 2 + ["loop-overrun"] * 2
+    again = {line.code: line.as_data()["fields"] for line in wagon_team.host.lines[2:]}
     assert again["loop-failed"] == {
         "loop": "mute",
         "agent": "wagon",
@@ -69,26 +69,27 @@ def test_reports_are_limited() -> None:
 
 
 def a_suppressed_body(lower: int = -1, upper: int = 2) -> None:
-    """It is cancelled in its instruction; the other one does not wait for that; it commands nothing more."""
-    yard = Yard(TWO % (lower, upper), "sleep(0.05); wagon.press(true);")
-    assert yard.run(0.06) == []
-    assert yard.host.commands == ["turn"]
-    assert yard.run(0.05) == ["guard"]
+    """The lower body is cancelled in its instruction; the upper one does not wait for that; the lower
+    commands nothing more."""
+    wagon_team = WagonTeam(TWO % (lower, upper), "sleep(0.05); wagon.press(true);")
+    assert wagon_team.run(0.06) == []
+    assert wagon_team.host.commands == ["turn"]
+    assert wagon_team.run(0.05) == ["guard"]
     # The command of the upper loop follows the cancel at once: the guard orders them by channel.
-    assert yard.host.cancelled == [yard.host.waiting[0][1]]
-    assert yard.host.commands == ["turn", "stop"]
-    yard.refuse()
-    assert yard.run(0.05) == ["5.0"]
-    yard.answer()
-    assert yard.run(0.02) == ["stopped"]
-    assert yard.run(0.05) == ["cleans", "motor: the loop guard has a higher priority than drive"]
-    assert yard.host.commands == ["turn", "stop"]
-    assert yard.codes == ["loop-suppressed", "loop-overrun"]
-    # The next tick of the lower loop is as any other.
-    assert yard.wagon.ended == ""
-    yard.run(1.0)
-    assert yard.machine.agents["wagon"].loops is not None
-    assert not yard.machine.agents["wagon"].loops.suppressed
+    assert wagon_team.host.cancelled == [wagon_team.host.waiting[0][1]]
+    assert wagon_team.host.commands == ["turn", "stop"]
+    wagon_team.refuse()
+    assert wagon_team.run(0.05) == ["5.0"]
+    wagon_team.answer()
+    assert wagon_team.run(0.02) == ["stopped"]
+    assert wagon_team.run(0.05) == ["cleans", "motor: the loop guard has a higher priority than drive"]
+    assert wagon_team.host.commands == ["turn", "stop"]
+    assert wagon_team.codes == ["loop-suppressed", "loop-overrun"]
+    # The next tick of the lower loop is like any other.
+    assert wagon_team.wagon.ended == ""
+    wagon_team.run(1.0)
+    assert wagon_team.machine.agents["wagon"].loops is not None
+    assert not wagon_team.machine.agents["wagon"].loops.suppressed
 
 
 def test_a_suppressed_body_commands_nothing() -> None:
@@ -96,24 +97,24 @@ def test_a_suppressed_body_commands_nothing() -> None:
 
 
 def test_an_instruction_that_cannot_be_cancelled_ends_by_itself() -> None:
-    yard = Yard(TWO % (-1, 2), "sleep(0.05); wagon.press(true);")
-    yard.host.cancels = False
-    yard.run(0.11)
-    assert yard.host.commands == ["turn", "stop"]
-    yard.answer(1)
-    assert yard.run(0.01) == ["stopped"]
-    yard.answer()
+    wagon_team = WagonTeam(TWO % (-1, 2), "sleep(0.05); wagon.press(true);")
+    wagon_team.host.cancels = False
+    wagon_team.run(0.11)
+    assert wagon_team.host.commands == ["turn", "stop"]
+    wagon_team.answer(1)
+    assert wagon_team.run(0.01) == ["stopped"]
+    wagon_team.answer()
     # The next pause throws.
-    assert yard.run(0.2) == ["turned", "5.0"]
+    assert wagon_team.run(0.2) == ["turned", "5.0"]
 
 
 def the_order_of_equal_ticks() -> None:
-    """The lower loop is declared first, and its thread sleeps first: the upper one is still before it."""
-    yard = Yard(
+    """The lower loop is declared first, and its thread sleeps first: the upper one is still first."""
+    wagon_team = WagonTeam(
         """loop low at 10 priority 1 { print("low"); }
         loop high at 10 priority 2 when (n < 5) { n += 1; print("high"); sleep(0.01); }"""
     )
-    assert yard.run(0.75) == ["high"] * 5 + ["low"] * 3
+    assert wagon_team.run(0.75) == ["high"] * 5 + ["low"] * 3
 
 
 def test_at_equal_times_the_higher_priority_is_first() -> None:
@@ -121,23 +122,23 @@ def test_at_equal_times_the_higher_priority_is_first() -> None:
 
 
 def an_unknown_condition() -> None:
-    """A query in `when` fails: what is below does not move anything meanwhile."""
-    yard = Yard(
+    """A query in `when` fails: lower loops command nothing meanwhile."""
+    wagon_team = WagonTeam(
         """loop low at 10 priority 1 { motor.turn(); }
         loop high at 10 priority 2 when (motor.load() > 9.0) { print("never"); }"""
     )
-    yard.run(0.05)
-    assert yard.host.commands == ["turn"]
-    yard.host.silent = True
-    yard.run(0.1)
-    assert yard.host.cancelled == [yard.host.waiting[0][1]]
-    yard.refuse()
-    yard.run(0.5)
-    assert yard.host.commands == ["turn"]
-    assert yard.codes == ["loop-failed", "loop-suppressed", "loop-overrun"]
-    yard.host.silent = False
-    yard.run(0.1)
-    assert yard.host.commands == ["turn", "turn"]
+    wagon_team.run(0.05)
+    assert wagon_team.host.commands == ["turn"]
+    wagon_team.host.silent = True
+    wagon_team.run(0.1)
+    assert wagon_team.host.cancelled == [wagon_team.host.waiting[0][1]]
+    wagon_team.refuse()
+    wagon_team.run(0.5)
+    assert wagon_team.host.commands == ["turn"]
+    assert wagon_team.codes == ["loop-failed", "loop-suppressed", "loop-overrun"]
+    wagon_team.host.silent = False
+    wagon_team.run(0.1)
+    assert wagon_team.host.commands == ["turn", "turn"]
 
 
 def test_an_unknown_condition_suppresses() -> None:
@@ -145,17 +146,18 @@ def test_an_unknown_condition_suppresses() -> None:
 
 
 def a_loop_that_controls(priority: int = 1) -> list[str]:
-    """A portal that would command a device while the body of a loop runs; what the coordinator prints."""
-    yard = Yard(
+    """A portal that would command a device while the body of a loop runs; returns the output of the
+    coordinator."""
+    wagon_team = WagonTeam(
         f'loop turn at 10 priority {priority} when (n == 0) {{ n += 1; motor.stop(); print("ends"); }}',
         "sleep(0.05); print(wagon.load()); wagon.push();",
     )
-    yard.run(0.06)
-    commands = list(yard.host.commands)
-    yard.answer()
-    yard.run(0.01)
+    wagon_team.run(0.06)
+    commands = list(wagon_team.host.commands)
+    wagon_team.answer()
+    wagon_team.run(0.01)
     assert commands[0] == "stop"
-    return [*yard.output, *commands[1:]]
+    return [*wagon_team.output, *commands[1:]]
 
 
 def test_portals_have_priority_0() -> None:
@@ -168,14 +170,14 @@ def test_portals_have_priority_0() -> None:
 
 
 def control_ends_with_the_body() -> None:
-    yard = Yard(
+    wagon_team = WagonTeam(
         "loop turn at 10 priority 1 when (n == 0) { n += 1; motor.stop(); }",
         "sleep(0.15); wagon.push();",
     )
-    yard.run(0.05)
-    yard.answer()
-    yard.run(0.2)
-    assert yard.host.commands == ["stop", "turn"]
+    wagon_team.run(0.05)
+    wagon_team.answer()
+    wagon_team.run(0.2)
+    assert wagon_team.host.commands == ["stop", "turn"]
 
 
 def test_portals_command_when_the_body_has_ended() -> None:
@@ -183,27 +185,27 @@ def test_portals_command_when_the_body_has_ended() -> None:
 
 
 @pytest.mark.parametrize("rate", ["at n", "every -1.0 * n", "at 5000 + n", "every n / 0.0"])
-def test_a_rate_without_sense_ends_the_resource(rate: str) -> None:
-    yard = Yard(f"loop turn {rate} {{ }}")
-    yard.run(1.0)
-    assert yard.wagon.ended == "died"
-    assert yard.wagon.report.startswith("ArithmeticException: ")
+def test_an_invalid_rate_ends_the_resource(rate: str) -> None:
+    wagon_team = WagonTeam(f"loop turn {rate} {{ }}")
+    wagon_team.run(1.0)
+    assert wagon_team.wagon.ended == "died"
+    assert wagon_team.wagon.report.startswith("ArithmeticException: ")
 
 
-def test_a_heap_without_space_for_loops() -> None:
+def test_a_heap_without_space_for_loops_ends_the_resource() -> None:
     loops = "\n".join(f"loop turn{n} at 1 {{ }}" for n in range(16))
-    yard = Yard(loops, limits=AgentLimits(heap=2048))
-    yard.run(0.1)
-    assert yard.wagon.report.startswith("LimitException: ")
+    wagon_team = WagonTeam(loops, limits=AgentLimits(heap=2048))
+    wagon_team.run(0.1)
+    assert wagon_team.wagon.report.startswith("LimitException: ")
 
 
-def test_threads_of_portals_are_left() -> None:
+def test_loops_leave_threads_for_portals() -> None:
     loops = "\n".join(f"loop turn{n} at 1 {{ }}" for n in range(16))
-    yard = Yard(loops, "print(wagon.load());")
-    assert yard.run(0.1) == ["5.0"]
+    wagon_team = WagonTeam(loops, "print(wagon.load());")
+    assert wagon_team.run(0.1) == ["5.0"]
 
 
-def all_stories() -> None:
+def all_scenarios() -> None:
     a_schedule_without_drift()
     a_suppressed_body()
     the_order_of_equal_ticks()
@@ -216,4 +218,4 @@ def all_stories() -> None:
 def test_a_planted_loop_bug_is_found(bug: bugs.LoopBug, monkeypatch: pytest.MonkeyPatch) -> None:
     bug(monkeypatch)
     with pytest.raises(AssertionError):
-        all_stories()
+        all_scenarios()

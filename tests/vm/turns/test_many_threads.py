@@ -1,4 +1,4 @@
-"""A thousand threads in one block: each is found at once, in whichever order they end."""
+"""A thousand threads in one block: each is found at once, in any order of their ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ coordinator Walker {
 
 
 def crowd(size: int, desk: GoldenWorld, clock: ManualClock) -> Machine:
-    """So many coordinators, who have not begun, before one gate."""
+    """So many coordinators, which have not started, before one gate."""
     team = [TeamMember(0, "gate", "Gate", "resource", 0)]
     team += [TeamMember(n, f"w{n}", "Walker", "coordinator", 0, (str(n),)) for n in range(1, size + 1)]
     made = Machine(compile_text(PROGRAM), MachineTeam(team, 0, 1), desk, clock, random.Random(1))
@@ -42,7 +42,7 @@ def crowd(size: int, desk: GoldenWorld, clock: ManualClock) -> Machine:
     return made
 
 
-def test_ten_times_as_many_threads_cost_ten_times_as_much(
+def test_the_work_is_linear_in_the_number_of_threads(
     steps: Callable[[Callable[[], object]], int],
 ) -> None:
     taken = []
@@ -57,7 +57,7 @@ def test_ten_times_as_many_threads_cost_ten_times_as_much(
 
 @pytest.mark.parametrize("seed", range(5))
 def test_threads_are_found_where_the_list_has_them(seed: int) -> None:
-    """However they come and go, and whether the heap moves meanwhile."""
+    """With any order of starts and ends, and with moves of the heap meanwhile."""
     dice, block = random.Random(seed), Block.empty(bytes(32), 1 << 20)
     layouts = Layouts(compile_text(PROGRAM))
     template = thread_template(0, layouts.frame_words[0], 0)

@@ -1,4 +1,5 @@
-"""Waiting costs nothing: threads that only yield are parked, and wake when what they wait for may be so."""
+"""Waiting costs nothing: threads that only yield are parked, and wake when their condition may have
+changed."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ def started(text: str) -> tuple[Machine, GoldenWorld, ManualClock]:
 
 
 def turns_until_quiet(machine: Machine, clock: ManualClock) -> int:
-    """How often the machine had to be run until nothing could happen of itself."""
+    """How often the machine has to be run until no event is pending."""
     for turn in range(1000):
         pause = machine.run()
         if pause is None:
@@ -52,7 +53,7 @@ def test_a_thread_that_waits_for_a_field_is_parked_until_another_thread_has_run(
     assert turns_until_quiet(machine, clock) == 0
 
 
-def test_waiting_for_a_field_takes_no_turns() -> None:
+def test_a_wait_for_a_field_takes_few_turns() -> None:
     machine, _, clock = started(WAITS.replace("sleep(5.0)", "sleep(0.5); sleep(500.0)"))
     start = clock.now
     runs = 0
@@ -64,7 +65,7 @@ def test_waiting_for_a_field_takes_no_turns() -> None:
     assert runs < 60
 
 
-def test_two_threads_that_wait_do_not_keep_each_other_awake() -> None:
+def test_two_waiting_threads_do_not_wake_each_other() -> None:
     machine, _, clock = started(
         """
 resource R {
@@ -78,7 +79,7 @@ coordinator C { init(string[] a) { findR("r").wait(); } }
     assert turns_until_quiet(machine, clock) < 60
 
 
-def test_a_loop_that_changes_something_between_yields_goes_on() -> None:
+def test_a_loop_that_changes_a_field_between_yields_continues() -> None:
     machine, desk, clock = started(
         """
 resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } print(n); } }
@@ -90,7 +91,7 @@ resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } p
     assert clock.now == start, "a loop that works is not slowed down by its yields"
 
 
-def test_a_loop_that_asks_the_clock_goes_on() -> None:
+def test_a_loop_that_reads_the_clock_continues() -> None:
     machine, desk, clock = started(
         """
 coordinator C {
@@ -102,7 +103,7 @@ coordinator C {
     assert desk.output == ["later"]
 
 
-def test_nothing_is_kept_of_threads_that_have_ended() -> None:
+def test_nothing_is_kept_of_ended_threads() -> None:
     machine, desk, clock = started(
         """
 resource R { init(string[] a) { } portal pause() { now(); yield(); now(); } }

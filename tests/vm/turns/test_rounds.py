@@ -1,4 +1,4 @@
-"""A round of the machine: how much it does before its host looks at the world; what a portal call leaves."""
+"""A round of the machine: its length before the host gets control; the garbage of a portal call."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ coordinator Clerk {
 
 
 def machine(body: str, desk: GoldenWorld | None = None, clock: ManualClock | None = None) -> Machine:
-    """A store and its clerk, who has not begun."""
+    """A store and its clerk, which has not started."""
     program = compile_text(PROGRAM % body)
     made = Machine(
         program, MachineTeam(TEAM, 0, 1), desk or GoldenWorld(), clock or ManualClock(), random.Random(1)
@@ -56,7 +56,7 @@ def machine(body: str, desk: GoldenWorld | None = None, clock: ManualClock | Non
     ],
     ids=["turns", "instructions"],
 )
-def test_a_round_is_over_after_so_many_turns_or_instructions(body: str, least: int, most: int) -> None:
+def test_a_round_ends_after_a_number_of_turns_or_instructions(body: str, least: int, most: int) -> None:
     made, used = machine(body), []
     made.hooks.meter = used.append
     made.run()
@@ -67,7 +67,7 @@ def test_a_round_is_over_after_so_many_turns_or_instructions(body: str, least: i
 
 
 class Slow(ManualClock):
-    """Each time it is looked at, a millisecond has passed."""
+    """A clock that advances by a millisecond at each reading."""
 
     def monotonic(self) -> float:
         self.advance(0.001)
@@ -75,7 +75,7 @@ class Slow(ManualClock):
 
 
 @pytest.mark.parametrize("body", ["while (true) store.ask();", "int i = 0; while (true) i = i + 1;"])
-def test_a_round_is_over_when_it_has_taken_long(body: str) -> None:
+def test_a_round_ends_when_it_has_taken_long(body: str) -> None:
     made, turns = machine(body, clock=Slow()), []
     made.run()
     made.hooks.meter = turns.append
@@ -83,7 +83,7 @@ def test_a_round_is_over_when_it_has_taken_long(body: str) -> None:
     assert 1 <= len(turns) <= 1000 * SECONDS_PER_RUN + 1
 
 
-def test_whoever_is_ready_has_a_turn_in_a_round_of_calls() -> None:
+def test_every_ready_thread_has_a_turn_in_a_round_of_calls() -> None:
     made, turns = machine("while (true) store.ask();"), []
     made.run()
     made.hooks.meter = turns.append
@@ -91,7 +91,7 @@ def test_whoever_is_ready_has_a_turn_in_a_round_of_calls() -> None:
     assert len(turns) == TURNS_PER_RUN
 
 
-def test_portals_that_keep_nothing_cost_no_garbage() -> None:
+def test_portals_that_keep_nothing_make_no_garbage() -> None:
     tops = []
     for calls in (1, 1000):
         made = machine(f"for (int i = 0; i < {calls}; i = i + 1) store.ask();")
@@ -101,7 +101,7 @@ def test_portals_that_keep_nothing_cost_no_garbage() -> None:
     assert tops[0] == tops[1]
 
 
-def test_what_portals_keep_stays_and_what_they_spend_is_collected() -> None:
+def test_kept_objects_of_portals_stay_and_others_are_collected() -> None:
     body = """
       int sum = 0;
       for (int i = 1; i < 60; i = i + 1) {

@@ -1,4 +1,4 @@
-"""Arrays that grow and maps as a person reads them: traces, decoded blocks, a debugger, listings."""
+"""Growable arrays and maps as displayed: traces, decoded blocks, a debugger, listings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_decoded_block_shows_elements_and_entries() -> None:
     assert fields["none"] == "null"
 
 
-def test_a_debugger_expands_them() -> None:
+def test_a_debugger_expands_arrays_and_maps() -> None:
     machine, block = running()
     reader = ValueReader(block, machine.program)
     own = block.w[layout.W_SELF]
@@ -82,7 +82,7 @@ def test_a_debugger_expands_them() -> None:
     )
 
 
-def test_a_test_of_a_mission_has_lists_and_dicts() -> None:
+def test_a_mission_test_gets_lists_and_dicts() -> None:
     machine, _ = running()
     program = machine.program
     portal = next(method for method in program.core.methods if method.name == "given")
@@ -95,7 +95,7 @@ def test_a_test_of_a_mission_has_lists_and_dicts() -> None:
             assert list(values_of(block, program, [kind], [word])[0]) == list(value)  # type: ignore[call-overload]  # a dict
 
 
-def test_a_trace_names_the_lines_of_the_program_alone() -> None:
+def test_a_trace_has_only_lines_of_the_program() -> None:
     text = """resource R {
     init(string[] arg) {
         map<string, int> m = new map<string, int>();
@@ -115,7 +115,7 @@ def test_a_trace_names_the_lines_of_the_program_alone() -> None:
     assert lines == ["at R.look (golden.L:10)", "at R.init (golden.L:6)"]
 
 
-def test_a_program_with_both_is_encoded_and_listed() -> None:
+def test_a_program_with_arrays_and_maps_is_encoded_and_listed() -> None:
     machine, _ = running()
     program = machine.program
     assert decode(encode(program)).digest == program.digest
@@ -158,7 +158,7 @@ coordinator Walker {
 """
 
 
-def test_they_travel_without_their_spare_words() -> None:
+def test_arrays_and_maps_migrate_without_spare_words() -> None:
     team = [
         TeamMember(0, "here", "Post", "resource", 0),
         TeamMember(1, "there", "Post", "resource", 1),

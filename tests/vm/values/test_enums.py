@@ -1,4 +1,4 @@
-"""Enums as a person reads them: decoded blocks, a debugger, listings, tests of missions; and the verifier."""
+"""Enums as displayed: decoded blocks, a debugger, listings, tests of missions; and the verifier."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def running() -> tuple[Machine, Block]:
     return machine, machine.agents["r"].block
 
 
-def test_a_decoded_block_shows_names() -> None:
+def test_a_decoded_block_shows_member_names() -> None:
     machine, block = running()
     shown = view(block, machine.program)
     fields = dict(shown.fields)
@@ -63,7 +63,7 @@ def test_a_decoded_block_shows_names() -> None:
 
 
 def test_a_number_without_a_member_is_shown_as_a_number() -> None:
-    """A block of another host is checked for references, not for the numbers of enums."""
+    """The verifier of a block checks references, not the numbers of enums."""
     machine, block = running()
     block.w[block.w[layout.W_SELF] + 1] = 77
     assert dict(view(block, machine.program).fields)["now"] == "77"
@@ -83,6 +83,13 @@ def test_a_debugger_has_types_and_names() -> None:
     assert reader.plain((types["number"], 1)) == 1
 
 
+def watch_scope() -> WatchScope:
+    machine, block = running()
+    moment = SimpleNamespace(table=SimpleNamespace(program=machine.program), agents=machine.agents)
+    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
+    return WatchScope(cast(Moment, moment), frames)
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -93,24 +100,17 @@ def test_a_debugger_has_types_and_names() -> None:
         ("number == 2", True),
     ],
 )
-def test_an_expression_of_a_debugger_has_members(text: str, value: object) -> None:
-    machine, block = running()
-    table = SimpleNamespace(program=machine.program)
-    moment = SimpleNamespace(table=table, agents=machine.agents)
-    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
-    assert WatchExpression(text).value(WatchScope(cast(Moment, moment), frames)) == value
+def test_a_watch_expression_may_name_members(text: str, value: object) -> None:
+    assert WatchExpression(text).value(watch_scope()) == value
 
 
-def test_an_expression_of_a_debugger_refuses_other_types() -> None:
-    machine, block = running()
-    moment = SimpleNamespace(table=SimpleNamespace(program=machine.program), agents=machine.agents)
-    frames = [("r", stack(block, machine.program, place)[0].frame) for place in threads(block)]
+def test_a_watch_expression_refuses_other_types() -> None:
     for text in ("held == 2", 'held == "HOME"'):
         with pytest.raises(ValueUnknown):
-            WatchExpression(text).value(WatchScope(cast(Moment, moment), frames))
+            WatchExpression(text).value(watch_scope())
 
 
-def test_a_test_of_a_mission_has_names() -> None:
+def test_a_mission_test_gets_member_names() -> None:
     program = compile_text(TEXT)
     portal = next(method for method in program.core.methods if method.name == "given")
     kind, array = portal.slots[1], portal.slots[2]
@@ -135,11 +135,11 @@ def test_a_program_with_an_enum_is_encoded_and_listed() -> None:
     assert "portal R.given(Phase, Phase[]) Phase" in listing
 
 
-def test_the_names_are_part_of_the_identity_of_a_program() -> None:
+def test_member_names_are_part_of_the_identity_of_a_program() -> None:
     assert compile_text(TEXT).digest != compile_text(TEXT.replace("LIFT", "RAISE")).digest
 
 
-def test_an_unused_constant_or_function_changes_nothing() -> None:
+def test_an_unused_constant_or_function_does_not_change_a_program() -> None:
     text = "resource R { init(string[] arg) { } }"
     unused = "const int ONE = 1; int twice(int n) { return 2 * n; } "
     assert compile_text(text).digest == compile_text(unused + text).digest
@@ -160,7 +160,7 @@ def test_the_verifier_refuses_an_enum_without_members() -> None:
             verify(changed(program, TypeRecord(INT, of)))
 
 
-def test_the_verifier_keeps_enums_apart_from_other_values() -> None:
+def test_the_verifier_distinguishes_enums_from_other_values() -> None:
     program = compile_text(TEXT)
     kind = next(i for i, one in enumerate(program.core.types) if one.kind == INT and one.of)
     step = program.class_index["Step"]

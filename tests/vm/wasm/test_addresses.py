@@ -1,4 +1,4 @@
-"""Many agents where addresses are limited (`ulimit -v`), and what is given back to the system."""
+"""Many agents with a limited address space (`ulimit -v`), and memory that is returned to the system."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ print(len(desk.output), len(set(desk.output)), outside, machine.engine.space.res
 
 @pytest.mark.process
 @pytest.mark.parametrize("most", [400, 1500])
-def test_a_thousand_agents_live_in_few_addresses(most: int) -> None:
+def test_a_thousand_agents_need_few_addresses(most: int) -> None:
     done = subprocess.run(
         [sys.executable, "-c", _MANY, str(most)], capture_output=True, text=True, check=False, timeout=200
     )
@@ -51,7 +51,7 @@ def test_a_thousand_agents_live_in_few_addresses(most: int) -> None:
     assert reservation < ADDRESS_SPACE
 
 
-def test_a_large_region_that_nobody_needs_has_no_memory() -> None:
+def test_a_freed_large_region_uses_no_memory() -> None:
     arena = Arena()
     room = arena.allocate(32 << 20)
     room[:] = b"x" * len(room)

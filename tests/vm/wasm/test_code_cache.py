@@ -1,4 +1,4 @@
-"""The machine code that a host keeps of its program: found again, made again when damaged, never others'."""
+"""The cached machine code of a program: found again, compiled again when damaged, never that of others."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def made(notes: list[str]) -> dict[int, int]:
-    """The points of the program on a new engine, as a process that has just begun finds them."""
+    """The points of the program on a new engine, as in a new process."""
     from lfield.vm.wasm import machine_code
     from lfield.vm.wasm.wasm_engine import WasmEngine
 
@@ -49,8 +49,8 @@ def made(notes: list[str]) -> dict[int, int]:
 
 
 @contextmanager
-def nobody() -> Iterator[None]:
-    """Root sees everything, so it is somebody else meanwhile."""
+def other_user() -> Iterator[None]:
+    """Run as another user if the tests run as root, who may read everything."""
     user = os.geteuid()
     if user == 0:
         os.seteuid(_NOBODY)
@@ -61,7 +61,7 @@ def nobody() -> Iterator[None]:
 
 
 def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on code must be found."""
+    """From now on code must be found in the cache."""
 
     def refuse(*_: object) -> None:
         raise AssertionError("it was compiled again")
@@ -69,7 +69,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.machine_code.lower_program", refuse)
 
 
-def test_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cached_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notes: list[str] = []
     first = made(notes)
     assert all(path.stat().st_mode & 0o077 == 0 for path in [cached, *cached.iterdir()])
@@ -79,7 +79,7 @@ def test_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "empty", "other"])
-def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> None:
+def test_damaged_code_is_compiled_again_with_one_line(cached: Path, damage: str) -> None:
     notes: list[str] = []
     first = made(notes)
     for path in cached.iterdir():
@@ -102,7 +102,7 @@ def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> 
     assert len(notes) == 1
 
 
-def test_what_others_could_have_written_is_not_read(cached: Path) -> None:
+def test_code_that_others_may_write_is_not_used(cached: Path) -> None:
     notes: list[str] = []
     first = made(notes)
     for path in cached.iterdir():
@@ -118,7 +118,7 @@ def test_a_service_has_its_own_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", ["file", "x" * 300, "file/below", "loop"])
-def test_without_a_folder_everything_is_compiled(
+def test_without_a_cache_folder_everything_is_compiled(
     cached: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -141,17 +141,17 @@ def test_without_a_home_everything_is_compiled(
     assert list(working.iterdir()) == []
 
 
-def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:
+def test_an_unreadable_cache_folder_is_not_used(tmp_path: Path) -> None:
     (tmp_path / "others").mkdir(mode=0)
     notes: list[str] = []
     cache = UserCodeCache(tmp_path / "others" / "lfield" / "code", notes.append)
-    with nobody():
+    with other_user():
         cache.put("name", b"x")
         assert cache.get("name") is None
     assert [note.rpartition(": ")[2] for note in notes] == ["Permission denied"]
 
 
-def test_the_name_tells_programs_reservations_processors_and_versions_apart(
+def test_the_name_of_code_depends_on_program_reservation_processor_and_versions(
     cached: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from lfield.vm.wasm import machine_code
@@ -166,7 +166,7 @@ def test_the_name_tells_programs_reservations_processors_and_versions_apart(
     assert len(names) == 7
 
 
-def test_the_oldest_code_is_forgotten(tmp_path: Path) -> None:
+def test_the_oldest_code_is_removed(tmp_path: Path) -> None:
     cache = UserCodeCache(tmp_path, print)
     for number in range(MAX_PROGRAMS + 3):
         cache.put(f"{number:03}", b"x")
@@ -177,7 +177,7 @@ def test_the_oldest_code_is_forgotten(tmp_path: Path) -> None:
     assert cache.get("000") is None
 
 
-def test_where_there_is_no_wasmtime_the_reference_engine_serves(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_wasmtime_the_reference_engine_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines_module, "has_wasm", lambda: False)
     assert select_engine("auto", print) is Reference
     assert select_engine("reference", print) is Reference
@@ -185,7 +185,7 @@ def test_where_there_is_no_wasmtime_the_reference_engine_serves(monkeypatch: pyt
         select_engine("wasm", print)
 
 
-def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unusable_wasmtime_is_logged_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines_module, "has_wasm", lambda: True)
     monkeypatch.setitem(sys.modules, "lfield.vm.wasm.wasm_engine", None)
     notes: list[str] = []
@@ -195,7 +195,7 @@ def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.Monk
         select_engine("wasm", notes.append)(PROGRAM, float)
 
 
-#: A host's engine for a program, made where a computer says first what it is.
+#: A host's engine for a program, with another processor name.
 _ELSEWHERE = """
 import platform, sys
 platform.machine = lambda: sys.argv[1]
@@ -207,7 +207,7 @@ print(select_engine("auto", print)(program, float).__class__.__module__)
 
 
 @pytest.mark.process
-def test_a_processor_that_wasmtime_does_not_know(tmp_path: Path) -> None:
+def test_an_unsupported_processor_selects_the_reference_engine(tmp_path: Path) -> None:
     """The wheel for all platforms installs anywhere, and refuses only when it is loaded."""
     pytest.importorskip("wasmtime", reason=NEEDED)
     done = _elsewhere(tmp_path, "riscv64")
@@ -233,15 +233,15 @@ def _elsewhere(cache: Path, machine: str, addresses: int = 0) -> subprocess.Comp
 
 
 @pytest.mark.process
-def test_where_addresses_are_few_the_second_start_finds_the_code_too(tmp_path: Path) -> None:
+def test_with_few_addresses_the_second_start_finds_the_code_too(tmp_path: Path) -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)
     for _ in range(2):
         done = _elsewhere(tmp_path, platform.machine(), 300 << 20)
         assert done.stdout.splitlines() == ["lfield.vm.wasm.wasm_engine"]
 
 
-def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
-    """Whole, of this lfield and this wasmtime, and of another program: it would run as this one."""
+def test_code_under_a_wrong_name_is_compiled_again(cached: Path) -> None:
+    """Valid, of the same lfield and wasmtime, but of another program."""
     notes: list[str] = []
     first = made(notes)
     one, other = sorted(cached.iterdir())
@@ -252,7 +252,7 @@ def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
     assert [note.rpartition(": ")[2] for note in notes] == ["its header does not match its name or content"]
 
 
-def test_the_name_of_code_covers_whatever_it_is_made_by() -> None:
+def test_the_name_of_code_covers_all_modules_that_make_it() -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)
     from lfield.vm.wasm.machine_code import _MAKERS, _NO_MAKERS
 
@@ -265,7 +265,7 @@ def test_the_name_of_code_covers_whatever_it_is_made_by() -> None:
 
 
 def _imported(root: str) -> set[str]:
-    """The modules of lfield that one imports, by themselves and by others; packages only with their files."""
+    """The modules of lfield that one imports, directly and indirectly; packages only with their files."""
     found: set[str] = set()
     pending = [root]
     while pending:
@@ -284,7 +284,7 @@ def _imported(root: str) -> set[str]:
 
 
 def _file_of(name: str) -> Path | None:
-    """The file of a module of lfield, None for whatever else has a name."""
+    """The file of a module of lfield, None for any other name."""
     path = Path(__file__).parents[3].joinpath(*name.split("."))
     files = [path.with_suffix(".py"), path / "__init__.py"] if name.startswith("lfield.") else []
     return next((file for file in files if file.is_file()), None)
@@ -292,7 +292,7 @@ def _file_of(name: str) -> Path | None:
 
 @pytest.fixture
 def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
-    """From the call on, wasmtime is one whose configuration lacks a setting, which Python lets be set."""
+    """From the call on, the configuration of wasmtime lacks a setting, which Python permits to set."""
     wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
     from lfield.vm.wasm import machine_code, wasm_compiler
 
@@ -300,13 +300,13 @@ def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], No
         wasm_compiler.compiler.cache_clear()
         machine_code._recent.clear()
 
-    def without(name: str) -> None:
+    def remove_option(name: str) -> None:
         left_out = ("__dict__", "__weakref__", name)
         known = {key: value for key, value in vars(wasmtime.Config).items() if key not in left_out}
         monkeypatch.setattr(wasmtime, "Config", type("Config", wasmtime.Config.__bases__, known))
         forget()
 
-    yield without
+    yield remove_option
     forget()
 
 
@@ -322,7 +322,7 @@ def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], No
         "max_wasm_stack",
     ],
 )
-def test_a_wasmtime_without_a_setting_runs_nothing(
+def test_a_wasmtime_without_a_needed_setting_is_not_used(
     setting: str, old_wasmtime: Callable[[str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -338,7 +338,7 @@ def test_a_wasmtime_without_a_setting_runs_nothing(
         select_engine("wasm", notes.append)(PROGRAM, float)
 
 
-def test_the_version_that_is_told_is_that_of_the_project() -> None:
+def test_the_required_version_is_that_of_the_project() -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)
     from lfield.vm.wasm.wasm_compiler import VERSION
 

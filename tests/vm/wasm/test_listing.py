@@ -1,4 +1,4 @@
-"""`lfield disasm --wasm`: the very module that is run, with the instructions and the lines of L in it."""
+"""`lfield disasm --wasm`: the executed module, with the instructions and the lines of L."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PROGRAM = compile_text(
 
 
 @pytest.mark.parametrize("name", ["02-equivalent-lift", "05-two-carry-one", "15-tuple-space"])
-def test_what_is_listed_is_what_is_run(name: str) -> None:
+def test_the_listing_is_the_executed_module(name: str) -> None:
     (path,) = (EXAMPLES / name).glob("*.dL")
     program = load_program(path)
     assert wasmtime.wat2wasm(listing(program)) == wasmtime.wat2wasm(
@@ -42,7 +42,7 @@ def test_what_is_listed_is_what_is_run(name: str) -> None:
     )
 
 
-def test_every_instruction_that_is_done_stands_above_its_text() -> None:
+def test_every_compiled_instruction_is_above_its_text() -> None:
     wasm = [line.strip() for line in listing(PROGRAM).splitlines()]
     wanted = [line.strip() for line in disassemble(PROGRAM).splitlines() if " ^" in line and ", " in line]
     assert len(wanted) > 10
@@ -56,11 +56,11 @@ def test_every_instruction_that_is_done_stands_above_its_text() -> None:
     )
 
 
-def test_what_a_terminal_would_obey_is_no_part_of_it() -> None:
+def test_the_listing_has_no_control_characters() -> None:
     assert all(line.isprintable() for line in listing(PROGRAM).splitlines())
 
 
-def test_nested_lines_are_set_in() -> None:
+def test_nested_lines_are_indented() -> None:
     lines = listing(PROGRAM).splitlines()
     at = next(i for i, line in enumerate(lines) if line.strip().startswith("loop $l-"))
     depth = len(lines[at]) - len(lines[at].lstrip())
@@ -70,7 +70,7 @@ def test_nested_lines_are_set_in() -> None:
     assert (lines[0], lines[-1]) == ("(module $program", ")")
 
 
-def test_methods_that_are_left_out_are_told_with_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_methods_left_out_are_listed_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lowering, "MAX_FUNCTION_TEXT", 2500)
     shown = listing(PROGRAM)
     why = "its code is too long for WebAssembly"
@@ -79,5 +79,5 @@ def test_methods_that_are_left_out_are_told_with_why(monkeypatch: pytest.MonkeyP
     wasmtime.wat2wasm(shown)
 
 
-def test_a_host_pays_for_no_comments() -> None:
+def test_the_executed_module_has_no_comments() -> None:
     assert ";; golden.L" not in lowering.lower_program(prepare(PROGRAM)).text

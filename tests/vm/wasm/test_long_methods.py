@@ -1,4 +1,4 @@
-"""Long methods: making their code grows with their length, and what WebAssembly refuses is one method."""
+"""Long methods: the work of compilation is linear, and only a method that WebAssembly refuses is left out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lfield.vm.wasm.lowering import module_lowering as lowering  # noqa: E402
 from lfield.vm.wasm.lowering.slot_storage import PARAMETERS  # noqa: E402
 from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Engine  # noqa: E402
 
-#: Bodies of a method that are so many times as long.
+#: Bodies of a method of a given length.
 SHAPES: dict[str, Callable[[int], str]] = {
     "sums": lambda n: "".join(f"k = k * 3 % 1000 + {i};" for i in range(n)),
     "calls": lambda n: "k = h(k);" * n,
@@ -64,7 +64,7 @@ def _prepared(text: str) -> PreparedProgram:
 
 
 def _run(text: str, engines: Engines) -> tuple[list[str], list[bytes]]:
-    """What is printed, and the blocks at the end."""
+    """The output, and the blocks at the end."""
     program, desk, clock = compile_text(text), GoldenWorld(), ManualClock()
     members = team_for(program, [])
     machine = desk.machine = Machine(
@@ -78,7 +78,7 @@ def _run(text: str, engines: Engines) -> tuple[list[str], list[bytes]]:
 
 
 def _joined(text: str) -> int:
-    """What costs the compiler the square: locals for slots, times where a function is left and entered."""
+    """Quadratic work of the compiler: locals for slots, times places where a function is left and entered."""
     functions = text.split("\n(func ")
     return max(
         f.count("(local $s") * (f.count("br $exit") + f.count("(local.set $resume")) for f in functions
@@ -86,14 +86,15 @@ def _joined(text: str) -> int:
 
 
 def _ways_out(text: str) -> int:
-    """What costs it the square as well: from how many places a function without locals goes to its end."""
+    """Quadratic work of the compiler as well: the places from which a function without locals goes to its
+    end."""
     functions = [f for f in text.split("\n(func ") if "(local $to_i64 " in f]
     return max((f.count("br $exit") + f.count("$spill") for f in functions), default=0)
 
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
-def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
+def test_the_work_is_linear_in_the_length_of_the_code(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
     texts = []
     few, many = (steps(lambda p=p: texts.append(lowering.lower_program(p).text)) for p in (short, long))
@@ -104,7 +105,7 @@ def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_long_method_does_the_same(shape, monkeypatch):
+def test_a_long_method_has_the_same_effect(shape, monkeypatch):
     text = _program(SHAPES[shape](40))
     expected = _run(text, Reference)
     assert _run(text, Engine) == expected
@@ -117,8 +118,8 @@ def test_a_long_method_does_the_same(shape, monkeypatch):
     machine_code._recent.clear()
 
 
-def test_no_way_through_a_long_method_has_few_points() -> None:
-    """An `else if` after another is a single way through all tests, and each body a way out of it."""
+def test_every_path_through_a_long_method_has_points() -> None:
+    """An `else if` chain is a single path through all tests, and each body leaves it."""
     prepared = _prepared(_program(SHAPES["else if"](600)))
     method = next(m for m in prepared.program.core.methods if m.name == "f")
     points = control_flow_graph.ControlFlowGraph(prepared, method, lambda i: True).points
@@ -126,14 +127,14 @@ def test_no_way_through_a_long_method_has_few_points() -> None:
 
 
 @pytest.mark.parametrize("count", [PARAMETERS - 1, PARAMETERS, PARAMETERS + 200])
-def test_parameters_beyond_those_of_webassembly_are_in_the_frame(count: int) -> None:
+def test_parameters_beyond_the_limit_of_webassembly_are_in_the_frame(count: int) -> None:
     takes = ", ".join(f"int p{i}" for i in range(count))
     more = f"private int g({takes}) {{ return p0 + p{count - 1}; }}"
     text = _program(f"k = g({', '.join(['k'] * count)});", more)
     assert _run(text, Engine) == _run(text, Reference)
 
 
-def test_a_method_too_long_for_webassembly_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_too_long_for_webassembly_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     from lfield.vm.wasm import machine_code
 
     text = _program("k = g(k);", f"private int g(int k) {{ {SHAPES['sums'](400)} return k; }}")
@@ -154,7 +155,7 @@ def test_many_slots_are_no_locals() -> None:
     assert _run(text, Engine) == _run(text, Reference)
 
 
-def test_an_agent_outside_the_arena_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_agent_outside_the_arena_is_logged_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.heap_arena.HeapArena.base", lambda self, data: -1)
     notes: list[str] = []
     text = _program("for (int i = 0; i < 50000; i = i + 1) k = h(i);")

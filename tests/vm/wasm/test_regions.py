@@ -1,4 +1,4 @@
-"""The memory of all blocks of a host: its regions stay while they are seen, and blocks lie in them."""
+"""The memory of all blocks of a host: regions stay while they are referenced, and blocks lie in them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lfield.vm.wasm.heap_arena import HeapArena
 PROGRAM = compile_text("resource R { init(string[] arg) { } }")
 
 
-def test_a_region_is_given_again_only_when_nobody_sees_it() -> None:
+def test_a_region_is_reused_only_without_references() -> None:
     arena = Arena()
     first = arena.allocate(4000)
     base = arena.base(first)
@@ -63,7 +63,7 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
         assert block.string(block.w[layout.W_ID]) == "who"
     assert len({bytes(block.image()) for block in blocks}) == 1
     assert len({block.end for block in blocks}) == 1
-    # One of one packet that has had nothing new is left as it is.
+    # A block of one packet without new objects is left unchanged.
     compact(blocks[0], Layouts(PROGRAM))
     assert blocks[0].end > blocks[0].top == blocks[0].packed
     blocks[0].new_string("y" * 5000)
@@ -72,7 +72,7 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
     assert arena.base(blocks[0].data) >= 0
 
 
-def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_full_arena_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = HeapArena()
     rooms = [arena.allocate(1 << 20) for _ in range(20)]
@@ -82,8 +82,8 @@ def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.Monkey
     assert 10 < sum(inside) < 20
 
 
-def test_no_region_reaches_the_end_of_all_addresses() -> None:
-    """The address behind a region, and that of something there is no room for, are numbers of 32 bits too."""
+def test_no_region_reaches_the_end_of_the_address_space() -> None:
+    """The address behind a region, and that of an object without space, are 32-bit numbers too."""
     arena = Arena()
     last = 0
     for size in (64 << 20, 1 << 16, 512):
@@ -92,7 +92,7 @@ def test_no_region_reaches_the_end_of_all_addresses() -> None:
     assert ADDRESS_SPACE - PAGE - 512 < last <= ADDRESS_SPACE - PAGE
 
 
-def test_where_nothing_new_is_left_a_larger_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_full_arena_a_larger_free_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = HeapArena()
     rooms = [arena.allocate(1 << 20) for _ in range(20)]
@@ -109,7 +109,7 @@ def test_where_nothing_new_is_left_a_larger_region_is_divided(monkeypatch: pytes
     assert arena.base(arena.allocate(1 << 20)) == base
 
 
-def test_freed_regions_side_by_side_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_adjacent_free_regions_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
     rooms = [arena.allocate(1 << 20) for _ in range(15)]
@@ -123,8 +123,8 @@ def test_freed_regions_side_by_side_are_joined(monkeypatch: pytest.MonkeyPatch) 
     assert arena.base(arena.allocate(1 << 20)) == places[14]
 
 
-def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python may collect at any allocation, so in the middle of joining what is free."""
+def test_regions_freed_by_the_collector_meanwhile_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python may collect at any allocation, also while free regions are joined."""
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
     kept = [arena.allocate(1 << size) for size in range(9, 16) for _ in range(20)]
@@ -149,7 +149,7 @@ def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: py
 
 @pytest.mark.few(0)
 def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:
-    """Doubled again and again, each time with the one that it was copied to beside it."""
+    """It is doubled repeatedly, each time with its copy beside it."""
     arena = Arena()
     block = arena.allocate(1 << 20)
     for size in [1 << n for n in range(21, 31)]:

@@ -1,6 +1,6 @@
-"""WebAssembly's own stack holds every chain of calls that a program may have, whatever its methods compute.
+"""The stack of WebAssembly holds every chain of calls of a program, for all contents of its methods.
 
-What a function takes there nobody says beforehand: `lfield.vm.wasm.stack_depth` has to know what is the most.
+The stack use of a function is not known in advance: `lfield.vm.wasm.stack_depth` has to know the largest.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Engine  # noqa: E402
 
 
 def _each(line: str, count: int, times: int = 2) -> str:
-    """The line with the numbers from 1 for `#`, all that so many times: what was computed is needed again."""
+    """The line with the numbers from 1 for `#`, repeated: its results are needed again."""
     return "\n".join(line.replace("#", str(i)) for i in range(1, count + 1)) * times
 
 
-#: What a method computes, at every depth, besides calling itself.
+#: The code of a method at every depth, besides the recursive call.
 SHAPES = {
     "products": _each("s = s + n * #;", 90),
     "products again, from the last": _each("s = s + n * #;", 90, 1)
@@ -47,10 +47,10 @@ SHAPES = {
     "elements": _each("s = s + a[(n + #) % 100] + b[#][(n + #) % 100];", 20),
     "elements of reals": _each("r = r + x[(v + #) % 100];", 40),
     "fields": _each("s = s + o.left * # + o.next.right;", 30),
-    "new things": _each("o = new Box(); o.left = n * #; o.right = v * #; o.next = o;", 20),
+    "new objects": _each("o = new Box(); o.left = n * #; o.right = v * #; o.next = o;", 20),
     "many arguments": _each(f"s = s + last({', '.join(f'n * {i}' for i in range(90))});", 1),
     "few arguments, often": _each("s = s + last" + f"({', '.join(['n * #'] * 90)});", 12, 1),
-    "ways": _each("if (n * # > s) { s = s + n * #; } else { s = s - n * #; }", 22),
+    "branches": _each("if (n * # > s) { s = s + n * #; } else { s = s - n * #; }", 22),
     "swaps": _each("if (n > #) { int z = s; s = v; v = w; w = z; }", 28),
     "loops": _each("for (int i = 0; i < 2; i = i + 1) { s = s + n * # % 7; }", 22),
     "exceptions": _each("try { s = s + v / (n - #); } catch (ArithmeticException e) { s = s - 1; }", 28),
@@ -88,12 +88,12 @@ def _program(body: str, depth: int, again: str) -> str:
     """
 
 
-#: Once, and in a loop, where what does not change is kept while it calls.
+#: Once, and in a loop, where constant values are kept during the calls.
 AGAIN = {"once": "if (n > 0)", "loop": "for (int k = n; k == n; k = k + 1)"}
 
 
 def _run(text: str, engines: Engines, limits: AgentLimits) -> tuple[list[str], list[str]]:
-    """What is printed, and what is told of agents that died."""
+    """The output, and the reports of agents that died."""
     program, desk, clock = compile_text(text), GoldenWorld(), ManualClock()
     members = team_for(program, [])
     machine = desk.machine = Machine(
@@ -125,14 +125,14 @@ def _forget() -> None:
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
-def test_the_deepest_recursion_does_the_same(body: str) -> None:
+def test_the_deepest_recursion_has_the_same_effect(body: str) -> None:
     text = _program(body, AgentLimits().call_depth - 2, AGAIN["loop"])
     expected = _run(text, Reference, AgentLimits())
     assert (len(expected[0]), expected[1]) == (2, [])
     assert _run(text, Engine, AgentLimits()) == expected
 
 
-def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
+def test_a_method_of_few_slots_and_many_products_has_the_same_effect() -> None:
     text = f"""
         resource R {{
           init(string[] arg) {{ print(down(990)); }}
@@ -150,15 +150,15 @@ def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
 @pytest.mark.few(12)
 @pytest.mark.parametrize("again", AGAIN.values(), ids=AGAIN)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
-def test_half_the_stack_is_in_reserve(body: str, again: str, with_half: Callable[[], None]) -> None:
-    """Other processors and versions of the compiler need other places."""
+def test_half_of_the_stack_is_in_reserve(body: str, again: str, with_half: Callable[[], None]) -> None:
+    """Other processors and versions of the compiler need more stack."""
     with_half()
     output, reports = _run(_program(body, 2500, again), Engine, AgentLimits(heap=64 << 20, call_depth=3000))
     assert (len(output), reports) == (2, [])
 
 
-def test_small_methods_call_themselves_as_deep_as_they_may_by_default() -> None:
-    """A stack that ends costs a way through Python, and writing all its frames."""
+def test_small_methods_reach_the_default_call_depth() -> None:
+    """A stack that ends costs a return to Python, and a write of all its frames."""
     assert deepest({0: 700}, {0: [0]}) > AgentLimits().call_depth
 
 
@@ -169,20 +169,22 @@ ROOM = STACK - OTHERS
     ("sizes", "calls", "expected"),
     [
         ({}, {}, 0),
-        # Nothing calls itself: the whole chain fits, or so many of the largest do.
+        # Without recursion: the whole chain fits, or so many of the largest functions.
         ({0: ROOM // 2, 1: ROOM // 4}, {0: [1], 1: []}, ROOM // 4 - 1),
         ({0: ROOM // 2, 1: ROOM // 2, 2: ROOM // 2}, {0: [1], 1: [2], 2: []}, 1),
-        # What calls itself has what others leave: those before it and those behind it.
+        # A recursive function has the rest: without those before it and behind it.
         ({0: 1000}, {0: [0]}, ROOM // 1000 - 1),
         ({0: ROOM // 2, 1: 1000}, {0: [1], 1: [1]}, ROOM // 2 // 1000 - 1),
         ({0: ROOM // 2, 1: 1000, 2: ROOM // 4}, {0: [1], 1: [1, 2], 2: []}, ROOM // 4 // 1000 - 1),
-        # Of two that may be before it only one is in a chain; one between two circles counts as they do.
+        # Of two functions before it only one is in a chain; one between two cycles counts like them.
         ({0: ROOM // 2, 1: ROOM // 2, 2: 1000}, {0: [2], 1: [2], 2: [2]}, ROOM // 2 // 1000 - 1),
         ({0: 10, 1: 1000, 2: 10}, {0: [0, 1], 1: [2], 2: [2]}, ROOM // 1000 - 1),
         ({0: 10, 1: 1000}, {0: [1], 1: [0]}, ROOM // 1000 - 1),
-        # Methods that have no function are not called.
+        # Methods without a function are not called.
         ({0: 1000}, {0: [0, 7]}, ROOM // 1000 - 1),
     ],
 )  # fmt: skip
-def test_how_many_calls_fit(sizes: dict[int, int], calls: dict[int, list[int]], expected: int) -> None:
+def test_the_number_of_calls_that_fit_the_stack(
+    sizes: dict[int, int], calls: dict[int, list[int]], expected: int
+) -> None:
     assert abs(deepest(sizes, calls) - expected) <= 1

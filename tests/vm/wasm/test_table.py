@@ -1,4 +1,4 @@
-"""The table of what the engine does itself: every instruction is in one place of it, or leaves."""
+"""The table of the instructions of the engine: every instruction is in one place of it, or leaves."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lfield.bytecode.opcodes import BY_NAME
 from lfield.vm.wasm.lowering import control_flow_graph
 from lfield.vm.wasm.lowering.instruction_table import CONTROL, GROUPED, ROWS
 
-#: What the reference engine does: the world can see it, or it is rare, or long.
+#: Instructions of the reference engine: they have effects outside, or are rare, or long.
 _LEAVES = """
     pcall gather begin start fetch leave limit settle hold take drop find findall offers explain device
     write_int write_float write_str write_bool print_int print_float print_str print_bool
@@ -25,10 +25,10 @@ def test_every_instruction_is_in_one_place() -> None:
     assert Counter([*rows, *CONTROL, *GROUPED, *_LEAVES.split()]) == Counter(BY_NAME.keys())
 
 
-def test_what_the_world_can_see_leaves() -> None:
+def test_instructions_with_external_effects_leave_the_engine() -> None:
     assert {name for name, opcode in BY_NAME.items() if opcode.leaves_engine} <= set(_LEAVES.split())
 
 
-def test_every_end_of_a_run_is_one_that_the_graph_knows() -> None:
+def test_every_end_of_a_run_is_known_to_the_control_flow_graph() -> None:
     ends = {name: getattr(control_flow_graph, end) for name, end in CONTROL.items()}
     assert all(end in control_flow_graph.BlockExit.__args__ for end in ends.values())

@@ -1,4 +1,4 @@
-"""What is the engine's own: where it hands over, what it does at limits, and what becomes of a bug in it."""
+"""Properties of the engine itself: where it hands over, its behaviour at limits, and after a bug in it."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def thread_of(
 
 
 @pytest.mark.parametrize("budget", [1, 2, 3, 5, 8, 13, 100, 1000])
-def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
+def test_a_budget_ends_at_the_same_instruction(budget: int) -> None:
     images = []
     method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
     for engine in (Reference(COUNTING, float), Engine(COUNTING, float), Patient(COUNTING, float)):
@@ -112,8 +112,8 @@ def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
         "some = new int[10000];",
     ],
 )
-def test_what_takes_long_is_not_done_so_often(body: str) -> None:
-    """The host's guards take a host that says nothing for dead: no run may be ever so long."""
+def test_long_operations_reduce_the_number_of_instructions(body: str) -> None:
+    """The guards treat a silent host as dead: no run may take too long."""
     program = compile_text(
         f"""
         resource R {{
@@ -156,9 +156,7 @@ def test_what_takes_long_is_not_done_so_often(body: str) -> None:
 )
 @pytest.mark.parametrize("above", [0, 1, 40])
 def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int) -> None:
-    """The exception that says so may lie above the limit (`Block.use_reserve`), and who catches it goes
-    on.
-    """
+    """The exception may lie above the limit (`Block.use_reserve`), and the code that catches it continues."""
     program = compile_text(
         f"""
         class Node {{ private int n; private Node next; }}
@@ -184,7 +182,7 @@ def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int
     assert isinstance(seen[0][0], UncaughtThrow if "n +" in body or "n -" in body else HeapExhausted)
 
 
-def test_what_is_over_in_a_few_instructions_does_not_enter_webassembly(
+def test_a_few_instructions_do_not_enter_webassembly(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     program = compile_text(
@@ -223,7 +221,7 @@ def test_most_of_the_work_is_done_in_webassembly(monkeypatch: pytest.MonkeyPatch
     assert sum(given) < 100
 
 
-def test_a_block_elsewhere_is_run_by_the_reference_engine() -> None:
+def test_a_block_outside_the_arena_is_run_by_the_reference_engine() -> None:
     engine = Engine(COUNTING, float)
     method = next(i for i, m in enumerate(COUNTING.core.methods) if m.name == "init")
     inside, thread = thread_of(COUNTING, engine, method)
@@ -244,7 +242,7 @@ resource R {
 """
 
 
-def test_calls_go_deeper_than_the_stack_of_webassembly() -> None:
+def test_calls_may_be_deeper_than_the_stack_of_webassembly() -> None:
     program = compile_text(DEEP % (40_000, 60_000))
     desk, clock = GoldenWorld(), ManualClock()
     member = team_for(program, [])[0]
@@ -257,7 +255,7 @@ def test_calls_go_deeper_than_the_stack_of_webassembly() -> None:
     assert desk.output == ["40000", "calls are nested deeper than 50000"]
 
 
-def test_a_trap_of_webassembly_is_a_bug_that_ends_the_agent_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trap_of_webassembly_is_a_bug_that_ends_only_the_agent(monkeypatch: pytest.MonkeyPatch) -> None:
     program = compile_text(
         """
         resource Bad { init(string[] arg) { int i = 1; while (i > 0) i = i + 1; } }
@@ -287,8 +285,8 @@ def test_a_trap_of_webassembly_is_a_bug_that_ends_the_agent_only(monkeypatch: py
     assert desk.endings[0].report.startswith("bug in lfield: Trap: out of bounds memory access")
 
 
-def test_control_that_enters_a_loop_twice_is_left_to_the_reference_engine() -> None:
-    """No compiler of ours makes such a program, and the verifier lets it pass."""
+def test_a_loop_with_two_entries_is_left_to_the_reference_engine() -> None:
+    """The compiler makes no such program, and the verifier accepts it."""
     core = COUNTING.core
     method = next(m for m in core.methods if m.name == "init")
     quads = list(COUNTING.quads)
@@ -321,13 +319,13 @@ def test_control_that_enters_a_loop_twice_is_left_to_the_reference_engine() -> N
 
 @pytest.mark.parametrize("name", ["10-client-server", "11-multiple-tiers", "12-peer-to-peer"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_programs_of_the_thesis_change_engines_anywhere(name: str, seed: int) -> None:
+def test_the_programs_of_the_thesis_may_change_engines_anywhere(name: str, seed: int) -> None:
     program = compile_text((EXAMPLES / name / "mission.L").read_text())
-    told = [
+    deployed = [
         line[2:] for line in (EXAMPLES / name / "mission.dL").read_text().splitlines() if line[:2] == "//"
     ]
     team = []
-    for line in told:
+    for line in deployed:
         kind, _, rest = line.partition(":")
         identity, _, more = rest.partition("@")
         team.append((kind, identity, more.partition("?")[2]))
@@ -344,7 +342,7 @@ def test_the_programs_of_the_thesis_change_engines_anywhere(name: str, seed: int
     assert min(engines[0].given) > 10
 
 
-def test_a_result_of_a_thread_is_its_word() -> None:
+def test_the_result_of_a_thread_is_its_word() -> None:
     program = compile_text(
         "resource R { init(string[] arg) { } private real half(int n) { return n / 2.0; } }"
     )

@@ -1,1 +1,1 @@
-"""Whether a run kept the promises, judged from what was seen of it."""
+"""Checks whether a run kept the promises, from observations of it."""

@@ -1,10 +1,10 @@
-"""Whether two hosts that other hosts connect agree on who has a coordinator (mobility.md).
+"""Whether two hosts that other hosts connect agree on which of them has a coordinator (mobility.md).
 
 While a path of links connects two hosts for `AGREED_WITHIN` seconds, they do not both report one coordinator
 as in doubt, and a host that has sent one to the other knows whether that has it. A link stands when both of
-its ends have it and nothing on its way is silent or slow; a path leads over hosts whose processes run. The
-second rule does not hold for a receiver that has another memory by now, or whose disk keeps nothing or is
-slow: its answer has to be on its disk first.
+its ends have it and no path between them is silent or slow; a path leads over hosts whose processes run. The
+second rule does not hold for a receiver with another memory, or whose disk stores nothing or is slow: its
+answer has to be durable first.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from lfield.simulate.host_fleet import Fleet, HostLife
 from lfield.wire.coordinator_messages import CoordinatorState
 from simulation_testing.invariants.breaches import Breaches
 
-#: Seconds after which two connected hosts agree: a question in doubt is repeated every 3 s.
+#: Seconds after which two connected hosts agree: a query in doubt is repeated every 3 s.
 AGREED_WITHIN = 8.0
 
-#: Two hosts that disagree: what about, the hosts with their lives, and the sender's transfer, 0 for none.
+#: Two hosts that disagree: the subject, the hosts with their lives, and the sender's transfer, 0 for none.
 _Case = tuple[str, str, HostLife, str, HostLife, int]
 
 
@@ -28,11 +28,11 @@ class AgreementChecks:
 
     def __init__(self, breaches: Breaches, fleet: Callable[[], Fleet]) -> None:
         self._breaches, self._fleet = breaches, fleet
-        #: Since when in true time two connected hosts disagree.
+        #: The true time since which two connected hosts disagree.
         self._since: dict[_Case, float] = {}
 
     def check(self) -> None:
-        """Look at what hosts report; several times a second."""
+        """Check the reports of hosts; called several times a second."""
         fleet = self._fleet()
         rows = {name: life.core.mobility.known_states() for name, life in fleet.lives.items()}
         cases = {*self._both_in_doubt(rows), *self._without_answer(rows)}
@@ -52,7 +52,7 @@ class AgreementChecks:
                 )
 
     def _both_in_doubt(self, rows: dict[str, list[CoordinatorState]]) -> Iterable[_Case]:
-        """An unreadable block is lost by its host."""
+        """An unreadable block counts as lost by its host."""
         lives = self._fleet().lives
         doubts = {
             name: {row.agent for row in known if row.state == "IN DOUBT" and not row.unreadable}
@@ -75,19 +75,19 @@ class AgreementChecks:
 
 
 def _groups(fleet: Fleet) -> dict[str, set[str]]:
-    """For each host that runs, the hosts that standing links connect with it."""
+    """For each running host, the hosts that standing links connect with it."""
     groups: dict[str, set[str]] = {}
     runs = {name: life for name, life in fleet.lives.items() if not life.process.loop.frozen}
     for name in runs:
         groups[name] = {name}
     for one, other in combinations(sorted(runs), 2):
-        if _stands(fleet, one, other) and groups[one] is not groups[other]:
+        if _are_linked(fleet, one, other) and groups[one] is not groups[other]:
             joined = groups[one] | groups[other]
             groups |= dict.fromkeys(joined, joined)
     return groups
 
 
-def _stands(fleet: Fleet, one: str, other: str) -> bool:
+def _are_linked(fleet: Fleet, one: str, other: str) -> bool:
     ways, incarnation = (
         fleet.network.ways,
         {name: fleet.lives[name].core.incarnation for name in (one, other)},

@@ -1,11 +1,11 @@
-"""What programs say of their blocks of calls that are begun together (`scenarios/crew_programs.py`).
+"""Checks the output of programs about their blocks of concurrent calls (`scenarios/crew_programs.py`).
 
-A crew that is recovered elsewhere goes back to a block: what came after that is lost to it. It must be told
-so before it goes on.
+A crew that is recovered elsewhere returns to a block: its later actions are lost. It must be informed of that
+before it continues.
 
-No piece of work begins twice, none begins before its page is on the disk, none is told of before its result
-is there, and none outlives its block: not when all have come back, not its time limit, and not the start
-that has begun it, once its own host bars that.
+No piece of work begins twice, none begins before its record is durable, none is reported before its result is
+durable, and none outlives its block: neither the end of all pieces, nor its time limit, nor the start that
+has begun it, once its own host fences that.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from lfield.vm.memory.threads import threads
 from lfield.vm.pending_call import CallKey
 from simulation_testing.invariants.breaches import Breaches
 
-#: So many seconds after its limit a piece of work may still be seen: its process may have stood still, twice.
+#: A piece of work may still run so many seconds after its limit: its process may have been suspended twice.
 SLACK = 15.0
-#: And so many after its host has barred its start.
+#: And so many seconds after its host has fenced its start.
 SOON = 1.0
 
 
 @dataclass(slots=True, eq=False)
 class _Piece:
-    """One piece of work: how often it began, when last, for which start, and whether it came to its end."""
+    """One piece of work: how often and when it began, for which start, and whether it ended."""
 
     starts: int = 0
     at: float = 0.0
@@ -49,9 +49,10 @@ class _Block:
 
 
 class BlockChecks:
-    """The blocks of all crews. `newest_at` says which start of an agent was the last to go on before a time.
+    """The blocks of all crews. `newest_at` gives the newest start of an agent that had continued before a
+    time.
 
-    `pages` gives what is on the disk of a host, None of one that keeps nothing.
+    `pages` gives the records on the disk of a host, None for a host without a journal.
     """
 
     def __init__(
@@ -64,18 +65,19 @@ class BlockChecks:
         self._breaches, self._now, self._newest_at, self._pages = breaches, now, newest_at, pages
         self._blocks: defaultdict[tuple[str, int], _Block] = defaultdict(_Block)
         self._started_for: set[tuple[str, int]] = set()
-        #: Which start of it each life of a crew is at, and which were told that they are recovered.
+        #: The start of each life of a crew, and the lives that were informed of a recovery.
         self._at: defaultdict[str, int] = defaultdict(int)
         self._durable: set[tuple[str, int]] = set()
-        #: How many pieces began, how many blocks were closed since a host was started again, and how many of
-        #: each agent were closed, since the weather.
+        #: The number of pieces that began, of blocks that were closed since a host was restarted, and of
+        #: closed blocks of
+        #: each agent since the end of the faults.
         self.started = self.restarts = 0
         self.closed: defaultdict[str, int] = defaultdict(int)
-        #: Up to which start, and since when, the journal of a host bars a crew.
+        #: Up to which start, and since when, the journal of a host fences a crew.
         self._barred: dict[tuple[str, str], tuple[int, float]] = {}
 
     def check_disks(self, kept: Iterable[tuple[str, Record]]) -> None:
-        """See what is on the disks of all hosts."""
+        """Check the records on the disks of all hosts."""
         for host, page in kept:
             if not isinstance(page, FenceRecord | CoordinatorRecord) or not is_recovery(page.generation):
                 continue
@@ -83,18 +85,18 @@ class BlockChecks:
                 self._barred[host, page.agent] = page.generation, self._now()
 
     def on_healed(self) -> None:
-        """The weather is over."""
+        """The faults are over."""
         self.closed.clear()
 
     def has_any(self, agent: str, generation: int) -> bool:
-        """Whether a start of an agent has begun anything."""
+        """Whether a start of an agent has begun any piece."""
         return (agent, generation) in self._started_for
 
     def on_output(self, life: HostLife, agent: Agent, text: list[str]) -> bool:
-        """A program has written a line; whether it is about a block."""
+        """Handle an output line of a program; whether it is about a block."""
         match text:
             case ["opens" | "closes" | "told" as what, who, number, *more]:
-                self._crew_says(life.core.name, agent, what, (who, int(number)), more)
+                self._on_crew_output(life.core.name, agent, what, (who, int(number)), more)
             case ["sets", who, number, piece]:
                 self._sets(life, agent, (who, int(number)), int(piece))
             case ["steps", who, number, piece]:
@@ -107,8 +109,8 @@ class BlockChecks:
                 return False
         return True
 
-    def _goes_on(self, who: str, generation: int, number: int) -> bool:
-        """A start of it is at this block; whether it is no older one than another that has gone on."""
+    def _observe_start(self, who: str, generation: int, number: int) -> bool:
+        """Record that a start is at this block; whether it is not older than another that has continued."""
         if generation > self._at[who]:
             if is_recovery(generation):
                 later = [key for key in self._blocks if key[0] == who and key[1] > number]
@@ -117,12 +119,14 @@ class BlockChecks:
             self._at[who] = generation
         return generation == self._at[who]
 
-    # --- what crews say -------------------------------------------------------------------------------
+    # --- output of crews ------------------------------------------------------------------------------
 
-    def _crew_says(self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]) -> None:
+    def _on_crew_output(
+        self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]
+    ) -> None:
         (who, number), start = key, agent.generation
-        # What a later start opens it has not opened before.
-        if not self._goes_on(who, start, number - 1 if what == "opens" else number):
+        # A later start has not opened its blocks before.
+        if not self._observe_start(who, start, number - 1 if what == "opens" else number):
             return
         if what == "told" or more[0] == "restarted":
             self._durable.add((who, start))
@@ -153,7 +157,7 @@ class BlockChecks:
                 self._breaches.add("I4", (host,), found)
 
     def _check_winner(self, host: str, key: tuple[str, int], given: list[str]) -> None:
-        """A racer has the result of one piece, which has come to its end."""
+        """A racer has the result of one piece, which has ended."""
         block, (who, number) = self._blocks[key], key
         won = [piece for piece, result in enumerate(given) if result != "-1"]
         if [given[piece] for piece in won] != [str(10 * number + piece) for piece in won] or len(won) != 1:
@@ -162,7 +166,7 @@ class BlockChecks:
             found = f"block {number} of {who} was won by piece {won[0]}, which has not come to its end"
             self._breaches.add("I4", (host,), found)
 
-    # --- what resources say ---------------------------------------------------------------------------
+    # --- output of resources --------------------------------------------------------------------------
 
     def _sets(self, life: HostLife, resource: Agent, key: tuple[str, int], number: int) -> None:
         self.started += 1
@@ -173,13 +177,13 @@ class BlockChecks:
             f"piece {number} of block {block} of {who}",
         )
         if not generation:
-            # It was taken from its caller before it came to its first line.
+            # The caller was detached before the first line of the portal.
             return
         self._started_for.add((name, generation))
         if generation < self._newest_at(name, self._now()):
             self._breaches.add("I1", (host,), f"{what} began for start {generation}; a later goes on")
             return
-        self._goes_on(who, generation, block)
+        self._observe_start(who, generation, block)
         piece = self._blocks[key].pieces[number]
         piece.starts, piece.at, piece.generation = piece.starts + 1, self._now(), generation
         if piece.starts > 1:
@@ -197,7 +201,7 @@ class BlockChecks:
         name, now = key[0].partition(".")[0], self._now()
         what = f"piece {number} of block {key[1]} of {key[0]} goes on"
         if piece.generation not in _callers(life, resource, name):
-            # It was taken from its caller: it may command nothing, and nobody waits for it.
+            # The caller was detached: the portal may command nothing, and no agent waits for it.
             return
         if block.how == "came-back":
             self._outlives(life, f"{what}, and its block has all results")
@@ -212,10 +216,10 @@ class BlockChecks:
     def _outlives(self, life: HostLife, found: str) -> None:
         self._breaches.add("outlives", (life.core.name,), found)
 
-    # --- what is seen of the machine ------------------------------------------------------------------
+    # --- observations of the machine ------------------------------------------------------------------
 
     def on_result_durable(self, life: HostLife, key: CallKey) -> None:
-        """What a call gave may be fetched from now on: its host says that it is kept."""
+        """The result of a call may be fetched from now on: its host reports it as durable."""
         pages = self._pages(life.core.name)
         if pages is not None and not any(
             isinstance(page, PendingCallRecord)
@@ -228,7 +232,7 @@ class BlockChecks:
 
 
 def _callers(life: HostLife, resource: Agent, name: str) -> set[int]:
-    """The starts of an agent that a resource works for now."""
+    """The starts of an agent that a resource serves now."""
     block, machine = resource.block, life.core.machine
     callers = (machine.served_calls.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
     return {caller.generation for caller in callers if caller and caller.id == name}

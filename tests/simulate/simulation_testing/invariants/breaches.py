@@ -1,4 +1,4 @@
-"""Promises that were broken, as they are found."""
+"""Violated promises, as they are found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Breach:
-    """A promise that was broken: its name, when in true time, on which hosts, and a sentence."""
+    """A violated promise: its name, its true time, its hosts, and a sentence."""
 
     name: str
     at: float
@@ -20,13 +20,13 @@ class Breach:
 
 
 class Breaches(list[Breach]):
-    """All that were found, each kind once. `now` is true time in seconds."""
+    """All violations that were found, each kind once. `now` is true time in seconds."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         super().__init__()
         self._now = now
 
     def add(self, name: str, hosts: tuple[str, ...], sentence: str) -> None:
-        """One more, if it is the first of its kind."""
+        """Add a violation, if it is the first of its kind."""
         if all(name != breach.name for breach in self):
             self.append(Breach(name, self._now(), hosts, sentence))

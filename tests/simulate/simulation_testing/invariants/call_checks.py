@@ -1,7 +1,8 @@
-"""What programs say of their calls: none begins twice, none is skipped untold, none is made for an old copy.
+"""Checks the output of programs about their calls: none begins twice, is skipped silently, or serves an old
+copy.
 
-A coordinator keeps its *life* (a name and what it has drawn) when it is recovered elsewhere. Then its calls
-are counted again from where it goes on: what came after that is lost to it.
+A coordinator keeps its *life* (a name and a drawn number) when it is recovered elsewhere. Then its calls are
+counted again from where it continues: its later actions are lost.
 """
 
 from __future__ import annotations
@@ -20,35 +21,35 @@ from simulation_testing.invariants.breaches import Breaches
 
 @dataclass(slots=True, eq=False)
 class _Call:
-    """What is known of one call: how often it began, and what its caller said of it."""
+    """One call: how often it began, and what its caller reported about it."""
 
     starts: int = 0
     outcome: str = ""
 
 
 class CallChecks:
-    """The calls of all coordinators. `newest` says which start of an agent was the last to go on."""
+    """The calls of all coordinators. `newest` gives the newest start of an agent that has continued."""
 
     def __init__(self, breaches: Breaches, newest: Callable[[str], int]) -> None:
         self._breaches, self._newest = breaches, newest
-        #: How many calls began, and how many walkers were told that they go on elsewhere or again.
+        #: The number of calls that began, and of walkers that were informed of a recovery or restart.
         self.started = self.restarts = 0
-        #: How many calls of each agent have come to an end, since the weather.
+        #: The number of ended calls of each agent since the end of the faults.
         self.ended: defaultdict[str, int] = defaultdict(int)
-        #: Whether all has been well for so long that every host must be reached.
+        #: Whether there were no faults for so long that every host must be reached.
         self.settled = False
-        #: The agents that are done.
+        #: The agents that have finished.
         self.over: set[str] = set()
-        #: The lives of each agent, and which start of it each of them is at.
+        #: The lives of each agent, and the start of each life.
         self._lives: defaultdict[str, set[str]] = defaultdict(set)
         self._at: defaultdict[str, int] = defaultdict(int)
         self._calls: dict[str, dict[int, _Call]] = defaultdict(dict)
         self._served: dict[tuple[str, str], tuple[int, int]] = {}
-        #: For which start a call was begun last, by what its life has drawn and its number.
+        #: The start for which a call began last, by the drawn number of its life and its number.
         self._started_for: dict[tuple[float, float], tuple[str, int]] = {}
 
     def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
-        """A program has written something: a word, a life of a coordinator, the number of a call."""
+        """Handle the output of a program: a word, a life of a coordinator, the number of a call."""
         host = life.core.name
         for line in text.splitlines():
             word, who, *more = line.split()
@@ -71,29 +72,29 @@ class CallChecks:
         return any(call.starts for who in lives for call in self._calls[who].values())
 
     def on_resumed_from_disk(self, agent: str) -> None:
-        """It goes on from a disk, and may not know any more of which calls it was told that they failed."""
+        """It continues from a disk, and may have lost the failures of calls that were reported to it."""
         for who in self._lives[agent]:
             for call in self._calls[who].values():
                 if call.outcome == "failed":
                     call.outcome = "forgotten"
 
     def caller_of(self, arguments: tuple[object, ...]) -> tuple[str, int]:
-        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        """The agent and start for which a device was commanded, from the arguments; '' if unknown."""
         drawn, number = arguments[:2]
         assert isinstance(drawn, float)
         assert isinstance(number, float)
         return self._started_for.get((drawn, number), ("", 0))
 
-    # --- what callers say -----------------------------------------------------------------------------
+    # --- output of callers ----------------------------------------------------------------------------
 
     def _is_old(self, agent: Agent, who: str) -> bool:
-        """Whether this copy has a successor; what it says between its calls nobody else hears."""
+        """Whether this copy has a successor; its output between calls has no effect elsewhere."""
         return agent.generation < self._at[who]
 
-    def _goes_on(self, who: str, generation: int, number: int) -> None:
-        """A start of it goes on with the call of this number. A recovery knows of none that came later.
+    def _observe_start(self, who: str, generation: int, number: int) -> None:
+        """A start continues with the call of this number. A recovery does not know later calls.
 
-        Nor of this one, if it stood before it: what it was told was then about a call that only asks.
+        Nor this one, if it stood before it: the exception was then about a call that only queries.
         """
         if generation > self._at[who]:
             if is_recovery(generation):
@@ -101,7 +102,7 @@ class CallChecks:
             self._at[who] = generation
 
     def _on_outcome(self, host: str, agent: Agent, who: str, number: int, outcome: str) -> None:
-        self._goes_on(who, agent.generation, number)
+        self._observe_start(who, agent.generation, number)
         call = self._calls[who].setdefault(number, _Call())
         self.ended[agent.id] += 1
         call.outcome = outcome
@@ -114,9 +115,9 @@ class CallChecks:
             self._breaches.add("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
 
     def _restarted(self, host: str, agent: Agent, who: str, number: int, text: str) -> None:
-        """A call that may have begun, or has not; what came after it had not begun, and is forgotten."""
+        """A call that may have begun, or has not; later calls had not begun, and are dropped."""
         self.restarts += 1
-        self._goes_on(who, agent.generation, number)
+        self._observe_start(who, agent.generation, number)
         calls = self._calls[who]
         later = sorted(n for n in calls if n > number)
         for begun in (n for n in later if calls[n].starts):
@@ -126,7 +127,7 @@ class CallChecks:
             del calls[n]
         self._on_outcome(host, agent, who, number, "failed" if "has not begun" in text else "threw")
 
-    # --- what resources say ---------------------------------------------------------------------------
+    # --- output of resources --------------------------------------------------------------------------
 
     def _on_start(self, life: HostLife, resource: Agent, who: str, number: int) -> None:
         self.started += 1
@@ -136,7 +137,7 @@ class CallChecks:
             found = f"call {number} of {who} began for start {generation}; {self._newest(name)} had gone on"
             self._breaches.add("I1", host, found)
             return
-        self._goes_on(who, generation, number)
+        self._observe_start(who, generation, number)
         call = self._calls[who].setdefault(number, _Call())
         call.starts += 1
         self._started_for[float(who.partition(".")[2]), float(number)] = name, generation
@@ -156,7 +157,7 @@ class CallChecks:
 
 
 def _caller(life: HostLife, resource: Agent, name: str) -> int:
-    """The start of this agent whose call a resource serves: the latest that has come to it."""
+    """The start of this agent whose call a resource serves: the latest one that has arrived there."""
     block = resource.block
     calls = life.core.machine.served_calls
     callers = (calls.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))

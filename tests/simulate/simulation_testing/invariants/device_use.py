@@ -1,4 +1,4 @@
-"""What the fake hardware saw: who commands it, and whether anybody does while it moves."""
+"""The observations of the simulated hardware: which owner commands it, and whether it moves without one."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable
 from lfield.simulate.hardware import DeviceCommand, Hardware
 from simulation_testing.invariants.breaches import Breaches
 
-#: So many seconds a device may move after its last command: an act, or a silence and the way to rest.
+#: A device may move for so many seconds after its last command: an action, or a silence and the way to rest.
 MAX_MOVE_TIME = 6.0
 
 
 class DeviceUse:
     """The devices of a team.
 
-    `made_for` says for which agent and start a device was commanded, by the arguments; `newest_at` which
-    recovery of an agent was the last to go on before a time. `commanded` is told of each command that is made
-    for somebody: the resource, the agent with its start, and when.
+    `made_for` gives the agent and start for which a device was commanded, from the arguments; `newest_at`
+    the newest recovery of an agent that had continued before a time. `commanded` is called with each command
+    for an agent: the resource, the agent with its start, and the time.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class DeviceUse:
         self._moves_since: dict[str, float] = {}
 
     def check(self, name: str, hardware: Hardware, now: float) -> None:
-        """Look at one of them."""
+        """Check one device."""
         if len(hardware.owners) > 1:
             self._breaches.add("device", (), f"{name} has {len(hardware.owners)} owners")
         for told in hardware.record[self._checked.get(name, 0) :]:

@@ -1,6 +1,6 @@
-"""I5: at every moment some disk holds a state from which a coordinator can go on, unless it ended.
+"""I5: at every moment some disk holds a state from which a coordinator can continue, unless it ended.
 
-What is asked of a disk is what it would give to a host that began now.
+A disk counts with what it would give to a host that starts now.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from lfield.journal.records import CoordinatorRecord, Record
 
 
 def is_saved(page: Record) -> bool:
-    """Whether a page is enough to go on from. A copy without a block has called nothing, and begins again."""
+    """Whether a record is enough to continue. A copy without a block has made no call, and starts again."""
     if not isinstance(page, CoordinatorRecord):
         return False
     if page.state == "EXITED":
@@ -20,7 +20,7 @@ def is_saved(page: Record) -> bool:
 
 
 def unsaved_starts(pages: Iterable[Record], starts: Iterable[tuple[str, int]]) -> list[tuple[str, int]]:
-    """The starts of coordinators of which no disk holds a state; `pages` are those of all disks."""
+    """The starts of coordinators without a state on any disk; `pages` are the records of all disks."""
     held = {
         (page.agent, page.generation)
         for page in pages
@@ -30,15 +30,15 @@ def unsaved_starts(pages: Iterable[Record], starts: Iterable[tuple[str, int]]) -
 
 
 def is_shadowed(agent: str, pages: Iterable[Record]) -> bool:
-    """Whether any of these pages is enough for a majority to go on with a coordinator."""
+    """Whether any of these records is enough for a majority to recover a coordinator."""
     own = [page for page in pages if isinstance(page, CoordinatorRecord) and page.agent == agent]
     return any(page.state != "EXITED" and (page.block or page.state == "RUN") for page in own)
 
 
 def last_location(start: tuple[str, int], pages: Iterable[Record]) -> CoordinatorRecord | None:
-    """The page that says where a start of a coordinator went last, None without any: the later number counts.
+    """The record with the last known place of a start, None without any: the higher number counts.
 
-    Who has taken a transfer has it under the number that its sender gave it.
+    A receiver has a transfer under the number of its sender.
     """
     own = [
         page

@@ -38,7 +38,7 @@ class EndChecks:
         self._breaches, self._fleet, self._latest = breaches, fleet, latest
         #: The newest start of each agent whose termination is final, and since when.
         self._final: dict[str, tuple[int, float]] = {}
-        #: The newest start of each agent of whose termination each life has received a message.
+        #: The newest terminated start of each agent of which each life has received a message.
         self._received: defaultdict[int, dict[str, int]] = defaultdict(dict)
         #: For each recovery and member: the newest termination that it knew when it was first asked.
         self._knew: dict[tuple[str, int], dict[str, int]] = {}
@@ -46,7 +46,7 @@ class EndChecks:
         self._promised: defaultdict[tuple[str, int], set[str]] = defaultdict(set)
 
     def check(self) -> None:
-        """Look at the disks; several times a second, and whenever a coordinator is recovered."""
+        """Check the disks; several times a second, and whenever a coordinator is recovered."""
         fleet = self._fleet()
         members = fleet.mission.recovery.members
         found: defaultdict[str, dict[str, int]] = defaultdict(dict)
@@ -70,7 +70,7 @@ class EndChecks:
         self._check_not_running(fleet)
 
     def _check_not_running(self, fleet: Fleet) -> None:
-        """A start whose termination is final runs nowhere: not on the host where it happened either."""
+        """A start whose termination is final runs on no host, not even where it terminated."""
         for name, life in fleet.lives.items():
             for agent in life.core.machine.agents.values():
                 final, since = self._final.get(agent.id, (0, fleet.now))
@@ -80,7 +80,7 @@ class EndChecks:
                     self._breaches.add("terminated", (name,), found)
 
     def on_host_start(self, life: HostLife) -> None:
-        """A host's process begins: see what it receives, and what it recovers."""
+        """A host's process begins: observe its messages and recoveries."""
         core, team = life.core, life.core.coordinators
         ordered: list[RecoverRequest] = []
 
@@ -157,6 +157,6 @@ class EndChecks:
 
 
 def _ends_of(message: Any) -> list[Terminated]:
-    """The terminations that an answer of the quorum carries."""
+    """The terminations in an answer of the quorum."""
     ended = getattr(message, "ended", None)
     return [ended] if isinstance(ended, Terminated) else list(ended or ())

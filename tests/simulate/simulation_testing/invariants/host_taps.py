@@ -1,6 +1,6 @@
-"""What is seen of a host without asking the code that decides: who comes into its machine, what is said.
+"""Observations of a host without asking the tested code: arrivals in its machine, output of its programs.
 
-The wires of one life are tapped, each where a shell or the machine calls it: nothing is changed by that.
+The methods of one life are wrapped where a shell or the machine calls them; this changes nothing.
 """
 
 from __future__ import annotations
@@ -19,21 +19,19 @@ from lfield.wire.reservation_messages import RenewReservation
 
 
 class HostObserver(Protocol):
-    """Whoever watches. All of it happens now, in this life of a host."""
+    """An observer. All calls are at the present time, in this life of a host."""
 
     def on_started(self, life: HostLife, agent: Agent) -> None:
-        """A coordinator was begun."""
+        """A coordinator was started."""
 
     def on_transfer(self, life: HostLife, header: Transfer) -> None:
-        """A coordinator came over a link; whether it is taken in is decided now, or later."""
+        """A coordinator arrived over a link; whether it is admitted is decided now, or later."""
 
     def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
-        """A coordinator was put into the machine; it `on_transfer` over a link, or else from the host's own
-        disk.
-        """
+        """A coordinator was put into the machine; `came` over a link, or else from the host's own disk."""
 
     def on_restored(self, life: HostLife, agent: Agent) -> None:
-        """A coordinator was put into the machine as the host's own disk has it."""
+        """A coordinator was put into the machine from the host's own disk."""
 
     def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again."""
@@ -42,31 +40,31 @@ class HostObserver(Protocol):
         """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
 
     def on_step(self, life: HostLife) -> None:
-        """The host has done all there was to do."""
+        """The host has done all pending work."""
 
     def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
-        """A program has written something."""
+        """A program has written text."""
 
     def on_result_durable(self, life: HostLife, key: CallKey) -> None:
-        """The machine is told that the result of a call that was begun is kept."""
+        """The machine is informed that the result of a call is durable."""
 
     def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
-        """A coordinator has reserved a resource here, by that number."""
+        """A coordinator has reserved a resource here, with that number."""
 
     def on_dropped(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
-        """A coordinator has given back what it had reserved."""
+        """A coordinator has released its reservations."""
 
     def on_reserved_call(
         self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
-        """A coordinator calls what it has reserved by that number: it may, or has lost it."""
+        """A coordinator calls a resource with its reservation number: it is served, or has lost it."""
 
     def on_renewed(self, message: RenewReservation) -> None:
-        """A host hears of the holder of a resource that is here."""
+        """A host receives a renewal by the holder of one of its resources."""
 
 
 def tap(life: HostLife, observer: HostObserver) -> None:
-    """Let somebody see all of one life."""
+    """Let an observer see all events of one life."""
     core, machine, peers = life.core, life.core.machine, life.host.peers
     coming: list[Transfer] = []
 
@@ -134,7 +132,7 @@ def _tap_steps(life: HostLife, observer: HostObserver) -> None:
 
 
 def tap_meter(life: HostLife, computed: Callable[[HostLife], None]) -> None:
-    """Let somebody see when the machine of a life has run an agent."""
+    """Let an observer know when the machine of a life has run an agent."""
     charge = life.core.machine.hooks.meter
 
     def meter(instructions: int) -> None:
@@ -187,7 +185,7 @@ def _tap_reservations(life: HostLife, observer: HostObserver) -> None:
 
 
 def tap_calls(place: object, wire: Callable[..., Any]) -> None:
-    """Lead every call of a method of this name through `wire`, which is given the method first."""
+    """Pass every call of a method of this name to `wire`, with the method as first argument."""
     go = getattr(place, wire.__name__)
 
     def tapped(*given: Any, **named: Any) -> Any:

@@ -1,9 +1,9 @@
-"""Whether hosts keep what they answer to a person: `lfield estop`, `pause`, `forget` (operations.md).
+"""Whether hosts keep the orders that they confirm: `lfield estop`, `pause`, `forget` (operations.md).
 
-A host that has confirmed a stop commands no device until somebody lifts that, whatever becomes of its
-process; one that is paused runs no agent either, until the mission is resumed. Every device that was
-confirmed stays at rest. A host without a journal forgets both with its process, and so does one that said
-that its disk did not take the stop. A coordinator that was given up does not go on where that was confirmed.
+A host that has confirmed a stop commands no device until the stop is lifted, also after restarts; a paused
+host runs no agent either, until the mission is resumed. Every confirmed device stays at rest. A host without
+a journal loses both with its process, and so does one that has reported that its disk did not store the
+stop. A coordinator that was given up does not continue where that was confirmed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from simulation_testing.simulated_operator import Hold
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """What a host has confirmed: since when in true time, of which devices, and whether a restart ends it."""
+    """A confirmed hold of a host: its true time, its devices, and whether a restart ends it."""
 
     since: float
     devices: frozenset[str]
@@ -30,27 +30,27 @@ class _Held:
 
 
 class OrderChecks:
-    """The orders that hold. `keeps` says whether hosts have journals, `now` is true time in seconds."""
+    """The orders in force. `keeps` tells whether hosts have journals, `now` is true time in seconds."""
 
     def __init__(self, breaches: Breaches, now: Callable[[], float], keeps: Callable[[], bool]) -> None:
         self._breaches, self._now, self._keeps = breaches, now, keeps
         self._held: dict[tuple[Hold, str], _Held] = {}
         self._given_up: dict[tuple[str, str], int] = {}
-        #: Whether a person recovers what a host had that is gone, or gives it up.
+        #: Whether an operator recovers the coordinators of a lost host, or gives them up.
         self.acted = False
-        #: How far each device's record was read.
+        #: How far the record of each device was read.
         self._read: dict[str, int] = {}
 
-    # --- what hosts have answered ---------------------------------------------------------------------
+    # --- answers of hosts -----------------------------------------------------------------------------
 
     def on_confirmed(self, hold: Hold, host: str, answer: EmergencyStopResult) -> None:
-        """A host has answered that it is stopped, or paused."""
+        """A host has confirmed that it is stopped, or paused."""
         devices = frozenset(device for device, problem in answer.devices.items() if not problem)
         volatile = bool(answer.trouble) or not self._keeps()
         self._held[hold, host] = _Held(self._now(), devices, volatile)
 
     def on_lifting(self, hold: Hold) -> None:
-        """From now on a host may hear that this is over."""
+        """From now on a host may receive the end of the hold."""
         self._held = {key: held for key, held in self._held.items() if key[0] != hold}
 
     def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
@@ -59,14 +59,14 @@ class OrderChecks:
             self._given_up[host, agent] = max(start, self._given_up.get((host, agent), 0))
 
     def on_recovery_by_operator(self) -> None:
-        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
+        """A host is lost, and the operator recovers its coordinators from copies, or gives them up."""
         self.acted = True
 
     def is_given_up(self, agent: str, start: int) -> bool:
-        """Whether a person has said that this start of a coordinator is lost."""
+        """Whether an operator has declared this start of a coordinator lost."""
         return any(who == agent and start <= last for (_, who), last in self._given_up.items())
 
-    # --- what becomes of hosts ------------------------------------------------------------------------
+    # --- lives of hosts -------------------------------------------------------------------------------
 
     def on_host_start(self, host: str) -> None:
         """Its process begins."""
@@ -75,11 +75,11 @@ class OrderChecks:
             del self._held[key]
 
     def on_disk_lost(self, host: str) -> None:
-        """It has a new disk, and remembers nothing."""
+        """It has a new disk without records."""
         self._held = {key: held for key, held in self._held.items() if key[1] != host}
         self._given_up = {key: start for key, start in self._given_up.items() if key[0] != host}
 
-    # --- what is seen ---------------------------------------------------------------------------------
+    # --- observations ---------------------------------------------------------------------------------
 
     def on_computed(self, life: HostLife) -> None:
         """The machine of a host has run an agent."""
@@ -95,7 +95,7 @@ class OrderChecks:
             self._breaches.add("forget", (host,), found)
 
     def check(self, mission: Mission, name: str, hardware: Hardware) -> None:
-        """Look at a device of the mission, by its name."""
+        """Check a device of the mission, by its name."""
         host = _host_of(mission, name)
         since = self._read.get(name, 0)
         self._read[name] = len(hardware.record)
@@ -112,6 +112,6 @@ class OrderChecks:
 
 
 def _host_of(mission: Mission, device: str) -> str:
-    """The host that a device is at."""
+    """The host of a device."""
     agent = next(found.agent for found in mission.bindings.all if found.name == device)
     return next(mission.team.hosts[member.host] for member in mission.team.members if member.id == agent)

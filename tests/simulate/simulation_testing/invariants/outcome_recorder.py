@@ -1,4 +1,4 @@
-"""Records what the programs of a story did and what became of its coordinators, as a digest.
+"""Records what the programs of a scenario did and how its coordinators ended, as a digest.
 
 A refactoring keeps the digest: it covers no name of a module, class or message, no message size, no log line
 and no message of an exception. It covers, with virtual times: program output, starts, arrivals, departures
@@ -22,7 +22,7 @@ from simulation_testing.invariants.host_taps import tap
 
 
 class OutcomeRecorder:
-    """Records one story; `on_host_start` must be called with every life of a host."""
+    """Records one scenario; `on_host_start` must be called with every life of a host."""
 
     def __init__(self) -> None:
         self._timeline: EventQueue
@@ -35,9 +35,9 @@ class OutcomeRecorder:
         tap(life, self)
 
     def digest(self, fleet: Fleet, orders: Mapping[str, int], breaches: Sequence[str]) -> str:
-        """The digest of the story, once it is over and before its team is closed.
+        """The digest of the scenario, after its end and before its team is closed.
 
-        `orders` counts the operator's orders that hosts carried out by kind, `breaches` names those found.
+        `orders` counts the executed orders of the operator by kind, `breaches` names those found.
         """
         lines = [" ".join(event) for event in sorted(self._events, key=lambda event: event[:2])]
         lines += [*_commands(fleet), *_end(fleet)]
@@ -48,14 +48,14 @@ class OutcomeRecorder:
     def _add(self, host: str, *parts: object) -> None:
         self._events.append((_seconds(self._timeline.now), host, " ".join(map(str, parts))))
 
-    # --- what `tap` shows -------------------------------------------------------------------------------
+    # --- events of `tap` --------------------------------------------------------------------------------
 
     def on_started(self, life: HostLife, agent: Agent) -> None:
         """A coordinator was started."""
         self._add(life.core.name, "start", agent.id, agent.generation)
 
     def on_transfer(self, life: HostLife, header: Transfer) -> None:
-        """Not recorded: `on_admitted` is what matters."""
+        """Not recorded: `on_admitted` counts."""
 
     def on_admitted(self, life: HostLife, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine."""
@@ -74,10 +74,10 @@ class OutcomeRecorder:
         self._add(life.core.name, "send", header.agent, header.generation, header.sequence, target)
 
     def on_step(self, life: HostLife) -> None:
-        """Not recorded: how often a host looks is its own affair."""
+        """Not recorded: the number of steps is internal."""
 
     def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
-        """A program has written something."""
+        """A program has written text."""
         for line in text.splitlines():
             self._add(life.core.name, "output", agent.id, _without_message(line))
 
@@ -95,7 +95,7 @@ class OutcomeRecorder:
     def on_reserved_call(
         self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
-        """Not recorded: what comes of the call is."""
+        """Not recorded: the effect of the call is."""
 
     def on_renewed(self, message: RenewReservation) -> None:
         """Not recorded: a message."""
@@ -105,7 +105,7 @@ def _seconds(at: float) -> str:
     return f"{at:13.6f}"
 
 
-#: What precedes the message of an exception in the output of a story's programs.
+#: The text before the message of an exception in the output of the programs.
 _MESSAGE = re.compile(r"(restarted \S+ \S+|.* also failed: \w+).+")
 
 

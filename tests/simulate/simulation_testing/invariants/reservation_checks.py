@@ -1,9 +1,9 @@
-"""Who has what by a `reserve`, judged from the grants that the machine is given and the calls that begin.
+"""The holders of reservations, judged from the grants that the machine receives and the calls that begin.
 
-A number is on the disk of its host when it is told, and is higher than all before it of that resource, over
-restarts too. Whoever was told one is alone with the resource until it leaves its block, its start is over, or
-nothing was heard of it for a lease: nobody else is given it, no portal begins for anybody else, and it does
-not hear that it has lost it. No portal begins by a number that is not the last.
+A number is durable on its host when it is granted, and is higher than all before it of that resource, also
+over restarts. Its holder is alone with the resource until it leaves its block, its start ends, or it was
+silent for a lease: it is granted to no other, no portal begins for another, and it does not receive a loss.
+No portal begins with a number that is not the last.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from lfield.vm.memory.threads import threads
 from lfield.wire.reservation_messages import RenewReservation
 from simulation_testing.invariants.breaches import Breaches
 
-#: Of a lease so much passes at least in true time, whatever the clocks of the hosts do.
+#: At least this part of a lease passes in true time, with any clocks of the hosts.
 MIN_LEASE_SHARE = 0.97
 
 
 @dataclass(slots=True)
 class _Resource:
-    """The last number of a resource that was told, to whom, and until when that one is surely alone."""
+    """The last granted number of a resource, its holder, and until when the holder is surely alone."""
 
     number: int = 0
     holder: tuple[str, int] = ("", 0)
@@ -37,9 +37,9 @@ class _Resource:
 
 
 class ReservationChecks:
-    """The reservations of a team. `pages` gives what is on the disk of a host, and `lease` is in seconds.
+    """The reservations of a team. `pages` gives the records on the disk of a host, `lease` is in seconds.
 
-    `newest_at` says which recovery of an agent was the last to go on before a time.
+    `newest_at` gives the newest recovery of an agent that had continued before a time.
     """
 
     def __init__(
@@ -53,30 +53,31 @@ class ReservationChecks:
         self._breaches, self._now, self._lease = breaches, now, lease
         self._newest_at, self._pages = newest_at, pages
         self._resources: defaultdict[str, _Resource] = defaultdict(_Resource)
-        #: How many calls began, inside of blocks and outside; how rounds have ended; how many of each agent
-        #: have, since the weather.
+        #: The number of calls inside and outside of blocks; how rounds have ended; the number of rounds of
+        #: each agent since
+        #: the end of the faults.
         self.started: Counter[str] = Counter()
         self.rounds: Counter[str] = Counter()
         self.closed: Counter[str] = Counter()
         self._started_for: set[tuple[str, int]] = set()
-        #: For which start each round of a life has begun a call last, by what the life has drawn.
+        #: The start for which each round of a life has begun a call last, by the drawn number of the life.
         self._rounds_of: dict[tuple[float, float], tuple[str, int]] = {}
 
     def on_healed(self) -> None:
-        """The weather is over."""
+        """The faults are over."""
         self.closed.clear()
 
     def on_disk_lost(self, resources: Iterable[str]) -> None:
-        """The host of these has a new disk, and knows nothing of what it has given."""
+        """The host of these has a new disk, without records of its grants."""
         for name in resources:
             self._resources.pop(name, None)
 
     def has_any(self, agent: str, generation: int) -> bool:
-        """Whether a start of an agent has begun anything."""
+        """Whether a start of an agent has begun any call."""
         return (agent, generation) in self._started_for
 
     def on_output(self, life: HostLife, agent: Agent, text: list[str]) -> bool:
-        """A program has written a line; whether it is about a reservation."""
+        """Handle an output line of a program; whether it is about a reservation."""
         match text:
             case ["uses", who, number, how]:
                 self._uses(life, agent, who, int(number), how)
@@ -87,10 +88,10 @@ class ReservationChecks:
                 return False
         return True
 
-    # --- what is seen of the machine ------------------------------------------------------------------
+    # --- observations of the machine ------------------------------------------------------------------
 
     def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
-        """A coordinator is told the number by which it has a resource from now on."""
+        """A coordinator receives the number by which it holds a resource from now on."""
         known, start, host = self._resources[resource.id], (agent.id, agent.generation), (life.core.name,)
         if number <= known.number:
             found = (
@@ -122,7 +123,7 @@ class ReservationChecks:
     def on_reserved_call(
         self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
     ) -> None:
-        """A coordinator that has a resource by a number is served, or has lost it."""
+        """A coordinator with a reservation is served, or has lost it."""
         known, start = self._resources[resource.id], (agent.id, agent.generation)
         if (known.holder, known.number) != (start, number):
             return
@@ -133,17 +134,17 @@ class ReservationChecks:
             known.until = max(known.until, self._now() + MIN_LEASE_SHARE * self._lease())
 
     def on_renewed(self, message: RenewReservation) -> None:
-        """A host hears of who has a resource of it."""
+        """A host receives a renewal of the holder of one of its resources."""
         known = self._resources[message.resource]
         if (known.holder, known.number) != ((message.agent, message.generation), message.number):
             return
         if self._now() < known.until:
             known.until = self._now() + MIN_LEASE_SHARE * self._lease()
 
-    # --- what devices were told -----------------------------------------------------------------------
+    # --- commands of devices --------------------------------------------------------------------------
 
     def caller_of(self, arguments: tuple[object, ...]) -> tuple[str, int]:
-        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        """The agent and start for which a device was commanded, from the arguments; '' if unknown."""
         drawn, number = arguments[:2]
         assert isinstance(drawn, float)
         assert isinstance(number, float)
@@ -155,7 +156,7 @@ class ReservationChecks:
         agent, generation = known.holder
         if agent in ("", start[0]) or not known.since < at < known.until:
             return
-        # Its host has stopped a start that is fenced or has ended, and may give the resource to others.
+        # Its host has stopped a start that is fenced or has ended, and may grant the resource to others.
         if any(_is_over(page, agent, generation) for page in self._pages(known.host) or ()):
             return
         if generation >= self._newest_at(agent, at):
@@ -164,7 +165,7 @@ class ReservationChecks:
             )
             self._breaches.add("reserved", (), found)
 
-    # --- what resources say ---------------------------------------------------------------------------
+    # --- output of resources --------------------------------------------------------------------------
 
     def _uses(self, life: HostLife, resource: Agent, who: str, number: int, how: str) -> None:
         self.started[how] += 1
@@ -172,7 +173,7 @@ class ReservationChecks:
         known, host = self._resources[resource.id], (life.core.name,)
         generation = max(_callers(life, resource).get(name, ()), default=0)
         if not generation:
-            # It was taken from its caller before it came to its first line.
+            # The caller was detached before the first line of the portal.
             return
         start = name, generation
         self._started_for.add(start)
@@ -194,7 +195,7 @@ class ReservationChecks:
             self._breaches.add("stale", host, found)
 
     def _is_alone(self, life: HostLife, known: _Resource, other: tuple[str, int]) -> bool:
-        """Whether somebody has a resource of a host surely, so that another one must not."""
+        """Whether a resource of a host surely has a holder, which excludes others."""
         (agent, generation), now = known.holder, self._now()
         if not agent or agent == other[0] or now >= known.until:
             return False
@@ -217,7 +218,7 @@ def _is_over(page: Record, agent: str, generation: int) -> bool:
 
 
 def _callers(life: HostLife, resource: Agent) -> dict[str, set[int]]:
-    """The agents that a resource works for now, each with its starts."""
+    """The agents that a resource serves now, each with its starts."""
     block, machine = resource.block, life.core.machine
     found: dict[str, set[int]] = {}
     for place in threads(block):

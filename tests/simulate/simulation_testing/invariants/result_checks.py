@@ -1,6 +1,6 @@
-"""Results of calls that were begun: whoever has one on its disk keeps it until its coordinator's page has it.
+"""Results of calls: a result on disk is kept until the record of its coordinator has it.
 
-What a coordinator still has to fetch is in the tickets of the newest block that any disk has of it.
+The results that a coordinator has not fetched are in the tickets of its newest block on any disk.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lfield.vm.memory.layout import (
 )
 from simulation_testing.invariants.breaches import Breaches
 
-#: Of two pages with one number, which is the later one.
+#: The order of two records with one number.
 _LATER = {"ABSENT": 0, "MOVED": 1, "PREPARED": 2, "RUN": 3, "EXITED": 4}
 
 #: A result: the host, the identity of its journal, the coordinator, its start, the number of the call.
@@ -42,7 +42,7 @@ class ResultChecks:
         identities: Mapping[str, int],
         going: Collection[tuple[str, int]],
     ) -> None:
-        """`kept` are the pages of all hosts, `going` the starts of which nobody may throw anything away."""
+        """`kept` are the records of all hosts, `going` the starts whose results must not be deleted."""
         now: set[_Result] = set()
         newest: dict[tuple[str, int], CoordinatorRecord] = {}
         for name, page in kept:

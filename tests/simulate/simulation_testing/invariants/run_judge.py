@@ -1,16 +1,16 @@
-"""Whether a run kept the promises, judged from what was seen of it.
+"""Whether a run kept the promises, from observations of it.
 
 I1  of one coordinator at most one copy can run, at any real time
 I2  no transfer is injected twice
 I3  no resource starts a portal for an older copy than the newest that it has served
-I4  no portal call is started twice, and none is skipped without being told
-I5  at every moment some disk holds a state to go on from (`durability.py`)
+I4  no portal call is started twice, and none is skipped silently
+I5  at every moment some disk holds a state to continue from (`durability.py`)
 
-Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). None that is known
-to have ended is recovered or runs on (`end_checks.py`). Calls begun together do not outlive their block
-(`block_checks.py`), what is reserved is its holder's alone (`reservation_checks.py`). Beside them: no start
-has an earlier one's number, no live coordinator is called lost, no device has two owners, no host fails.
+A copy of a recoverable coordinator may coexist with its successor if it then begins no call and commands no
+device (`call_checks.py`, `device_use.py`). A terminated coordinator is not recovered (`end_checks.py`). Calls
+do not outlive their block (`block_checks.py`); a reserved resource serves only its holder
+(`reservation_checks.py`). Start numbers are unique, a device has one owner, no live coordinator is reported
+lost, and no host fails.
 """
 
 from __future__ import annotations
@@ -40,39 +40,39 @@ from simulation_testing.invariants.result_checks import ResultChecks
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
-#: A start that is younger than so many seconds may not be known yet to whoever says lost.
+#: A host that reports a loss may not know a start that is younger than so many seconds.
 MIN_KNOWN_AGE = 3.0
-#: So many calls must come to an end after the weather.
+#: So many calls must end after the faults.
 MIN_CALLS = 3
 
 
 @dataclass(slots=True, eq=False)
 class _StartRecord:
-    """One start of a coordinator: when it was first seen, who may have it, can run it, and ever had it.
+    """One start of a coordinator: when it was first seen, and the hosts that may have it, run it, or had it.
 
-    `copy` is the last one that was in a machine.
+    `copy` is the last one in a machine.
     """
 
     first: float
     holders: set[HostLife] = field(default_factory=set)
     running: set[HostLife] = field(default_factory=set)
     knew: set[HostLife] = field(default_factory=set)
-    #: The hosts that may have it, each with the memory that would tell; that to which it has come, until it
-    #: is seen on the disk there.
+    #: The hosts that may have it, each with its memory; the one where it has arrived, until it is durable
+    #: there.
     places: dict[str, int] = field(default_factory=dict)
     unsaved: str = ""
     copy: Agent | None = None
 
     @property
     def was_superseded(self) -> bool:
-        """Whether another start of the coordinator goes on."""
+        """Whether another start of the coordinator has continued."""
         return self.copy is not None and self.copy.ended == "dropped"
 
 
 class RunJudge:
-    """Watches one team: `fleet` must be set before anything happens. `breaches` has what was found.
+    """Watches one team: `fleet` must be set before any event. `breaches` has the findings.
 
-    Where hosts have journals no coordinator may be lost, whoever dies.
+    With journals no coordinator may be lost, whichever host crashes.
     """
 
     def __init__(self) -> None:
@@ -92,19 +92,19 @@ class RunJudge:
         self._doubts = AgreementChecks(self.breaches, lambda: self.fleet)
         self.on_granted, self.on_dropped = self.reserved.on_granted, self.reserved.on_dropped
         self.on_reserved_call, self.on_renewed = self.reserved.on_reserved_call, self.reserved.on_renewed
-        #: How much was seen: a judge who sees nothing finds nothing.
+        #: The number of observations: a judge without observations finds nothing.
         self.counts = dict.fromkeys(("injections", "starts", "recoveries"), 0)
-        #: When which recovery of each agent was the first to go on.
+        #: The time at which each recovery of each agent was the first to continue.
         self._gone_on: defaultdict[str, dict[int, float]] = defaultdict(dict)
         self._newest: dict[str, int] = {}
-        #: The starts whose number was given twice, by a host that had lost its disk.
+        #: The starts whose number was used twice, by a host that had lost its disk.
         self._void: set[Start] = set()
         self._injected: set[tuple[str, int, int]] = set()
         #: The starts that a life has found on its disk, and that have not moved on from there.
         self._kept: set[tuple[HostLife, Start]] = set()
         self._agents: defaultdict[HostLife, list[Agent]] = defaultdict(list)
         self._lives: dict[int, HostLife] = {}
-        #: The disk that each life has begun with, should somebody take the life for what remembers.
+        #: The disk with which each life has begun, for peers that identify the memory by the life.
         self._memories: dict[int, int] = {}
         self._disks_of: dict[str, int] = {}
         self._log_position = 0
@@ -124,22 +124,22 @@ class RunJudge:
 
     @property
     def calls(self) -> int:
-        """How many calls began."""
+        """The number of calls that began."""
         return self._calls.started + self._blocks.started + self.reserved.started.total()
 
     @property
     def restarts(self) -> int:
-        """How many exceptions told a walker that it goes on elsewhere, or again."""
+        """The number of exceptions that informed a walker of a recovery or restart."""
         return self._calls.restarts + self._blocks.restarts + self.reserved.rounds["restarted"]
 
     def _newest_at(self, agent: str, when: float) -> int:
-        """The last recovery of an agent that had gone on at that time, 0 for none."""
+        """The last recovery of an agent that had continued at that time, 0 for none."""
         return max((start for start, at in self._gone_on[agent].items() if at < when), default=0)
 
-    # --- what is seen: copies ---------------------------------------------------------------------------
+    # --- observations: copies ---------------------------------------------------------------------------
 
     def on_started(self, life: HostLife, agent: Agent) -> None:
-        """A coordinator was begun: as which start?"""
+        """A coordinator was started: check its number."""
         self.counts["starts"] += 1
         newest = self._newest.get(agent.id, 0)
         if agent.generation <= newest:
@@ -148,25 +148,25 @@ class RunJudge:
         self._held(life, agent)
 
     def _again(self, life: HostLife, agent: Agent, newest: int) -> None:
-        """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
+        """A repeated number: permitted if the start had made no call, or is inactive."""
         before = self._starts.get(start := (agent.id, agent.generation))
         begun = any(of(*start) for of in (self._calls.has_any, self._blocks.has_any, self.reserved.has_any))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.options.keeps and not moved and not begun:
             return
-        if self._remembers(life.core.name) or self._known(agent, life.core.name):
+        if self._keeps_memory(life.core.name) or self._known(agent, life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
             self._breach("start", (life.core.name,), found)
         self._void.add(start)
 
     def _known(self, agent: Agent, home: str) -> bool:
-        """Whether another host that lives has had this start, or one with a higher number."""
+        """Whether another running host has had this start, or one with a higher number."""
         own = (s for (who, start), s in self._starts.items() if who == agent.id and start >= agent.generation)
         knew = {life for seen in own for life in seen.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
     def on_transfer(self, life: HostLife, header: Transfer) -> None:
-        """A coordinator has come to a host, which knows of that start from now on."""
+        """A coordinator has arrived at a host, which knows that start from now on."""
         seen = self._starts.get((header.agent, header.generation))
         if seen is not None and header.receiver_memory == life.core.hello().state_id:
             seen.knew.add(life)
@@ -188,21 +188,21 @@ class RunJudge:
         """A host has found a coordinator on its own disk."""
         self._kept.add((life, (agent.id, agent.generation)))
 
-    def _goes_on_from_disk(self, life: HostLife, start: Start) -> None:
-        """It may not know any more of which calls it was told that they failed."""
+    def _continues_from_disk(self, life: HostLife, start: Start) -> None:
+        """It may have lost the failures of calls that were reported to it."""
         if (life, start) not in self._kept:
             return
         self._kept.discard((life, start))
         self._calls.on_resumed_from_disk(start[0])
 
     def on_resumed(self, life: HostLife, agent: Agent, kind: str) -> None:
-        """A frozen coordinator may run again, with this exception: whoever it was sent to has it not."""
-        self._goes_on_from_disk(life, (agent.id, agent.generation))
+        """A frozen coordinator may run again, with this exception: the receiver does not have it."""
+        self._continues_from_disk(life, (agent.id, agent.generation))
         self._held(life, agent)
 
     def _held(self, life: HostLife, agent: Agent) -> None:
         seen = self._starts.setdefault((agent.id, agent.generation), _StartRecord(self.fleet.now))
-        self._goes_on(agent)
+        self._observe_recovery(agent)
         seen.holders, seen.copy = {life}, agent
         seen.knew.add(life)
         seen.places, seen.unsaved = {life.core.name: life.host.journal_writer.journal_id}, ""
@@ -210,27 +210,27 @@ class RunJudge:
             self._agents[life].append(agent)
         self._check_host(life)
 
-    def _goes_on(self, agent: Agent) -> None:
+    def _observe_recovery(self, agent: Agent) -> None:
         if is_recovery(agent.generation) and not agent.frozen:
             gone_on = self._gone_on[agent.id]
             self.counts["recoveries"] += agent.generation not in gone_on
             gone_on.setdefault(agent.generation, self.fleet.now)
 
     def on_sent(self, life: HostLife, header: Transfer, target: str, incarnation: int) -> None:
-        """A coordinator was sent: whoever gets it may have it now."""
+        """A coordinator was sent: the receiver may have it now."""
         receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
-        self._goes_on_from_disk(life, (header.agent, header.generation))
+        self._continues_from_disk(life, (header.agent, header.generation))
         if seen is not None:
             seen.places[target] = header.receiver_memory
         if seen is not None and receiver is not None:
             seen.holders.add(receiver)
 
-    def _remembers(self, name: str) -> bool:
+    def _keeps_memory(self, name: str) -> bool:
         """Whether a host has always had one memory."""
         return self.fleet.options.keeps and name not in self.fleet.replaced
 
     def on_step(self, life: HostLife) -> None:
-        """The host stands still: who can run on it?"""
+        """The host is idle: which coordinators can run on it?"""
         if life in self._agents:
             self._check_host(life)
 
@@ -258,7 +258,7 @@ class RunJudge:
             self._breach("I1", hosts, f"{start[0]} of start {start[1]} can run on {len(hosts)} hosts")
 
     def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
-        """A program has written something."""
+        """A program has written text."""
         for line in text.splitlines():
             if self._blocks.on_output(life, agent, line.split()) or " also failed: " in line:
                 continue
@@ -277,10 +277,10 @@ class RunJudge:
     def _on_disk(self, name: str) -> list[Record] | None:
         return self.fleet.disks[name].pages() if self.fleet.options.keeps else None
 
-    # --- what is seen: devices and logs -----------------------------------------------------------------
+    # --- observations: devices and logs -----------------------------------------------------------------
 
     def check(self) -> None:
-        """Look at devices and logs; several times a second."""
+        """Check devices and logs; called several times a second."""
         for name, hardware in self.fleet.hardware.items():
             self._devices.check(name, hardware, self.fleet.now)
             self.orders.check(self.fleet.mission, name, hardware)
@@ -302,14 +302,14 @@ class RunJudge:
         barred = {(page.agent, page.generation) for _, page in kept if isinstance(page, FenceRecord)}
         safe = [(a, s) for a, s in going if s and not any(a == b and s < g for b, g in barred)]
         identities = {name: disk.identity for name, disk in self.fleet.disks.items()}
-        self._results.check(kept, identities, [start for start in safe if not self._doubtful(start)])
+        self._results.check(kept, identities, [start for start in safe if not self._in_doubt(start)])
         pages = (page for _, page in kept)
         for agent, start in unsaved_starts(pages, [(agent, start) for agent, start in going if start]):
-            if not self._doubtful((agent, start)):
+            if not self._in_doubt((agent, start)):
                 self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
     def _is_saved(self, name: str, page: Record) -> None:
-        """Whoever sent it need keep nothing any more, once it is on the disk where it has come to."""
+        """The sender need not keep it once it is durable at the receiver."""
         seen = (
             self._starts.get((page.agent, page.generation)) if isinstance(page, CoordinatorRecord) else None
         )
@@ -317,12 +317,12 @@ class RunJudge:
             seen.places, seen.unsaved = {name: seen.places[name]}, ""
 
     def _latest(self, agent: str) -> int:
-        """The latest start that has not given way to another, 0 if all have."""
+        """The latest start that is not superseded, 0 if all are."""
         starts = (s for s, seen in self._starts.items() if s[0] == agent and not seen.was_superseded)
         return max((generation for _, generation in starts), default=0)
 
-    def _doubtful(self, start: Start) -> bool:
-        """Whether a host that may have had it has lost its disk since: then nobody can know."""
+    def _in_doubt(self, start: Start) -> bool:
+        """Whether a host that may have had it has lost its disk since: then the truth is unknown."""
         places = self._starts[start].places
         if any(self._lost(name, memory) for name, memory in places.items()):
             return True
@@ -346,28 +346,28 @@ class RunJudge:
                     hosts = (host, *sorted(life.core.name for life in running))
                     self._breach("lost", hosts, f"{text.strip()}, while start {start[1]} lives")
 
-    # --- after the weather ------------------------------------------------------------------------------
+    # --- after the faults -------------------------------------------------------------------------------
 
     def on_settled(self) -> None:
-        """All has been well for so long that every host must be reached."""
+        """There were no faults for so long that every host must be reached."""
         self._calls.settled = not self.fleet.gone
 
     def on_healed(self) -> None:
-        """The weather is over: from now on everybody must get on."""
+        """The faults are over: from now on all coordinators must make progress."""
         self._calls.ended.clear()
         self._blocks.on_healed()
         self.reserved.on_healed()
 
     def waits_for(self) -> list[str]:
-        """The coordinators that may go on, and have not done so enough."""
-        return [agent for agent in self._homes if self._owed(agent)]
+        """The coordinators that may continue, and have not made enough progress."""
+        return [agent for agent in self._homes if self._must_run(agent)]
 
     @property
     def _homes(self) -> dict[str, str]:
         team = self.fleet.mission.team
         return {member.id: team.hosts[member.host] for member in team.coordinators}
 
-    def _owed(self, agent: str) -> bool:
+    def _must_run(self, agent: str) -> bool:
         ended = self._calls.ended[agent] + self._blocks.closed[agent] + self.reserved.closed[agent]
         given_up = self.orders.is_given_up(agent, self._newest.get(agent, 0))
         if agent in self._calls.over or ended >= MIN_CALLS or given_up:
@@ -376,17 +376,17 @@ class RunJudge:
             return is_shadowed(agent, self.fleet.pages_left)
         if generation := self._latest(agent):
             start = agent, generation
-            if self.fleet.gone and self._doubtful(start):
+            if self.fleet.gone and self._in_doubt(start):
                 return self.orders.acted and is_shadowed(agent, self.fleet.pages_left)
             if self.fleet.options.keeps:
-                return not self._doubtful(start)
+                return not self._in_doubt(start)
             return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
-        # A new start waits for all others but those that a person says are gone.
-        return name in self.fleet.lives and (self._remembers(name) or not self.fleet.left)
+        # A new start waits for all others except those that an operator has declared lost.
+        return name in self.fleet.lives and (self._keeps_memory(name) or not self.fleet.left)
 
     def end(self) -> None:
-        """Time is up: whoever has not got on is stuck."""
+        """The end of the run: a coordinator without progress is stuck."""
         for agent in self.waits_for():
             holders = [seen.holders for start, seen in self._starts.items() if start[0] == agent]
             hosts = {life.core.name for some in holders for life in some}

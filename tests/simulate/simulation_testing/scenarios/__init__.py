@@ -1,1 +1,1 @@
-"""Stories: drawn from seeds, told, judged, made smaller."""
+"""Scenarios: drawn from seeds, run, checked, shrunk."""

@@ -1,16 +1,17 @@
-"""Stories of crews: coordinators that have several resources work at a time, and give that up after a while.
+"""Scenarios of crews: coordinators with concurrent calls to several resources, under time limits.
 
-As in every story the mission says by itself what it does (`invariants/block_checks.py` listens): a resource
-writes down every piece of work that it begins, goes on with, leaves and gives; a crew when it opens a block,
-and how it has closed it. A piece of work gives a number that tells which one it was.
+As in every scenario the mission reports its actions (`invariants/block_checks.py` reads them): a resource
+writes when a piece of work begins, continues, is cancelled and ends; a crew when it opens a block, and how
+it has closed it. A piece of work returns a number that identifies it.
 """
 
 from __future__ import annotations
 
-#: Of so many pieces of work a block is.
+#: The number of pieces of work of a block.
 PIECES = 3
-#: Seconds that a piece of work takes that nobody will wait for, the longest in a block that has all time, and
-#: most others.
+#: Seconds of a piece of work whose limit ends before it, of the longest in a block without a limit, and of
+#: most
+#: others.
 LONG, UNLIMITED, SHORT = 25.0, 8.0, 0.6
 
 _STORY = """
@@ -89,10 +90,10 @@ _TOGETHER = """together {
 
 
 def story_program(block: str, how: str, first: str = "", methods: str = "") -> str:
-    """The program of a story.
+    """The program of a scenario.
 
-    `block` is what a coordinator does in a block, after `first`, and `how` its outcome unless that says
-    another one. `methods` are others of the coordinator.
+    `block` is the code of a coordinator in a block, after `first`, and `how` its outcome unless the code sets
+    another one. `methods` are further methods of the coordinator.
     """
     parts = {"BLOCK": block, "HOW": how, "FIRST": first, "METHODS": methods}
     numbers = {"PIECES": PIECES, "UNLIMITED": UNLIMITED, "LONG": LONG, "SHORT": SHORT}
@@ -103,8 +104,9 @@ def story_program(block: str, how: str, first: str = "", methods: str = "") -> s
 
 
 PROGRAM = story_program(_TOGETHER, "came-back", "            int first = random(posts.length());\n")
-#: Racers begin calls of several resources and fetch them later, or the first result. They say what a crew
-#: says, and `won` with the number of the piece where the first result counted.
+#: Racers begin calls of several resources and fetch them later, or the first result. They report like a
+#: crew, and
+#: `won` with the number of the piece where the first result counted.
 _RUN = """
     private string run(Post[] posts, string life, int number, int[] got, real most) {
         future<int>[] pieces = {};

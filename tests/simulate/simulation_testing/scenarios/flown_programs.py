@@ -1,7 +1,7 @@
-"""Stories of keepers whose resources have devices: what is reserved moves, alone or two things at a time.
+"""Scenarios of keepers whose resources have devices: reserved devices move, one or two at a time.
 
-As in `keeper_programs.py` the mission says by itself what it does, and each command of a device says whose it
-is: a number that the coordinator has drawn, its round, and a step that is unique within the round.
+As in `keeper_programs.py` the mission reports its actions, and each command of a device identifies its
+caller: a number that the coordinator has drawn, its round, and a step that is unique within the round.
 """
 
 from __future__ import annotations

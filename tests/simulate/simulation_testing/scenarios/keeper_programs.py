@@ -1,13 +1,13 @@
-"""Stories of keepers: coordinators that reserve what they work with, one thing or two, at once or one by one.
+"""Scenarios of keepers: coordinators that reserve one or two resources, together or one after the other.
 
-As in every story the mission says by itself what it does (`invariants/reservation_checks.py` listens): a
-resource writes down every call that it begins, and whether that was made inside of a block that reserves it;
-a keeper how each of its rounds has ended.
+As in every scenario the mission reports its actions (`invariants/reservation_checks.py` reads them): a
+resource writes every call that begins, and whether it was made inside of a block that reserves it; a keeper
+how each of its rounds has ended.
 """
 
 from __future__ import annotations
 
-#: Seconds that a call takes, and those few that take longer than any lease of a story.
+#: Seconds of a call, and of the few calls that take longer than any lease of a scenario.
 SHORT, LONG = 0.4, 6.0
 
 PROGRAM = """

@@ -1,7 +1,7 @@
-"""Stories: a team, a mission and a forecast, all drawn from one seed, and small enough to be told quickly.
+"""Scenarios: a team, a mission and a forecast, all drawn from one seed, and small enough to run quickly.
 
-The mission says by itself what it does: resources write down every call that they begin and end, coordinators
-what became of it, and devices are told who moves them. So nobody has to ask the code that is being tried.
+The mission reports its actions: resources write every call that begins and ends, coordinators its outcome,
+and the commands of devices identify their caller. So the tested code is not asked.
 """
 
 from __future__ import annotations
@@ -84,54 +84,56 @@ coordinator Walker {
     }
 }
 """
-#: What makes it a coordinator that a majority may recover.
+#: This makes it a coordinator that a majority may recover.
 RECOVERED = "heartbeatInterval(s2f(arg[4]));"
 _PROGRAMS: dict[bytes, Program] = {}
-#: What a walker does that never ends.
+#: The number of calls of a walker that never ends.
 FOR_EVER = -1
-#: What may strike in any story.
+#: The faults of any scenario.
 USUAL = [
     kind for kind in FaultRates.__dataclass_fields__ if kind not in ("swap", "split", "disk_slow", *ORDERS)
 ]
-#: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
+#: Least and greatest seconds between two faults of a kind, and the probability of each kind in a scenario.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
-#: So many stories are of hosts that keep journals; the others forget, as many a trial does.
+#: The share of scenarios of hosts that keep journals; the others forget.
 KEEP = 0.75
-#: So many of 32 times a walker calls where it has called before: one that may be recovered mostly, so that it
-#: works on where it is cut off.
+#: So many of 32 times a walker calls where it has called before: mostly one that may be recovered, so that it
+#: continues where it is cut off.
 STAYS, STAYS_ON = 8, (26, 31, 31)
-#: Stories of coordinators that a majority may recover have nothing that leases do not hold under, and more
+#: Scenarios of coordinators that a majority may recover have no faults under which leases do not hold, and
+#: more
 #: time, in seconds.
 NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
-#: What lets a host doubt another one that goes on; how likely each is then.
+#: Faults that make a host suspect a live one; the probability of each then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
-#: Seconds between two of them, and of such a story, where there are many.
+#: Seconds between two of them, and of such a scenario, where there are many.
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
-#: When walkers begin and what they do between two calls takes, about, in seconds; after so many leases
-#: without a sign a recovery has begun.
+#: Approximate start of walkers and time between two of their calls, in seconds; after so many leases without
+#: a sign
+#: of life a recovery has begun.
 START_TIME, BETWEEN_CALLS, RECOVERS_WITHIN = 0.2, 0.08, 3.0
-#: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
+#: Seconds without a sign of life until a coordinator is recovered; the length of a lease.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
-#: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
+#: Seconds until a silent holder loses its reservation, and until a waiting caller is denied.
 RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
-#: So many hosts decide in a team of more than nine.
+#: The number of voting hosts in a team of more than nine.
 DECIDERS = 5
-#: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
+#: Seconds of a commit: on a laptop, and on a small board with a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """All that a run depends on. Times are in seconds; `lost_after` None for walkers that walk for ever.
+    """All parameters of a run. Times are in seconds; `lost_after` is None for walkers without an end.
 
-    Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. Hosts keep
-    `journals`, on disks that take `sync` to keep anything, or forget. The forecast is drawn for a team of
-    `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike, None for all.
-    `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
-    hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
-    walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
-    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time. Faults that are
-    `aimed` strike beside those that are drawn.
+    Walkers make so many `calls`, FOR_EVER for no end, each of which takes `stay`. Hosts keep `journals`, on
+    disks whose commits take `sync`, or forget. The forecast is drawn for a team of `cast` hosts and `weather`
+    seconds; `keep` has the numbers of its faults that are injected, None for all. `hosts` and `seconds` are
+    the rest when a scenario is shrunk. With an `interval` a majority of the hosts may recover walkers, under
+    leases of `lease`; then the last of them, `witnesses`, have no agents. A walker `stays` on its host in so
+    many of 32 cases. Its reservations last for `reservation` without contact, and others wait `reserved_wait`
+    for them. Code takes `slowness` times its usual processor time. Faults that are `aimed` are injected
+    beside the drawn ones.
     """
 
     seed: int
@@ -161,7 +163,7 @@ class Scenario:
 
     @property
     def mission(self) -> Mission:
-        """Its mission; stories of one shape share it."""
+        """Its mission; scenarios of one shape share it."""
         words = [str(self.calls), str(self.stay), str(self.stays)]
         if self.interval:
             words.append(f"{self.interval:g}")
@@ -174,7 +176,7 @@ class Scenario:
 
     @property
     def forecast(self) -> list[Fault]:
-        """The faults that strike."""
+        """The faults that are injected."""
         return [fault for _, fault in self.numbered if {fault.one, fault.other} <= self._names(self.hosts)]
 
     @property
@@ -190,7 +192,7 @@ class Scenario:
 
 
 def plain(seed: int) -> Scenario:
-    """One of coordinators that wait for their hosts, or are forgotten with them."""
+    """A scenario of coordinators that wait for their hosts, or are lost with them."""
     dice = random.Random(f"story {seed}")
     hosts = dice.choice((3, 3, 3, 4, 4, 5, 6, 7))
     ends = dice.random() < 0.25
@@ -220,12 +222,12 @@ def plain(seed: int) -> Scenario:
 
 
 def forgetful(seed: int) -> Scenario:
-    """One of hosts that keep no journals."""
+    """A scenario of hosts without journals."""
     return replace(plain(seed), kind="forgetful", journals=False)
 
 
 def fenced(seed: int) -> Scenario:
-    """One of coordinators that a majority may recover."""
+    """A scenario of coordinators that a majority may recover."""
     story, dice = replace(plain(seed), journals=True), random.Random(f"recovered {seed}")
     means = {kind: mean for kind, mean in story.means.items() if kind not in NOT_FENCED}
     means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
@@ -248,7 +250,7 @@ def fenced(seed: int) -> Scenario:
 
 
 def doubted(seed: int) -> Scenario:
-    """One of a small team in which hosts often take others for gone, and coordinators work on meanwhile."""
+    """A scenario of a small team in which hosts often suspect live ones, whose coordinators continue."""
     story, dice = fenced(seed), random.Random(f"doubted {seed}")
     seconds = DOUBTED + 2.0 * story.lease
     return replace(
@@ -269,19 +271,19 @@ def doubted(seed: int) -> Scenario:
 
 
 def parted(seed: int) -> Scenario:
-    """One of a small team in which whoever held a coordinator does not meet whoever went on with it.
+    """A scenario of a small team in which the former holder of a coordinator does not meet its successor.
 
-    Only who has promised knows of both, and that from its disk: it is started again in between.
+    Only a host that has promised knows both, from its disk: it is restarted in between.
     """
     mean = random.Random(f"parted {seed}").uniform(*OFTEN)
     return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
 def ending(seed: int) -> Scenario:
-    """One of coordinators that terminate soon, while some hosts hear of that and others do not.
+    """A scenario of coordinators that terminate soon, while some hosts learn of that and others do not.
 
-    A link is cut a moment before the first of them is likely to terminate, for as long as a recovery takes;
-    at times with all others of that host for as long as it takes to promise one.
+    A link is cut a moment before the first of them is likely to terminate, for the time of a recovery; at
+    times with all others of that host for the time of a promise.
     """
     story, dice = doubted(seed), random.Random(f"ending {seed}")
     hosts = dice.choice((3, 3, 4, 5))
@@ -313,7 +315,7 @@ def ending(seed: int) -> Scenario:
 
 
 def crew(seed: int) -> Scenario:
-    """One of coordinators that have several resources work at a time; a majority may recover some of them."""
+    """A scenario of coordinators with concurrent calls; a majority may recover some of them."""
     dice = random.Random(f"crew {seed}")
     story = dice.choice((plain, fenced, doubted))(seed)
     means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
@@ -330,12 +332,12 @@ def crew(seed: int) -> Scenario:
 
 
 def racer(seed: int) -> Scenario:
-    """One of coordinators that begin calls and fetch them later, or the first of them; else as of crews."""
+    """A scenario of crews whose coordinators begin calls and fetch them later, or the first of them."""
     return replace(crew(seed), kind="racer")
 
 
 def keeper(seed: int) -> Scenario:
-    """One of coordinators that reserve what they work with; a majority may recover some of them.
+    """A scenario of coordinators that reserve resources; a majority may recover some of them.
 
     No clock in it is worse than leases allow for.
     """
@@ -351,14 +353,14 @@ def keeper(seed: int) -> Scenario:
     )
 
 
-#: What is flown where it is not the usual program.
+#: The programs for scenarios with devices.
 PROGRAMS = {
     "crew": crew_programs.PROGRAM,
     "racer": crew_programs.RACER_PROGRAM,
     "keeper": keeper_programs.PROGRAM,
     "flown": flown_programs.PROGRAM,
 }
-#: In which every round may have to wait for what others have reserved.
+#: Scenarios in which every round may have to wait for reservations of others.
 RESERVES = ("keeper", "flown")
 
 
@@ -389,7 +391,7 @@ def _mission(
             devices = f"recovery: {{members: [{members}]}}\n"
             deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
         mission = load_mission(deployment, simulate=True)
-    # What hosts prepare of a program is as large as they are: one program is enough.
+    # Prepared data of a program on a host is large: one program is enough.
     times = ReservationTimes(reservation, reserved_wait)
     recovery = replace(mission.bindings.recovery, lease=lease)
     bindings = replace(mission.bindings, recovery=recovery, reservations=times)

@@ -1,4 +1,4 @@
-"""Which story a seed has: its kind, and whether a person gives orders in it or its computers are slow."""
+"""The scenario of a seed: its kind, and whether it has orders of an operator or slow computers."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from simulation_testing.scenarios.scenario import (
     racer,
 )
 
-#: Of what kinds stories of hosts with journals are.
+#: The kinds of scenarios of hosts with journals.
 KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
-#: So many of them are of crews, and so many of those of keepers instead.
+#: The share of crews, and the share of those that are keepers instead.
 CREWS, KEEPERS = 0.25, 0.5
-#: So many of the other crews are racers instead.
+#: The share of the other crews that are racers instead.
 RACERS = 0.5
-#: How likely stories of these kinds are, beside all others.
+#: The probability of these kinds, beside all others.
 RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
-#: So many stories are under orders of a person, and so many of those with devices; so many on slow computers.
+#: The share of scenarios with orders of an operator, also of those with devices; the share on slow computers.
 ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
-#: So many of the usual stories of hosts with journals are of coordinators that end soon instead.
+#: The share of the usual scenarios with journals whose coordinators end soon instead.
 ENDING = 0.06
-#: So many stories are of hosts without a direct link instead; how long that lasts, in seconds.
+#: The share of scenarios of hosts without a direct link instead; how long that lasts, in seconds.
 APART, APART_FOR = 0.05, (14.0, 20.0)
-#: How much slower, for all that runs beside.
+#: How much slower all code is.
 SLOWNESS = (10.0, 50.0, 200.0)
 
 
 def draw_scenario(seed: int) -> Scenario:
-    """The story of a seed: some have larger teams, wrecks, orders of a person, or slow computers."""
+    """The scenario of a seed: some have larger teams, wrecks, orders of an operator, or slow computers."""
     dice = random.Random(f"beside {seed}")
     kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
     story = KINDS[kind](seed) if kind else _usual(seed)
@@ -64,7 +64,7 @@ def draw_scenario(seed: int) -> Scenario:
 
 
 def under_orders(story: Scenario, rng: random.Random) -> Scenario:
-    """The same under orders of a person, with a device at least where the program has any."""
+    """The same with orders of an operator, with a device at least where the program has any."""
     orders = rng.choice((("estop",), ("pause",), ("estop", "pause")))
     means = {order: rng.uniform(*OFTEN) for order in orders}
     arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
@@ -85,7 +85,8 @@ def _usual(seed: int) -> Scenario:
 
 
 def split(seed: int) -> Scenario:
-    """One of a larger team that falls into two groups; the majority goes on with what the others had."""
+    """A scenario of a larger team that is split into two groups; the majority continues with the others'
+    coordinators."""
     story, dice = doubted(seed), random.Random(f"split {seed}")
     hosts = dice.choice((4, 5, 5, 5, 6, 7))
     means = {"split": dice.uniform(*OFTEN)}
@@ -107,7 +108,7 @@ def split(seed: int) -> Scenario:
 
 
 def crowd(seed: int) -> Scenario:
-    """One of a team of more than nine hosts: each keeps links with eight neighbours."""
+    """A scenario of a team of more than nine hosts: each keeps links with eight neighbours."""
     dice = random.Random(f"crowd {seed}")
     story = dice.choice((plain, plain, fenced))(seed)
     hosts, seconds = dice.choice((10, 11, 13)), dice.uniform(4.0, 7.0) + (LONGER if story.interval else 0.0)
@@ -130,9 +131,10 @@ def crowd(seed: int) -> Scenario:
 
 
 def apart(seed: int) -> Scenario:
-    """One in which links break for long while coordinators hop over them, and other hosts connect the two.
+    """A scenario in which links break for long while coordinators hop over them, and other hosts connect the
+    two.
 
-    Of a team at times only a row is left, in any order.
+    At times the links of a team form only a chain, in any order.
     """
     dice = random.Random(f"apart {seed}")
     story = dice.choice((plain, plain, fenced))(seed)
@@ -166,14 +168,15 @@ def apart(seed: int) -> Scenario:
 
 
 def flight(seed: int) -> Scenario:
-    """One of keepers whose resources have devices, on slow computers at times."""
+    """A scenario of keepers whose resources have devices, on slow computers at times."""
     story, dice = keeper(seed), random.Random(f"flown {seed}")
     means = {kind: dice.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if dice.random() < LIKELY}
     return replace(story, kind="flown", means={**story.means, **means})
 
 
 def wrecked(seed: int) -> Scenario:
-    """One in which a host is gone for good, and a person goes on with what it had, or gives that up."""
+    """A scenario in which a host is permanently lost, and an operator recovers its coordinators or gives
+    them up."""
     story, dice = plain(seed), random.Random(f"wrecked {seed}")
     kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
     seconds = story.weather + LONGER
@@ -191,7 +194,7 @@ def wrecked(seed: int) -> Scenario:
     )
 
 
-#: Stories by what becomes of their coordinators.
+#: Scenarios by the kind of their coordinators.
 KINDS: Mapping[str, Callable[[int], Scenario]] = {
     "plain": plain,
     "forgetful": forgetful,

@@ -1,4 +1,4 @@
-"""One story, told and judged."""
+"""Runs and checks one scenario."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ from simulation_testing.invariants.outcome_recorder import OutcomeRecorder
 from simulation_testing.invariants.run_judge import MIN_CALLS, RunJudge
 from simulation_testing.scenarios.scenario import RESERVES, Scenario
 
-#: Seconds between two looks at devices and logs.
+#: Seconds between two checks of devices and logs.
 CHECK_INTERVAL = 0.25
-#: So much may happen in one story: ten times of what happens in the longest that were ever told.
+#: The most events of one scenario: ten times those of the longest one.
 MAX_EVENTS = 200_000
-#: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
-#: greeting that nobody answered is given up after 10 s.
+#: Seconds after the faults until all coordinators that can must have made progress, beside the time that a
+#: call
+#: waits: a Hello without an answer is given up after 10 s.
 PROGRESS_TIMEOUT = 25.0
-#: Seconds until hosts without a link must reach each other when they want to, and for how long coordinators
-#: go from one to the other then.
+#: Seconds until hosts without a link must reach each other when they need to, and for how long coordinators
+#: hop
+#: between them then.
 SETTLES, ROAMS = 12.0, 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class RunVerdict:
-    """What came of a story. `seconds` of virtual time; `faults` as they struck.
+    """The result of a scenario. `seconds` of virtual time; `faults` as they were injected.
 
-    `digest` covers every log line and the number of events; `outcome` what programs and devices did only.
-    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has
-    `recovered`, `orders` of a person that hosts have carried out, by kind.
+    `digest` covers every log line and the number of events; `outcome` only the actions of programs and
+    devices. `calls` that began, `restarts` that walkers received, starts that a majority or an operator has
+    `recovered`, executed `orders` of an operator, by kind.
     """
 
     story: Scenario
@@ -58,8 +60,8 @@ class RunVerdict:
 def run_scenario(
     story: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
 ) -> RunVerdict:
-    """Run a story; it ends with the first breach, or when all that may go on have done so."""
-    # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
+    """Run a scenario; it ends with the first breach, or when all that can have made progress."""
+    # A scenario leaves many reference cycles: young objects are collected at once afterwards.
     gc.disable()
     try:
         return _judged_run(story, record, keep_log=keep_log)
@@ -91,7 +93,7 @@ def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bo
         disk.sync = story.sync
     fleet.timeline.most = MAX_EVENTS
     storm = FaultInjector(fleet, story.forecast, judge.orders)
-    # A guard whose host is gone tells the terminal.
+    # A guard without a host writes to the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
         _happen(fleet, storm, judge, story)
         orders = dict(storm.operator.carried_out) if storm.operator else {}
@@ -113,11 +115,11 @@ def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario
         fleet.restart_ended()
     judge.on_healed()
     waits = MIN_CALLS * story.reserved_wait * (story.kind in RESERVES)
-    # A person forgets a coordinator only when its transfer is in doubt.
+    # An operator forgets a coordinator only when its transfer is in doubt.
     doubt = max(story.unreachable_after, MIN_DOUBT_TIME)
     end = fleet.now + PROGRESS_TIMEOUT + doubt + story.interval + waits
     while judge.waits_for() and fleet.now < end and not judge.breaches:
-        # One that stood still may end in order, or give the others up, just when all is well again.
+        # A suspended host may end regularly, or give the others up, just after the end of the faults.
         fleet.heal_all()
         if storm.operator is not None:
             storm.operator.free_all()

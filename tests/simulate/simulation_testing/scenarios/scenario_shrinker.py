@@ -1,4 +1,4 @@
-"""Makes a story in which a promise was broken smaller: fewer faults, hosts, walkers, devices, and shorter."""
+"""Shrinks a scenario with a breach: fewer faults, hosts, walkers, devices, and a shorter time."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from simulation_testing.scenarios.scenario_run import RunVerdict, run_scenario
 
 #: The command that runs scenarios, from the root of the project.
 COMMAND = "python tests/simulate/simulate.py"
-#: So many smaller stories are tried at most.
+#: The most smaller scenarios that are tried.
 MAX_TRIALS = 200
 
 
 def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
-    """The smallest story that was found in which the same promise is broken."""
+    """The smallest scenario that was found with the same breach."""
     name, best = found.breaches[0].name, found
     tries = most
     while tries > 0:
@@ -34,7 +34,7 @@ def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
 
 
 def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
-    """Stories that are a little smaller, the boldest first."""
+    """Scenarios that are a little smaller, the smallest first."""
     story = verdict.story
     if verdict.seconds + 0.1 < story.seconds:
         yield replace(story, seconds=round(verdict.seconds + 0.1, 3))
@@ -60,7 +60,7 @@ def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
 
 
 def command(story: Scenario) -> str:
-    """The one command that tells this story again."""
+    """The command that repeats this scenario."""
     usual, words = draw_scenario(story.seed), [f"{COMMAND} --story {story.seed}"]
     if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
         usual = KINDS[story.kind](story.seed)

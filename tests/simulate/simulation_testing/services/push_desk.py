@@ -22,9 +22,9 @@ from lfield.wire.service_messages import CommandResult, MissionCommand
 from simulation_testing.services.service_disk import kill_here
 from simulation_testing.services.service_fleet import ServiceFleet, bundle_version
 
-#: What a desk does: a push, with or without robots that do not answer; commands to all robots.
+#: The steps of a desk: a push, with or without robots that do not answer; commands to all robots.
 DeskAction = Literal["push", "push without", "start", "stop", "discard"]
-#: Seconds without any stored piece after which an upload fails, for the answer to a command, and for all of a
+#: Seconds without a stored piece after which an upload fails, for the answer to a command, and for a whole
 #: command.
 PATIENCE, ANSWER, COMMAND = 8.0, 20.0, 30.0
 
@@ -36,7 +36,7 @@ def _upload_of(robots: int, version: int) -> Upload:
 
 @dataclass(frozen=True, slots=True)
 class DeskStep:
-    """One step of a desk: when, what, and the version of the bundle.
+    """One step of a desk: its time, its kind, and the version of the bundle.
 
     After so many answers to a ballot the desk is killed, 0 for never.
     """
@@ -63,11 +63,11 @@ class SimulatedDesk:
             fleet.timeline.at(step.at, lambda step=step: self.perform(step))  # type: ignore[misc]
 
     def kill(self) -> None:
-        """Kill what it does now."""
+        """Kill its present step."""
         self._process.die(-9)
 
     def perform(self, step: DeskStep) -> None:
-        """Do one step, beside others that have not ended."""
+        """Start one step, beside others that have not ended."""
         if self._process.loop.dead:
             self._process = self._computer.start()
         self._fleet.note(self.name, f"{step.action} {step.version}")
@@ -83,7 +83,7 @@ class SimulatedDesk:
             await self._command(command, self._fleet.robots)
 
     async def _push(self, step: DeskStep) -> None:
-        """As `lfield push`."""
+        """Push like `lfield push`."""
         robots, links = self._fleet.robots, self._links()
         what = _upload_of(len(robots), step.version)
         reached = await asyncio.gather(*(self._upload(links, robot, what) for robot in robots))

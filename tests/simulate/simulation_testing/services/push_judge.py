@@ -1,4 +1,4 @@
-"""Checks what the services of a team promise, from outside: from their disks, and from what robots do."""
+"""Checks the promises of the services of a team, from their disks and the actions of robots."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ class PushJudge:
         self.breaches = Breaches(now)
         self.missions: dict[str, RobotMission] = {}
         self.records: dict[str, ServiceRecord] = {}
-        #: Every ballot on which a host has voted, in the order of the first votes; what hosts know of it.
+        #: Every ballot on which a host has voted, in the order of the first votes, with the states that
+        #: hosts know.
         self.ballots: dict[bytes, Ballot] = {}
         self.outcomes: dict[bytes, BallotOutcome] = {}
         #: Called at the next vote for a ballot of a robot.
         self.at_vote: dict[str, Callable[[], None]] = {}
-        #: The robots whose missions a person has paused.
+        #: The robots whose missions an operator has paused.
         self.paused: set[str] = set()
         self._votes: dict[tuple[str, bytes], Vote] = {}
-        #: The last ballot that was really activated, by robot: it is when the last host votes yes.
+        #: The last ballot that was activated, by robot: an activation is the time of the last yes.
         self._activated: dict[str, Ballot] = {}
         self.counts = dict.fromkeys(("yes", "no", "activated", "aborted", "starts", "acts"), 0)
 
@@ -40,7 +41,7 @@ class PushJudge:
             self.ballots.setdefault(found.id, found.ballot)
         self._check_votes_kept(robot, after)
         if before.run.unsafe and not after.run.unsafe and not after.run.bundle:
-            # A person has checked the vehicle.
+            # An operator has checked the vehicle.
             self.missions[robot].is_airborne = False
         if found is None or found.ballot is None:
             return
@@ -117,7 +118,7 @@ class PushJudge:
         """A coordinator acts on a robot: no other robot of the same activation may run another bundle."""
         self.counts["acts"] += 1
         if robot in self.paused:
-            self.breaches.add("acts while paused", (robot,), "a person has paused it, and not resumed it")
+            self.breaches.add("acts while paused", (robot,), "an operator has paused it, and not resumed it")
         if self._is_bound(robot):
             # Its vehicle can leave the ground.
             self.breaches.add("acts while bound", (robot,), "it has voted, and does not know the result")
@@ -146,7 +147,7 @@ class PushJudge:
         ]
 
     def check_settled(self, running: Mapping[str, bool]) -> None:
-        """All robots have met for long enough. `running` has those whose services run."""
+        """All robots were connected for long enough. `running` has those whose services run."""
         for robot, mission in self.missions.items():
             record = self.records.get(robot, ServiceRecord())
             if record.activation.open_ballot is not None:
@@ -154,7 +155,7 @@ class PushJudge:
             if mission.host is not None and mission.held:
                 self.breaches.add("still held", (robot,), "no ballot binds it, and its host is held")
             if mission.is_paused is not (robot in self.paused):
-                self.breaches.add("pause changed", (robot,), "not by a person")
+                self.breaches.add("pause changed", (robot,), "not by an operator")
             last = self._activated.get(robot)
             if last is not None and record.activation.active != last.digest:
                 self.breaches.add("activation lost", (robot,), "it does not know the last activation")

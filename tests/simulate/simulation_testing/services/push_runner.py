@@ -1,6 +1,6 @@
-"""Thousands of stories with pushes, over several processes: `simulate.py --pushes --seeds 2000`.
+"""Thousands of scenarios with pushes, over several processes: `simulate.py --pushes --seeds 2000`.
 
-Of a story with a breach the command is printed that repeats it, and what is left of it when it is smaller.
+For a scenario with a breach the command that repeats it is printed, and its size when it is shrunk.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from simulation_testing.services.push_story import (
 
 #: Seeds that a process gets at a time.
 CHUNK = 8
-#: So many stories are made smaller at most, with so many attempts each.
+#: The most scenarios that are shrunk, and the attempts of each.
 MAX_SHRUNK, MAX_TRIALS = 3, 150
 
 
 def run_push_seed(seed: int) -> PushVerdict:
-    """The verdict on the story of a seed."""
+    """The verdict on the scenario of a seed."""
     return run_push_story(draw_push_story(seed))
 
 
@@ -40,7 +40,7 @@ def first_breach(seeds: Iterable[int]) -> PushVerdict | None:
 
 
 def shrink_push_story(found: PushVerdict, most: int = MAX_TRIALS) -> PushVerdict:
-    """The smallest story that was found with the same breach."""
+    """The smallest scenario that was found with the same breach."""
     name, best, tries = found.breaches[0].name, found, 0
     smaller = iter(smaller_stories(best.story))
     while (story := next(smaller, None)) is not None and tries < most:
@@ -62,7 +62,7 @@ def _spread(seeds: range, processes: int) -> Iterator[Iterator[PushVerdict]]:
 
 
 def run_push_seeds(seeds: range, processes: int = 0, console: Console | None = None) -> list[PushVerdict]:
-    """Run and judge the stories of some seeds; returns the verdicts with breaches.
+    """Run and check the scenarios of some seeds; returns the verdicts with breaches.
 
     `processes` 0: one for each core.
     """
@@ -80,7 +80,7 @@ def run_push_seeds(seeds: range, processes: int = 0, console: Console | None = N
                 broken.append(verdict)
                 console.print(f"{verdict.breaches[0]}: {command(verdict.story)}", soft_wrap=True)
     for verdict in sorted(broken, key=lambda verdict: verdict.story.seed)[:MAX_SHRUNK]:
-        console.print(f"made smaller: {size(shrink_push_story(verdict).story)}", soft_wrap=True)
+        console.print(f"shrunk: {size(shrink_push_story(verdict).story)}", soft_wrap=True)
     lines = "".join(f"{seed} {digest}\n" for seed, digest in sorted(digests.items()))
     digest = hashlib.sha256(lines.encode()).hexdigest()[:16]
     what = ", ".join(f"{count:,} {name}" for name, count in counts.items())
@@ -91,12 +91,12 @@ def run_push_seeds(seeds: range, processes: int = 0, console: Console | None = N
 
 
 def command(story: PushStory) -> str:
-    """The command that repeats a story."""
+    """The command that repeats a scenario."""
     return f"python tests/simulate/simulate.py --pushes --story {story.seed}"
 
 
 def size(story: PushStory) -> str:
-    """What a story consists of."""
+    """The size of a scenario."""
     steps = [f"desk{n} {step.at:.1f} {step.action}" for n, own in enumerate(story.steps) for step in own]
     faults = [f"{fault.at:.1f} {fault.kind} {fault.one} {fault.other}" for fault in story.faults]
     return f"seed {story.seed}, {story.robots} robots; {'; '.join([*steps, *faults])}"

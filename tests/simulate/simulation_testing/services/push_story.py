@@ -1,4 +1,4 @@
-"""Stories with pushes: a team, desks with their steps, and faults, all drawn from one seed and judged."""
+"""Scenarios with pushes: a team, desks with their steps, and faults, all drawn from one seed and checked."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from simulation_testing.services.push_desk import DeskAction, DeskStep, Simulate
 from simulation_testing.services.service_fleet import VERSIONS, ServiceFleet, bundle_version
 
 #: Seconds within which all ballots are decided after the last fault: the time until a ballot is closed, and
-#: rounds of questions of which each waits for hosts that do not answer.
+#: rounds of queries of which each waits for hosts that do not answer.
 SETTLES = CLOSE_AFTER + 4 * (RESOLVE_EVERY + PEER_TIMEOUT)
-#: Seconds for the push of a desk that nothing disturbs, and attempts: a vote may get lost within a robot.
+#: Seconds for an undisturbed push of a desk, and attempts: a vote may get lost within a robot.
 LAST_PUSH, LAST_PUSHES = 60.0, 4
-#: The most events of one story.
+#: The most events of one scenario.
 MAX_EVENTS = 400_000
-#: Seconds that short and long faults last (some until ballots are closed), of a slow way and of a slow disk.
+#: Seconds of short and long faults (some until ballots are closed), of a slow path and of a slow disk.
 SHORT, LONG, SLOW_WAY, SLOW_DISK = (0.5, 12.0), (12.0, 60.0), (0.3, 3.0), (0.05, 1.0)
 #: The most saves until a planned kill.
 SAVES = 4
-#: What can go wrong, with the mean seconds between two faults of a kind in rough weather.
+#: The kinds of faults, with the mean seconds between two faults of a kind.
 KINDS: Mapping[str, float] = {
     "cut": 10.0,
     "one_way": 15.0,
@@ -62,7 +62,7 @@ _ACTIONS: tuple[tuple[DeskAction, int], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PushFault:
-    """One fault: when, its kind, the robots, seconds that it lasts, and a number from 0 to 1."""
+    """One fault: its time, its kind, its robots, its duration in seconds, and a number from 0 to 1."""
 
     at: float
     kind: str
@@ -74,7 +74,7 @@ class PushFault:
 
 @dataclass(frozen=True, slots=True)
 class PushStory:
-    """A story. `steps` are those of each desk; `faults` happen within `seconds`."""
+    """A scenario. `steps` are those of each desk; `faults` happen within `seconds`."""
 
     seed: int
     robots: int
@@ -85,7 +85,7 @@ class PushStory:
 
 @dataclass(frozen=True, slots=True)
 class PushVerdict:
-    """The result of a story: breaches, a digest of what happened, and counts."""
+    """The result of a scenario: breaches, a digest of the events, and counts."""
 
     story: PushStory
     breaches: tuple[Breach, ...]
@@ -96,12 +96,12 @@ class PushVerdict:
 
 
 def draw_push_story(seed: int) -> PushStory:
-    """The story of a seed."""
+    """The scenario of a seed."""
     rng = random.Random(f"pushes {seed}")
     robots, seconds = rng.choice((2, 2, 3, 3, 4)), rng.uniform(40.0, 120.0)
     steps = tuple(_desk_steps(rng, seconds, robots) for _ in range(rng.choice((1, 2, 2, 3))))
     names = [f"h{number}" for number in range(robots)]
-    # Some kinds only, and rare ones in some stories: else every push is disturbed.
+    # Only some kinds, and rare ones in some scenarios: otherwise every push is disturbed.
     calm = rng.choice((1.0, 2.0, 5.0))
     faults: list[PushFault] = []
     for kind, mean in KINDS.items():
@@ -131,8 +131,8 @@ def _desk_steps(rng: random.Random, seconds: float, robots: int) -> tuple[DeskSt
 
 
 def run_push_story(story: PushStory, *, keep_log: bool = False) -> PushVerdict:
-    """Run a story until the first breach, or until all is decided and one more push has succeeded."""
-    # A story leaves much in cycles: while it is young and no frame has it, it is found at once.
+    """Run a scenario until the first breach, or until all is decided and one more push has succeeded."""
+    # A scenario leaves many reference cycles: young objects without a frame are collected at once.
     gc.disable()
     try:
         return _judged_run(story, keep_log=keep_log)
@@ -197,7 +197,7 @@ def _push_undisturbed(fleet: ServiceFleet, desk: SimulatedDesk) -> None:
 
 
 class PushWeather:
-    """The faults of a story, until `end`. A fault of a robot that is off does nothing."""
+    """The faults of a scenario, until `end`. A fault of a robot that is off does nothing."""
 
     def __init__(self, fleet: ServiceFleet, story: PushStory, desks: list[SimulatedDesk]) -> None:
         self._fleet, self._desks, self._is_over = fleet, desks, False
@@ -205,7 +205,7 @@ class PushWeather:
             fleet.timeline.at(fault.at, partial(self._strike, fault))
 
     def end(self) -> None:
-        """All is healed, and desks end."""
+        """Heal everything, and end the desks."""
         self._is_over = True
         fleet = self._fleet
         fleet.judge.at_vote.clear()
@@ -330,15 +330,15 @@ class PushWeather:
         process.loop.freeze()
         return process.loop.thaw
 
-    # --- persons --------------------------------------------------------------------------------------
+    # --- operators ------------------------------------------------------------------------------------
 
     def _person_pauses(self, fault: PushFault) -> Callable[[], None]:
-        """A person pauses the mission of a robot for a while."""
+        """An operator pauses the mission of a robot for a while."""
         self._order_pause(fault.one, on=True)
         return partial(self._order_pause, fault.one, on=False)
 
     def _person_resumes_at_vote(self, fault: PushFault) -> None:
-        """A person resumes the mission of a robot that has just voted."""
+        """An operator resumes the mission of a robot that has just voted."""
 
         def resume() -> None:
             if not self._is_over:
@@ -365,7 +365,7 @@ class PushWeather:
 
 
 def smaller_stories(story: PushStory) -> list[PushStory]:
-    """Stories without one fault or one step."""
+    """Scenarios without one fault or one step."""
     found = [
         replace(story, faults=story.faults[:n] + story.faults[n + 1 :]) for n in range(len(story.faults))
     ]

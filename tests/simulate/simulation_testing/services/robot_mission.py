@@ -1,7 +1,7 @@
 """A model of the mission of one robot: its vehicle, its journal, and the process of its host.
 
 The host flies its vehicle for coordinators that start here, move to other robots, and end. It is no real
-host: what the service observes and orders is modelled only. Vehicle and journal survive the processes.
+host: only what the service observes and orders is modelled. Vehicle and journal survive the processes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from simulation_testing.services.service_disk import ProcessKilled
 
 #: Seconds between two steps of a host, until it runs, and of a landing.
 STEP, STARTUP, LANDING = (0.2, 2.0), (0.1, 1.5), (0.5, 5.0)
-#: Seconds until a request to the host arrives, and again for its answer. One in so many answers is lost.
+#: Seconds until a request arrives at the host, and again for its answer. One in so many answers is lost.
 LATENCY, LOST_ANSWERS = (0.005, 0.4), 30
 #: Seconds between two checks whether a process has ended.
 POLL = 0.25
@@ -52,7 +52,8 @@ class RobotMission:
         self.rng = random.Random(computer.machine.rng.random())
         self.is_airborne = False
         #: The journal: coordinators that have not ended as far as this robot knows, with their places, and
-        #: whether a person has paused the mission.
+        #: whether an operator
+        #: has paused the mission.
         self.unfinished: dict[str, str] = {}
         self.is_paused = False
         #: The ballot that holds the host, b"" for none. It is in the memory of its process.
@@ -68,7 +69,7 @@ class RobotMission:
 
     @property
     def host(self) -> ModelHost | None:
-        """The host that runs."""
+        """The running host."""
         return next(iter(self.hosts.values()), None)
 
     @property
@@ -86,7 +87,7 @@ class RobotMission:
         self.on_start(self.robot, bundle)
         self.open_run = bundle
         process = self.computer.start()
-        # Not its own number, which depends on the stories before.
+        # Not its real process number, which depends on earlier scenarios.
         number = next(self._numbers)
         host = self.hosts[number] = ModelHost(self, bundle, process)
         process.await_end(partial(self._on_end, number))
@@ -94,13 +95,13 @@ class RobotMission:
         return number
 
     def on_power_off(self) -> None:
-        """The robot is without power: its vehicle too."""
+        """The robot and its vehicle lose power."""
         self.hosts.clear()
         self.is_airborne, self.held = False, b""
         self.boots += 1
 
     def order_pause(self, *, on: bool) -> bool:
-        """A person pauses the mission, or resumes it; returns whether the order was carried out."""
+        """An operator pauses the mission, or resumes it; returns whether the order was executed."""
         if self.host is None or not self.host.is_up:
             return False
         self.is_paused = on
@@ -122,7 +123,7 @@ class RobotMission:
         self.unfinished[agent] = there.robot
 
     def receive_ends(self, network: SimulatedNetwork) -> None:
-        """Other robots report which coordinators have ended there, or have come back here."""
+        """Other robots report which coordinators have ended there, or have returned."""
         for agent, place in list(self.unfinished.items()):
             there = self._team[place]
             if there is self or network.ways.silences(self.robot, place) or not there.computer.machine.on:
@@ -147,7 +148,7 @@ class RobotMission:
         self.open_run = b"" if status == exit_status.DONE else self.open_run
         self.ends[pid] = status
         if self.is_airborne:
-            # Its guard lands it, unless a next host flies it.
+            # Its guard lands the vehicle, unless a next host flies it.
             self.computer.machine.timeline.after(self.rng.uniform(*LANDING), self._land_alone)
 
     def _land_alone(self) -> None:
@@ -188,7 +189,7 @@ class ModelHost:
         if mission.is_airborne:
             mission.is_airborne = chance > LANDS
             if chance > 1.0 - LEFT_IN_THE_AIR:
-                # Its coordinator has ended: the vehicle stays where it is for a while.
+                # Its coordinator has ended: the vehicle stays for a while.
                 del mission.unfinished[agent]
         elif chance < TAKES_OFF:
             mission.is_airborne = True
@@ -231,13 +232,13 @@ class ModelProcesses:
         return HostEnd(self._mission.ends.get(process.pid, -9))
 
     def terminate(self, process: ProcessId) -> None:
-        """Ask it to end in order."""
+        """Ask it to end regularly."""
         if not self._loop.dead and (host := self._mission.hosts.get(process.pid)) is not None:
             host.is_stopping = True
 
 
 class ModelProbe:
-    """See `MissionProbe`: requests reach the host late, and some answers are lost."""
+    """See `MissionProbe`: requests arrive at the host late, and some answers are lost."""
 
     def __init__(self, mission: RobotMission, loop: ProcessLoop) -> None:
         self._mission, self._loop = mission, loop
@@ -278,7 +279,7 @@ class ModelProbe:
         return await self._answer("")
 
     async def release(self) -> str:
-        """End the hold of the host, whatever ballot it is for."""
+        """End the hold of the host for any ballot."""
         ballot = self._mission.held
         if trouble := await self._request():
             return trouble

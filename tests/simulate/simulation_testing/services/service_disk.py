@@ -35,14 +35,15 @@ class ProcessKilled(BaseException):
 
 
 def kill_here(process: SimulatedProcess) -> None:
-    """Kill the process that runs this. Raises ProcessKilled."""
+    """Kill the process that calls this. Raises ProcessKilled."""
     process.die(-9)
     process.loop.stop()
     raise ProcessKilled
 
 
 class ServiceDisk:
-    """What survives the processes of the service of one robot. `on_save` is called within each save."""
+    """The data that survives the processes of the service of one robot. `on_save` is called within each
+    save."""
 
     def __init__(self, robot: str, on_save: OnSave) -> None:
         self.robot, self._on_save = robot, on_save
@@ -136,7 +137,7 @@ class OpenServiceDisk:
         self._disk.uploads.pop(file, None)
 
     def _check_usable(self) -> None:
-        """What a killed process still does in the same moment reaches no disk."""
+        """The later actions of a killed process at this time have no effect on the disk."""
         if self._process.loop.dead:
             raise ProcessKilled
         if self._disk.is_full:

@@ -35,7 +35,7 @@ from simulation_testing.services.service_disk import OpenServiceDisk, ProcessKil
 
 #: The port of every service, and the number of different bundles.
 PORT, VERSIONS = 8182, 4
-#: Seconds until the service manager starts a service that has ended.
+#: Seconds until the service manager restarts a service that has ended.
 RESTART = (0.3, 4.0)
 
 _PROGRAM = """
