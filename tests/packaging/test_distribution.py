@@ -153,7 +153,8 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
     assert done.returncode == 0, done.stderr
     place, found = done.stdout.splitlines()
     assert place.startswith(installed["PYTHONPATH"])
-    types = "['CanAxis', 'CanSignals', 'Dynamixel', 'DynamixelGroup', 'Mavlink']"
+    can = "'CanAxis', 'CanSignals', 'DroneCanBattery', 'DroneCanEsc', 'DroneCanServo'"
+    types = f"[{can}, 'Dynamixel', 'DynamixelGroup', 'Mavlink']"
     assert found == f"{types} ['can', 'dynamixel', 'mavlink']"
 
 
