@@ -209,7 +209,9 @@ def test_loops_run_during_a_stop_move_nothing_and_fly_again_after_the_release(tm
         began = len(fleet.log)
         fleet.run(15.0)
         assert sum("p: tick" in text for _, _, text in fleet.log[began:]) >= 9
-        assert is_logged(fleet, f"loop fly of p failed: DeviceException: fc: held in its safe state: {WHY}", began)
+        assert is_logged(
+            fleet, f"loop fly of p failed: DeviceException: fc: held in its safe state: {WHY}", began
+        )
         assert not climbs(fleet, began)
         began = started_again(fleet)  # The stop is in the journal; loops begin again.
         assert not climbs(fleet, began)
