@@ -1,4 +1,4 @@
-"""What a program or a host has said stands in the table as text: a terminal obeys nothing of it."""
+"""Rows of coordinators in the table: what one died of, as text that no terminal obeys, and startable ones."""
 
 import pytest
 from scripted_snapshots import states_of
@@ -15,3 +15,45 @@ def test_what_a_coordinator_died_of_is_text(capsys: pytest.CaptureFixture[str]) 
     out = capsys.readouterr().out
     assert "died: E: \\u{1b}[2J[/red]:smile:\\u{7}over" in " ".join(out.split())
     assert not any(ord(ch) < 32 and ch != "\n" for ch in out)
+
+
+SEQUENCES = """
+resource Desk {
+    init(string[] arg) { }
+    portal line(string question) { write(question + "\\n"); read(60.0); }
+    portal stay() { write("stays\\n"); sleep(60.0); }
+}
+coordinator Patrol {
+    init(string[] arg) { findDesk("desk").stay(); }
+}
+coordinator Planner {
+    init(string[] arg) {
+        Desk desk = findDesk("desk");
+        desk.line("first?");
+        start("patrol", 20.0);
+        desk.line("second?");
+        stop("patrol", 20.0);
+        desk.line("third?");
+    }
+}
+"""
+
+
+@pytest.mark.process
+def test_ps_shows_a_startable_coordinator_before_its_start_while_it_runs_and_after_its_stop(lfield) -> None:
+    deployment = lfield.mission(
+        SEQUENCES, "//Desk:desk@alpha\nstartable Patrol:patrol@alpha\n//Planner:planner@alpha\n"
+    )
+    run = lfield.start("up", "--deploy", deployment, "--host", "alpha", "--until-done", stdin=True)
+    shown = []
+    for question in ("first", "second", "third"):
+        run.wait_for(rf"{question}\?")
+        if question == "second":
+            run.wait_for("stays")
+        table = lfield("ps", "--deploy", deployment)
+        assert lfield.status(table) == 0
+        shown += [line.split()[2:4] for line in table.out if line.startswith("alpha  patrol")]
+        run.popen.stdin.write(b"\n")
+        run.popen.stdin.flush()
+    assert shown == [["startable"], ["Patrol", "in"], ["done:", "stopped"]]
+    assert run.wait() == 0
