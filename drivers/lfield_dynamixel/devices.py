@@ -110,8 +110,7 @@ class Dynamixel(MovingMembers):
         counts = round(self.servo.joint.direction * value / unit)
         if abs(counts) * unit > limit * ROUNDED:
             counts -= 1 if counts > 0 else -1
-        item = self.servo.item(f"goal_{mode}")
-        await self._command(what, item.address, item.encode(counts))
+        await self._command(what, *self.servo.write_of(f"goal_{mode}", counts))
 
     async def _command(self, what: str, address: int, data: bytes) -> None:
         """Writes a goal. The condition explains a refusal better than the error byte."""

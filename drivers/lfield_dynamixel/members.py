@@ -280,13 +280,18 @@ class Members(Device):
             await self.release_torque(SAFETY)
             return
         observed = await self.observe(urgency=SAFETY, alone=False)
-        await self.send({servo: _stay(servo, place) for servo, place in self._places(observed).items()})
+        await self.send(
+            {
+                servo: servo.write_of(*servo.hold_goal(place))
+                for servo, place in self._places(observed).items()
+            }
+        )
 
     async def hold_answering(self) -> None:
         """Commands the members that answer to hold. A silent one may be two servos with one id."""
         observed = await self.observe(urgency=SAFETY)
         places = {s: at for s, at in self._places(observed).items() if s.node.number in observed}
-        await self.send({servo: _stay(servo, place) for servo, place in places.items()})
+        await self.send({servo: servo.write_of(*servo.hold_goal(place)) for servo, place in places.items()})
 
     def _moving(self) -> str:
         motions = {number: self._motion_of(number) for number in self.servos}
@@ -382,9 +387,3 @@ class Members(Device):
             silent = all(error.kind == "DeviceTimeoutException" for error in failed)
             raise self.error("; ".join(error.reason for error in failed), timeout=silent)
         return done
-
-
-def _stay(servo: Servo, place: Present) -> tuple[int, bytes]:
-    name, counts = servo.hold_goal(place)
-    item = servo.item(name)
-    return item.address, item.encode(counts)

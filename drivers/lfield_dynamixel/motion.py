@@ -143,7 +143,7 @@ class MovingMembers(Members):
                 who = f"servo {servo.joint.label}: " if len(self.servos) > 1 else ""
                 raise self.error(f"{what} refused: {who}{angle:g} rad is outside {low:g} to {high:g} rad")
             least, greatest = servo.reach
-            if servo.mode == "position" and not least - 1e-3 <= angle <= greatest + 1e-3:
+            if servo.is_bounded and not least - 1e-3 <= angle <= greatest + 1e-3:
                 raise self.error(
                     f"{what} refused: servo {servo.joint.label} only moves from {least:.3f} to "
                     f"{greatest:.3f} rad (its position limits), not to {angle:g}"

@@ -159,7 +159,7 @@ class Servo:
         """Reads what the driver relies on: mode, kind of profile, limits of position and speed."""
         modes = self.model.modes
         if not self.keeps_answers and await self.read_item(STATUS_RETURN_LEVEL) < self.model.answers:
-            await self.answer_all()
+            await self.set_return_level(self.model.answers)
         if modes:
             value = await self.read_item("operating_mode")
             # Two modes may have one value: the present one is kept.
@@ -180,16 +180,11 @@ class Servo:
         """Whether its status return level is in its EEPROM, as in an AX or a Feetech servo."""
         return self.item(STATUS_RETURN_LEVEL).address < self.model.ram
 
-    async def answer_all(self) -> None:
-        """Makes it answer writes too. Confirmed; raises DeviceError."""
-        await self.set_return_level(self.model.answers)
-
     async def set_return_level(self, level: int) -> None:
         """Sets its status return level; these writes may be unanswered. Confirmed; raises DeviceError."""
         for name, value in (("lock", 0), (STATUS_RETURN_LEVEL, level), ("lock", 1)):
             if self.model.has(name):
-                item = self.item(name)
-                await self.chain.write_unconfirmed(self.node, item.address, item.encode(value))
+                await self.chain.write_unconfirmed(self.node, *self.write_of(name, value))
         if await self.read_item(STATUS_RETURN_LEVEL) != level:
             raise self.error(f"refuses {level} as its status return level: switch its torque off first")
 
@@ -201,6 +196,14 @@ class Servo:
             raise self.error(f"is a {self.model.name}: it has no {name.replace('_', ' ')}")
         return self.model.items[name]
 
+    def write_of(self, name: str, counts: int) -> tuple[int, bytes]:
+        """A write of an item: address and bytes. Raises DeviceError for a value that it cannot have."""
+        item = self.item(name)
+        try:
+            return item.address, item.encode(counts)
+        except ValueError:
+            raise self.error(f"cannot have {counts} counts as its {name.replace('_', ' ')}") from None
+
     async def read_item(self, name: str, *, urgency: int = COMMAND) -> int:
         """The value of an item, in counts. Raises DeviceError."""
         item = self.item(name)
@@ -210,8 +213,7 @@ class Servo:
 
     async def write_item(self, name: str, counts: int, *, urgency: int = COMMAND) -> None:
         """Writes an item and reads it back. Raises DeviceError."""
-        item = self.item(name)
-        await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
+        await self.chain.write(self.node, *self.write_of(name, counts), urgency=urgency)
         observed = await self.read_item(name, urgency=urgency)
         if observed != counts:
             raise self.error(f"has {observed} as its {name.replace('_', ' ')} after {counts} was written")
@@ -264,6 +266,11 @@ class Servo:
         """Its present torque, hardware errors and watchdog. Raises DeviceError."""
         return condition(self.model, await self.chain.read(self.node, *self.model.state, urgency=urgency))
 
+    @property
+    def is_bounded(self) -> bool:
+        """Whether it keeps within its position limits: in position mode, also under another name."""
+        return self.model.modes.get(self.mode) == self.model.modes.get("position")
+
     # -- motion -----------------------------------------------------------------------------------------
 
     async def stiffen(self) -> None:
@@ -293,31 +300,28 @@ class Servo:
         """Limits the force of its later motions, in A of its motor. Raises DeviceError."""
         if self.model.has("goal_current"):
             await self.write_item("goal_current", round(current / self.model.current))
-        elif self.model.stall is not None:
-            share = min(current / self.model.stall, 1.0)
-            await self.write_item("torque_limit", max(round(share * _WHOLE_TORQUE), 1))
+        elif current <= (stall := self.model.stall or 0.0):
+            await self.write_item("torque_limit", max(round(current / stall * _WHOLE_TORQUE), 1))
         else:
-            raise self.error(f"is a {self.model.name}, whose stall current is not known")
+            raise self.error(
+                f"cannot be limited to {current:g} A: its stall current is {stall or math.nan:g} A"
+            )
 
     def hold_goal(self, reading: Present) -> tuple[str, int]:
         """The goal for holding: item and value in counts."""
         if self.mode in POSITION_MODES:
             low, high = self._limits
-            return "goal_position", min(
-                max(reading.counts, low), high
-            ) if self.mode == "position" else reading.counts
+            return "goal_position", min(max(reading.counts, low), high) if self.is_bounded else reading.counts
         return f"goal_{self.mode}", 0
 
     async def write_hold_goal(self, reading: Present, *, urgency: int = COMMAND) -> None:
         """Sets the goal for holding. Raises DeviceError."""
         self.pushing = False
-        name, counts = self.hold_goal(reading)
-        item = self.item(name)
-        await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
+        await self.chain.write(self.node, *self.write_of(*self.hold_goal(reading)), urgency=urgency)
 
     def to_counts(self, angle: float) -> int:
         """The position of an angle in counts; in position mode within its limits, which are rounded too."""
-        if self.mode == "position":
+        if self.is_bounded:
             angle = min(max(angle, self.reach[0]), self.reach[1])
         return self.model.to_counts(self.joint.to_servo(angle))
 
@@ -351,7 +355,7 @@ class Servo:
                 values["profile_acceleration"] = _counts(acceleration, model.acceleration, model.hardest)
         names = ("profile_acceleration", "goal_time", "profile_velocity", "goal_position")
         items = sorted((model.items[name].address, name) for name in names if model.has(name))
-        return items[0][0], b"".join(model.items[n].encode(values.get(n, 0)) for _, n in items)
+        return items[0][0], b"".join(self.write_of(n, values.get(n, 0))[1] for _, n in items)
 
     # -- its own watchdog -------------------------------------------------------------------------------
 

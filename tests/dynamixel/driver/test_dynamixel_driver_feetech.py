@@ -145,6 +145,30 @@ async def test_what_it_cannot_do_is_said(b, servo, /, instruction, match):
         await call(servo, *instruction)
 
 
+@pytest.mark.few(4)
+@pytest.mark.parametrize(("fake", "protocol"), [("STS3215", 0), ("XL330-M288", 2)])
+@pytest.mark.parametrize(
+    ("mode", "instruction"),
+    [
+        ("velocity", ("setVelocity", 1e12)),
+        ("currentPosition", ("moveTo", 1e8)),
+        ("currentPosition", ("setPosition", -1e8)),
+        ("currentPosition", ("moveUntil", 0.1, 1e9)),
+        ("currentPosition", ("moveUntil", 1e7, 0.1)),
+    ],
+)
+def test_values_beyond_all_registers_are_refused(fake, protocol, mode, instruction):
+    bench = Bench(1, fake=fake, protocol=protocol, waivers=["device_watchdog"])
+
+    async def story(servo):
+        await call(servo, "mode", mode)
+        await call(servo, "torque", True)
+        with pytest.raises(DeviceError, match=r"cannot be limited|cannot have|only moves from"):
+            await call(servo, *instruction)
+
+    bench.run(story)
+
+
 @on_bench(Bench, 1, fake="STS3215", protocol=0, opened=False)
 async def test_it_has_no_watchdog_and_the_binding_must_say_so(b, servo, /):
     with pytest.raises(DeviceError, match="no watchdog in the device"):
