@@ -61,6 +61,7 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel):
         "lfield/driver/skeleton/manifest.yaml.in",
         "lfield/driver/skeleton/sensor/manifest.yaml.in",
         "lfield_can/axis.yaml",
+        "lfield_can/drone_can/servo.yaml",
         "lfield_can/L/winch.L",
         "lfield_dynamixel/servo.yaml",
         "lfield_mavlink/__init__.py",
@@ -153,8 +154,8 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
     assert done.returncode == 0, done.stderr
     place, found = done.stdout.splitlines()
     assert place.startswith(installed["PYTHONPATH"])
-    can = "'CanAxis', 'CanSignals', 'DroneCanBattery', 'DroneCanEsc', 'DroneCanServo'"
-    types = f"[{can}, 'Dynamixel', 'DynamixelGroup', 'Mavlink']"
+    nodes = "'DroneCanBattery', 'DroneCanEsc', 'DroneCanServo'"
+    types = f"['CanAxis', 'CanSignals', {nodes}, 'Dynamixel', 'DynamixelGroup', 'Mavlink']"
     assert found == f"{types} ['can', 'dynamixel', 'mavlink']"
 
 
