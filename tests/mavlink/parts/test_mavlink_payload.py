@@ -28,9 +28,9 @@ def test_payload_is_moved_and_seen_to_have_moved(bench, flavour):
         await fc.execute("setServo", [3, 0.5])
         assert payload.servos[3] == 1750
         await fc.execute("triggerCamera", [])
-        assert payload.pictures == 1
+        assert payload.camera.pictures == 1
         await fc.execute("pointGimbal", [-0.8, 0.4])
-        assert (payload.pitch, payload.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
+        assert (payload.gimbal.pitch, payload.gimbal.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
 
     b.run(mission)
 
@@ -134,7 +134,7 @@ def test_a_picture_whose_answer_is_lost_is_not_taken_twice(bench):
         assert error.value.kind == "DeviceTimeoutException"
 
     b.run(mission)
-    assert b.autopilot.payload.pictures == 1
+    assert b.autopilot.payload.camera.pictures == 1
 
 
 @on_bench("bench")
