@@ -27,6 +27,7 @@ TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
 PAUSE, REQUESTS = 0.1, 3
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0
+NOBODY = (0, 0)
 LEVEL = dialect.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | dialect.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
 YAW_LOCK = dialect.GIMBAL_MANAGER_FLAGS_YAW_LOCK
 
@@ -74,7 +75,9 @@ class Gimbal:
     async def do_release_gimbal(self) -> None:
         """Ends following a position and gives control back."""
         manager = await self._found("releaseGimbal")
-        # Its own manager may know no regions of interest: then there is none to end.
+        if await self._holder(manager) not in (NOBODY, self._mine):
+            return
+        # A manager may know no regions of interest: then there is none to end.
         await self._order("releaseGimbal", manager, dialect.MAV_CMD_DO_SET_ROI_NONE, manager.device)
         await self._configure("releaseGimbal", manager, REMOVED, REMOVED)
 
@@ -105,18 +108,28 @@ class Gimbal:
 
     async def _control(self, what: str, manager: GimbalManager, *, force: bool = False) -> None:
         """Takes primary control; from another station only by `force`. Raises DeviceError."""
-        status = await self._reports.request(CONTROL, manager.component)
-        if status is not None:
-            system, component = status.primary_control_sysid, status.primary_control_compid
-            if (system, component) == (self._vehicle.station, COMPONENT):
-                return
-            if system and not force:
-                self._vehicle.note(log_messages.GIMBAL_CONTROLLED.line(system=system, component=component))
-                raise self._vehicle.error(
-                    f"{what} refused: system {system}, component {component} controls the gimbal; "
-                    "takeGimbal() takes control"
-                )
+        holder = await self._holder(manager)
+        if holder == self._mine:
+            return
+        if holder != NOBODY and not force:
+            system, component = holder
+            self._vehicle.note(log_messages.GIMBAL_CONTROLLED.line(system=system, component=component))
+            raise self._vehicle.error(
+                f"{what} refused: system {system}, component {component} controls the gimbal; "
+                "takeGimbal() takes control"
+            )
         await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
+
+    @property
+    def _mine(self) -> tuple[int, int]:
+        return self._vehicle.station, COMPONENT
+
+    async def _holder(self, manager: GimbalManager) -> tuple[int, int]:
+        """The system and component in primary control; NOBODY also if the manager does not report it."""
+        status = await self._reports.request(CONTROL, manager.component)
+        if status is None:
+            return NOBODY
+        return status.primary_control_sysid, status.primary_control_compid
 
     async def _configure(self, what: str, manager: GimbalManager, system: float, component: float) -> None:
         values = (system, component, UNCHANGED, UNCHANGED, None, None)

@@ -431,4 +431,7 @@ def test_what_cannot_be_fitted_is_named(capsys):
     SIM.add_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args(["--fitted", "gripper,laser"])
-    assert "all, none, or some of camera, gimbal, gripper, winch, mavlink_camera, mavlink_gimbal, by commas" in capsys.readouterr().err
+    assert (
+        "all, none, or some of camera, gimbal, gripper, winch, mavlink_camera, mavlink_gimbal, by commas"
+        in capsys.readouterr().err
+    )
