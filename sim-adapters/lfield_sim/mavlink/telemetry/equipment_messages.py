@@ -114,7 +114,8 @@ def camera_feedback(autopilot: Autopilot, place: GeoOrigin) -> Any:
         math.degrees(a) for a in (autopilot.vehicle.roll, autopilot.vehicle.pitch, autopilot.vehicle.yaw)
     )
     height = place.altitude - down
-    count = autopilot.payload.camera.pictures & 0xFFFF
+    camera = autopilot.payload.camera
+    count = (camera.pictures + camera.is_shooting) & 0xFFFF
     return dialect.MAVLink_camera_feedback_message(
         micros(autopilot), 0, 0, count, *place.at(north, east), height, -down, roll, pitch, yaw, 0.0, 0, count
     )
