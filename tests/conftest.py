@@ -101,6 +101,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Dealing
 FOREIGN = {
     "tests/sim/mavlink/test_sim_foreign.py": "pymavlink: mavutil, mavwp, mavftp; dronekit's way",
     "tests/mavlink/client/test_mavsdk_client.py": "MAVSDK",
+    "tests/mavlink/client/test_mavsdk_payload.py": "MAVSDK's gimbal and camera",
     "tests/mavlink/client/test_mavsdk_vehicle.py": "a vehicle made of MAVSDK",
     "tests/can/fake/test_can_fake_foreign.py": "canopen's client of CiA 402",
     "tests/can/foreign/test_foreign_drives.py": "drives made of canopen's node",

@@ -9,6 +9,7 @@ from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink import log_messages
+from lfield_mavlink.contact.components import is_of_payload
 from lfield_mavlink.link.dialect import (
     AUTOPILOT,
     Header,
@@ -182,8 +183,11 @@ class MavlinkDriver(Driver):
                     self._neighbours.on_command(message, self.clock.monotonic())
                 continue
             # Cameras and gimbals send heartbeats too; only the autopilot's contain the vehicle's state.
-            if vehicle is None or message.get_srcComponent() != AUTOPILOT:
+            component = message.get_srcComponent()
+            if vehicle is None or component != AUTOPILOT:
                 self._on_neighbour(message)
+                if vehicle is not None and is_of_payload(component, message.get_msgId()):
+                    self._on_payload(vehicle, source, message)
             elif is_foreign(message, vehicle.state.autopilot):
                 self._neighbours.on_message(message)
                 self._ignore(vehicle, source, message)
@@ -197,6 +201,11 @@ class MavlinkDriver(Driver):
             vehicle.on_other_source()
         elif self._routes[system].on_packet(source.link, message.get_msgbuf(), now):
             vehicle.on_message(message)
+
+    def _on_payload(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
+        """A message of a camera or gimbal; those of another vehicle with this system id are ignored."""
+        if self._sources[vehicle.system].accepts(source):
+            vehicle.on_component(message)
 
     def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
         """A heartbeat of a component that is not an autopilot but uses its ids: logged once per source."""
@@ -228,6 +237,8 @@ class MavlinkDriver(Driver):
         """
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
+            if vehicle is not None and is_of_payload(header.component, header.kind):
+                return False
             return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
         sources = self._sources[header.system]
         if len(self._ports) > 1 or not sources.accepts(source):

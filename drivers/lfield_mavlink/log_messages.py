@@ -64,6 +64,12 @@ AUTONOMOUS_WAIVED = LogMessage(
     "autonomous motions continue if this computer fails: waived by its binding: {reason}",
 )
 
+GIMBAL_CONTROLLED = LogMessage(
+    "mavlink-gimbal-controlled",
+    "gimbal not pointed: system {system}, component {component} controls it; takeGimbal() takes control",
+    "warning",
+)
+
 # --- motion ---------------------------------------------------------------------------------------------
 
 FOREIGN_CONTROL = LogMessage(

@@ -36,11 +36,14 @@ from lfield_mavlink.parts.guidance import Guidance
 from lfield_mavlink.parts.maintenance import Maintenance
 from lfield_mavlink.parts.missions import Missions
 from lfield_mavlink.parts.motion_control import Motion
-from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.parts.standstill import StandstillCheck
 from lfield_mavlink.parts.storage import Files, Settings
+from lfield_mavlink.payload.actuators import Actuators
+from lfield_mavlink.payload.camera import Camera
+from lfield_mavlink.payload.gimbal import Gimbal
+from lfield_mavlink.payload.state_reports import StateReports
 from lfield_mavlink.plan_flight import PlanFlight
 from lfield_mavlink.services.autopilot_version import AutopilotVersion
 from lfield_mavlink.services.file_transfer import FileTransfer
@@ -105,6 +108,8 @@ class MavlinkVehicle(Contact):
         self._guidance = Guidance(self, self.motion, limits)
         self._missions = Missions(self, self.motion, limits, self.plans, returns)
         fences = Fences(self, self.plans, self.parameters)
+        states = StateReports(self)
+        self._camera = Camera(self, states)
         self.parts = (
             self._flight,
             readiness,
@@ -113,7 +118,9 @@ class MavlinkVehicle(Contact):
             fences,
             PlanFlight(self, self.motion, self._missions, fences, self.plans),
             Rally(self, self.plans),
-            Payload(self),
+            Actuators(self, states),
+            Gimbal(self, states),
+            self._camera,
             Maintenance(self, self._renew),
             Settings(self, self.parameters, self.watchdog.protects),
             Files(self, self.files),
@@ -254,6 +261,7 @@ class MavlinkVehicle(Contact):
             self.motion.hover.run(),
             self._guidance.run(),
             self._nature.run(),
+            self._camera.run(),
             self.motion.monitor.run(),
         )
 

@@ -10,10 +10,11 @@ from typing import Any
 
 from lfield.driver import Clock, Device, DeviceBinding, Manifest, Reports
 from lfield_mavlink import log_messages
+from lfield_mavlink.contact.components import Components
 from lfield_mavlink.contact.exchange import Exchange, is_for_us
 from lfield_mavlink.contact.vehicle_state import Texts, VehicleState
 from lfield_mavlink.geodesy import Place
-from lfield_mavlink.link.dialect import dialect, result_text
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect, result_text
 from lfield_mavlink.modes import PX4_MODE_TEXTS, STACKS, Profile
 from lfield_mavlink.station_ids import station_of
 
@@ -67,7 +68,7 @@ class Contact(Device):
         self.exchange = Exchange(
             self.system, self.station, self.send, lambda: self.silence <= LINK_LOST, self._gate
         )
-        self.texts = Texts()
+        self.texts, self.components = Texts(), Components(clock.monotonic)
         self._last_contact, self._opened_at = -math.inf, clock.monotonic()
         # Whether this computer is in control: a vehicle that was in use when it was opened is not, until a
         # command.
@@ -197,6 +198,14 @@ class Contact(Device):
             self._dispatch(message)
         self._changed.set()
 
+    def on_component(self, message: Any) -> None:
+        """Handles a message of a camera or gimbal with the vehicle's system id."""
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self.components.on_heartbeat(message.get_srcComponent())
+        elif is_for_us(message, self.station):
+            self._dispatch(message)
+        self._changed.set()
+
     def _dispatch(self, message: Any) -> None:
         """Passes it to every handler."""
         self.exchange.on_message(message)
@@ -246,6 +255,7 @@ class Contact(Device):
         optional: bool = False,
         component: str = "",
         is_accepted: Callable[[], bool] | None = None,
+        target: int = AUTOPILOT,
     ) -> bool:
         """Sends a command until it is accepted. Raises DeviceError with the result and the autopilot's
         reason.
@@ -255,9 +265,10 @@ class Contact(Device):
 
         `is_accepted` is a state that shows acceptance: if the first answer was lost, the second copy may be
         refused, such as a takeoff in the air. `once` is for commands that must not be executed twice.
+        `target` is the addressed component.
         """
         start = self.clock.monotonic()
-        answer = await self.exchange.command(number, *values, place=place, once=once)
+        answer = await self.exchange.command(number, *values, place=place, once=once, target=target)
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
             return True
         if (

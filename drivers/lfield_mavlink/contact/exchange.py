@@ -51,7 +51,7 @@ class Exchange:
         self.px4, self._station = False, station
         self._gate = gate
         self._system, self._send, self._has_contact = system, send, has_contact
-        self._questions: dict[int, _Question] = {}
+        self._questions: dict[tuple[int, int], _Question] = {}
         self._timer: asyncio.Handle | None = None
         self._timer_at = 0.0
 
@@ -66,6 +66,7 @@ class Exchange:
         place: Place | None = None,
         once: bool = False,
         patience: float = PATIENCE,
+        target: int = AUTOPILOT,
     ) -> CommandResult:
         """Sends a command until it is answered, ATTEMPTS times, or PERSISTENT times while there is
         contact.
@@ -73,20 +74,22 @@ class Exchange:
         `values` are its parameters from the first, None for an unused one. With a `place` it is sent as
         COMMAND_INT, which has sufficient precision, with the place as parameters 5 to 7. `once` is for a
         command that must not be executed twice. `patience` is the time to wait for each answer, in seconds.
+        `target` is the addressed component.
         """
         await self._gate(number)
-        # Acknowledgements are matched by command number, so one command per number may be pending.
-        while (earlier := self._questions.get(number)) is not None:
+        # Acknowledgements are matched by sender and command number: one command of these may be pending.
+        key = (target, number)
+        while (earlier := self._questions.get(key)) is not None:
             await earlier.end()
         loop = asyncio.get_running_loop()
-        question = self._questions[number] = _Question()
+        question = self._questions[key] = _Question()
         attempts = 0
         try:
             while attempts < self._max_attempts(once):
                 if place is None:
-                    message = self._command_long(number, attempts, values)
+                    message = self._command_long(key, attempts, values)
                 else:
-                    message = self._command_int(number, values, place)
+                    message = self._command_int(key, values, place)
                 attempts += 1
                 question.on_sent(loop.create_future(), loop.time(), patience)
                 self._set_timer(question)
@@ -96,7 +99,7 @@ class Exchange:
                     return CommandResult(result, attempts)
             return CommandResult(None, attempts)
         finally:
-            del self._questions[number]
+            del self._questions[key]
             question.release_next()
 
     def _max_attempts(self, once: bool) -> int:
@@ -129,19 +132,20 @@ class Exchange:
     def on_message(self, message: Any) -> None:
         """Handles an answer; answers to other stations are ignored."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
-            question = self._questions.get(message.command)
+            question = self._questions.get((message.get_srcComponent(), message.command))
             if question is not None and is_for_us(message, self._station):
                 question.on_answer(message.result, asyncio.get_running_loop().time())
 
-    def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
+    def _command_long(self, key: tuple[int, int], confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
-        return dialect.MAVLink_command_long_message(self._system, AUTOPILOT, number, confirmation, *padded)
+        return dialect.MAVLink_command_long_message(self._system, *key, confirmation, *padded)
 
-    def _command_int(self, number: int, values: tuple[float | None, ...], place: Place) -> Any:
+    def _command_int(self, key: tuple[int, int], values: tuple[float | None, ...], place: Place) -> Any:
+        target, number = key
         x, y = round(place.latitude * 1e7), round(place.longitude * 1e7)
         return dialect.MAVLink_command_int_message(
             self._system,
-            AUTOPILOT,
+            target,
             dialect.MAV_FRAME_GLOBAL,
             number,
             0,

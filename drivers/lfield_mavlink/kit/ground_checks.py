@@ -20,7 +20,13 @@ READY_BY = 90.0
 PAYLOAD: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("closeGripper", ()),
     ("triggerCamera", ()),
+    ("startPictures", (1.0, 1)),
+    ("stopPictures", ()),
+    ("startVideo", ()),
+    ("stopVideo", ()),
     ("pointGimbal", (0.0, 0.0)),
+    ("gimbalAttitude", ()),
+    ("releaseGimbal", ()),
 )
 
 

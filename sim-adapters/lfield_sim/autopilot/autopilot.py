@@ -82,7 +82,7 @@ class Autopilot(Pilot):
         self.vehicle.limits.cruise = self.pace.speed
         if isinstance(self.pace, RoverPace):
             self.vehicle.limits.shoots_over = self.pace.is_commanded
-        self.payload.step(dt)
+        self.payload.step(dt, self.now, self.vehicle.place, self.vehicle.yaw)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne, load=self.vehicle.wind.load)
         self.vehicle.wind.step(dt)
         fly(self)

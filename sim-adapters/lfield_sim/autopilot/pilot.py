@@ -9,10 +9,10 @@ from random import Random
 
 from lfield_sim.autopilot.body.estimator import Estimator
 from lfield_sim.autopilot.body.goals import ZERO, Descend, Fall, Goal, Keep, Lean, Orbit, Rest, Sink, Vector
+from lfield_sim.autopilot.equipment.payload import Battery, Payload
 from lfield_sim.autopilot.flavours import Flavour, MavResult, Pace, Role, VehicleKind
 from lfield_sim.autopilot.ground_vehicle import GroundVehicle
 from lfield_sim.autopilot.home import Home
-from lfield_sim.autopilot.payload import Battery, Payload
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
 from lfield_sim.autopilot.vehicle import Vehicle
 from lfield_sim.state_log import Facts
@@ -379,7 +379,7 @@ class Pilot:
         """Restarts: silent for a moment, then as after a start; parameters and plans remain."""
         self.booting_until = self.booted = self.now + REBOOT
         self.boots += 1
-        self.payload, self.critical = Payload(self.payload.fitted), False
+        self.payload, self.critical = self.payload.restarted(), False
         self.ailing, self.calibrating, self.ignores_arm = "", False, False
         self.mission.jump(0)
         self.mode = self.intended = self.kind.start

@@ -91,7 +91,7 @@ class MavlinkSim:
         )  # fmt: skip
         parser.add_argument(
             "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
-            help="attached hardware: camera, gimbal, gripper, winch",
+            help="attached hardware: camera, gimbal, gripper, winch (all), mavlink_camera, mavlink_gimbal",
         )  # fmt: skip
         parser.add_argument(
             "--board", type=board, metavar="HEX",

@@ -9,7 +9,7 @@ from functools import partial
 
 from lfield.errors import UsageError
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.autopilot.payload import HARDWARE, Battery, Payload
+from lfield_sim.autopilot.equipment.payload import HARDWARE, Battery, Payload
 from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Faults
 from lfield_sim.mavlink.geo import EARTH_RADIUS, PX4_RADIUS, GeoOrigin, turned

@@ -32,12 +32,14 @@ class MavCommand:
     """A command's number and seven values.
 
     `frame` is a MAV_FRAME for COMMAND_INT, whose values 5 and 6 are in 1e-7 degrees. With COMMAND_LONG
-    (`frame` None) they are in degrees, and the height is above mean sea level.
+    (`frame` None) they are in degrees, and the height is above mean sea level. `source` are the system and
+    component of its sender, (0, 0) for an item of the autopilot's own mission.
     """
 
     number: int
     values: tuple[float, ...]
     frame: int | None = None
+    source: tuple[int, int] = (0, 0)
 
     def value(self, index: int) -> float:
         """Parameter `index`, counted from 1 as in the MAVLink tables; NaN reads as 0."""

@@ -24,8 +24,10 @@ from lfield_sim.mavlink.link.radio_link import LINK_FAULTS, RadioLink, make_faul
 from lfield_sim.mavlink.link.signing import MessageSigning
 from lfield_sim.mavlink.mav_command import CommandAnswer, DelayedResult, MavCommand
 from lfield_sim.mavlink.message_sender import MessageSender
+from lfield_sim.mavlink.services.components import components_of
 from lfield_sim.mavlink.services.equipment_commands import EquipmentCommands
 from lfield_sim.mavlink.services.file_service import FileService
+from lfield_sim.mavlink.services.gimbal_service import GimbalService
 from lfield_sim.mavlink.services.information_service import InformationService
 from lfield_sim.mavlink.services.motor_test import MotorTest
 from lfield_sim.mavlink.services.parameters import ParameterService
@@ -41,8 +43,8 @@ COMPONENT = 1
 STEP = 0.02
 #: The services, created for each vehicle.
 SERVICES: tuple[type[VehicleService], ...] = (
-    ParameterService, PlanService, FileService, EquipmentCommands, InformationService, MotorTest,
-    PreflightService,
+    ParameterService, PlanService, FileService, EquipmentCommands, GimbalService, InformationService,
+    MotorTest, PreflightService,
 )  # fmt: skip
 #: Faults that are a state of the vehicle: the attribute of the autopilot.
 STATES = {
@@ -85,7 +87,8 @@ class MavlinkFake:
         self.sender = MessageSender(autopilot, self.place, self.services)
         self.gate = MessageSigning(system, lambda: autopilot.now)
         self.wire = RadioLink(self.faults, system)
-        self._writer = PacketWriter(system, COMPONENT)
+        self.components = components_of(autopilot, self.place)
+        self._writers = {number: PacketWriter(system, number) for number in (COMPONENT, *self.components)}
         self._readers = PacketReaders()
         self._rest = 0.0
         self._known_faults = {fault.name: fault.default for fault in LINK_FAULTS} | put
@@ -110,13 +113,16 @@ class MavlinkFake:
         if not self.gate.admits(message, local=local):
             return []
         self.sender.on_peer()
-        kind = message.get_msgId()
+        kind, addressee = message.get_msgId(), getattr(message, "target_component", 0)
+        if addressee in self.components:
+            replies = self._on_command(message, addressee) if kind in COMMANDS else []
+            return self._transmit(replies, addressee)
         own = HANDLERS.get(kind)
         replies = own(self, message) if own else []
         for service in self.services:
             if kind in service.handles:
                 replies = [*replies, *service.handles[kind](message)]
-        return self.wire.send([self._pack(reply) for reply in replies], self.autopilot.now)
+        return self._transmit(replies)
 
     def advance(self, seconds: float) -> list[bytes]:
         """Advances time; returns the packets for every peer."""
@@ -129,7 +135,10 @@ class MavlinkFake:
             return []
         messages += self.sender.due()
         now = self.autopilot.now
-        return [*self.wire.arrived(now), *self.wire.send([self._pack(m) for m in messages], now)]
+        packets = [*self.wire.arrived(now), *self._transmit(messages)]
+        for number, component in self.components.items():
+            packets += self._transmit(component.advance(now), number)
+        return packets
 
     def _step(self) -> list[Any]:
         self.autopilot.step(STEP)
@@ -143,27 +152,23 @@ class MavlinkFake:
         if getattr(message, "target_system", 0) not in (0, self.system):
             return False
         component = getattr(message, "target_component", 0)
-        return component in (0, COMPONENT) or self.autopilot.flavour.serves_components
+        is_known = component in (0, COMPONENT) or component in self.components
+        return is_known or self.autopilot.flavour.serves_components
 
     def _on_heartbeat(self, message: Any) -> list[Any]:
         station = message.type == dialect.MAV_TYPE_GCS
         self.autopilot.failsafes.heartbeat(message.get_srcSystem(), station=station)
         return []
 
-    def _on_command_long(self, message: Any) -> list[Any]:
-        values = tuple(getattr(message, f"param{i}") for i in range(1, 8))
-        return self._on_command(message, MavCommand(message.command, values))
-
-    def _on_command_int(self, message: Any) -> list[Any]:
-        values = (*(getattr(message, f"param{i}") for i in range(1, 5)), message.x, message.y, message.z)
-        return self._on_command(message, MavCommand(message.command, values, message.frame))
-
-    def _on_command(self, message: Any, command: MavCommand) -> list[Any]:
-        source = message.get_srcSystem(), message.get_srcComponent()
+    def _on_command(self, message: Any, addressee: int = COMPONENT) -> list[Any]:
+        command = _command(message)
 
         def ack(result: MavResult) -> Any:
-            return dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *source)
+            return dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *command.source)
 
+        if addressee != COMPONENT:
+            outcome, replies = self.components[addressee].answer(command)
+            return [ack(outcome), *replies]
         if self.sender.is_late(command.number):
             return [ack(MavResult.IN_PROGRESS)]
         result, replies = self._answer(command)
@@ -235,6 +240,8 @@ class MavlinkFake:
         for name in AIR:
             setattr(self.autopilot.vehicle.wind, AIR[name], changed[name])
         self.autopilot.vehicle.ground = changed["ground"]
+        camera = self.autopilot.payload.camera
+        camera.card, camera.broken = changed["card"], changed["camera_failure"]
         north, east = (changed[name] - known[name] for name in WHERE)
         at = self.autopilot.vehicle.place
         self.autopilot.vehicle.place = (at[0] + north, at[1] + east, at[2])
@@ -242,10 +249,27 @@ class MavlinkFake:
             self.autopilot.battery.charge = changed["battery"]
         self._known_faults = changed
 
-    def _pack(self, message: Any) -> bytes:
-        self.gate.seal(self._writer.packer)
-        return self._writer.pack(message)
+    def _transmit(self, messages: list[Any], component: int = COMPONENT) -> list[bytes]:
+        """Sends messages of a component; returns the packets that arrive at once."""
+        writer, packets = self._writers[component], []
+        for message in messages:
+            self.gate.seal(writer.packer)
+            packets.append(writer.pack(message))
+        return self.wire.send(packets, self.autopilot.now)
 
+
+def _command(message: Any) -> MavCommand:
+    """The command in a COMMAND_LONG or COMMAND_INT."""
+    source = message.get_srcSystem(), message.get_srcComponent()
+    if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG:
+        values = tuple(getattr(message, f"param{i}") for i in range(1, 8))
+        return MavCommand(message.command, values, source=source)
+    values = (*(getattr(message, f"param{i}") for i in range(1, 5)), message.x, message.y, message.z)
+    return MavCommand(message.command, values, message.frame, source)
+
+
+#: Messages with commands.
+COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_INT, dialect.MAVLINK_MSG_ID_COMMAND_LONG)
 
 #: Handlers of messages, in addition to its services.
 HANDLERS = {
@@ -253,8 +277,8 @@ HANDLERS = {
     dialect.MAVLINK_MSG_ID_PING: MavlinkFake._on_ping,
     dialect.MAVLINK_MSG_ID_SET_MODE: MavlinkFake._on_set_mode,
     dialect.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MavlinkFake._on_request_data_stream,
-    dialect.MAVLINK_MSG_ID_COMMAND_INT: MavlinkFake._on_command_int,
-    dialect.MAVLINK_MSG_ID_COMMAND_LONG: MavlinkFake._on_command_long,
+    dialect.MAVLINK_MSG_ID_COMMAND_INT: MavlinkFake._on_command,
+    dialect.MAVLINK_MSG_ID_COMMAND_LONG: MavlinkFake._on_command,
     dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MavlinkFake._on_attitude_target,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MavlinkFake._on_local_target,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: MavlinkFake._on_global_target,

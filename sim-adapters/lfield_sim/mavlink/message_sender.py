@@ -116,7 +116,7 @@ class MessageSender:
 
     def stream_group(self, kinds: Iterable[int], rate: float) -> None:
         """REQUEST_DATA_STREAM: streams messages at a rate."""
-        for kind in kinds:
+        for kind in filter(self.can_send, kinds):
             self._groups[kind] = rate
             self.stream(kind, rate)
 

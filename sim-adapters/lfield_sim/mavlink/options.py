@@ -29,8 +29,9 @@ SPEEDS = (
 )
 
 
-#: Optional payload (see `autopilot.payload.HARDWARE`).
+#: Optional payload (see `equipment.payload`): on the outputs of the autopilot, and with MAVLink.
 HARDWARE = ("camera", "gimbal", "gripper", "winch")
+COMPONENTS = ("mavlink_camera", "mavlink_gimbal")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +106,13 @@ def board(text: str) -> int:
 
 
 def fitted(text: str) -> frozenset[str]:
-    """Payload of the vehicles: `all`, `none`, or some of HARDWARE, separated by commas."""
+    """Payload of the vehicles: `all` of HARDWARE, `none`, or some with commas between, also of COMPONENTS."""
     if text in ("all", "none"):
         return frozenset(HARDWARE if text == "all" else ())
     names = frozenset(text.split(","))
-    if not names <= frozenset(HARDWARE):
-        raise argparse.ArgumentTypeError(f"all, none, or some of {', '.join(HARDWARE)}, by commas")
+    known = (*HARDWARE, *COMPONENTS)
+    if not names <= frozenset(known):
+        raise argparse.ArgumentTypeError(f"all, none, or some of {', '.join(known)}, by commas")
     return names
 
 

@@ -12,6 +12,7 @@ import pytest
 from lfield.clock import ManualClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
+from lfield_mavlink.contact.components import Components
 from lfield_mavlink.contact.exchange import CommandResult
 from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.limits import Limits
@@ -20,8 +21,9 @@ from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.maintenance import Maintenance
 from lfield_mavlink.parts.motion_control import Motion
-from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
+from lfield_mavlink.payload.camera import Camera
+from lfield_mavlink.payload.state_reports import StateReports
 from lfield_mavlink.services.plan_items import Item, PlanKind
 from lfield_mavlink.setpoints.motion_orders import Circle
 from lfield_mavlink.watchdog import Watchdog
@@ -30,7 +32,7 @@ from lfield_mavlink.watchdog import Watchdog
 def binding(**limits: float) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="x", safe_state="land",
-        ttl=1.0, limits=limits, options={"tolerance": 0.5, "system": 1, "station": 0},
+        ttl=1.0, limits=limits, options={"tolerance": 0.5, "system": 1, "station": 0, "camera": 0},
     )  # fmt: skip
 
 
@@ -45,6 +47,7 @@ class StandIn:
         self.state = VehicleState("copter")
         self.profile = PROFILES[autopilot, "copter"]
         self.exchange = self
+        self.components = Components(self.clock.monotonic)
         self.refused = False
         self.asked: list[tuple[Any, ...]] = []
         self.values: dict[str, Any] = {}
@@ -209,7 +212,7 @@ def test_camera_trigger_falls_back_to_the_older_command():
             return not optional
 
     vehicle = Old()
-    asyncio.run(Payload(vehicle).do_trigger_camera())
+    asyncio.run(Camera(vehicle, StateReports(vehicle)).do_trigger_camera())
     numbers = [number for _, number, *_ in vehicle.asked]
     assert numbers == [dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL]
 

@@ -26,7 +26,7 @@ from mavlink_client import (
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
-from lfield_sim.autopilot.payload import Battery
+from lfield_sim.autopilot.equipment.payload import Battery
 from lfield_sim.mavlink.telemetry.message_table import MESSAGES
 
 

@@ -119,8 +119,9 @@ def test_payload_commands_and_telemetry():
     assert (status.pointing_a, status.pointing_c) == (-4500, 3000)
     assert c.command(203, 0, 0, 0, 0, 1) == ACCEPTED
     assert c.messages[-1].get_type() == "CAMERA_FEEDBACK"
+    c.wait(0.5)
     assert c.command(2000, 0, 0, 1) == ACCEPTED
-    assert c.messages[-1].image_index == 2
+    assert c.messages[-1].img_idx == 2
     assert c.command(34) == UNSUPPORTED, "ArduCopter has no orbit"
 
 

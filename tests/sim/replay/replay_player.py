@@ -18,7 +18,7 @@ from replay_inputs import BEAT, inputs
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.autopilot.payload import Payload
+from lfield_sim.autopilot.equipment.payload import Payload
 from lfield_sim.mavlink.geo import GeoOrigin
 from lfield_sim.mavlink.link.radio_link import make_faults
 from lfield_sim.mavlink.mavlink_fake import MavlinkFake

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 
+from lfield_sim.autopilot.equipment.camera import CARD
 from lfield_sim.faults import Fault, Faults, share
 
 #: The faults of the simulated device; each can be set for one vehicle by its system id.
@@ -24,6 +25,8 @@ LINK_FAULTS = (
     Fault("motor_power", 1.0, "share of the power of one motor", 0.0, 1.0),
     Fault("sticks", False, "a pilot moves the sticks of a transmitter"),
     Fault("battery", 1.0, "charge, set once; it drains from there", 0.0, 1.0),
+    Fault("card", CARD, "MiB on the card of the camera", 0.0, 1e6),
+    Fault("camera_failure", False, "the camera stores no picture"),
     Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
     Fault("wind_from", 0.0, "direction that it comes from, rad clockwise from north", -math.tau, math.tau),
     Fault("gusts", 0.0, "m/s that gusts add at most", 0.0, 40.0),

@@ -5,7 +5,6 @@ Missing payload is refused as by the real ones: ArduPilot reports a failure, PX4
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -13,15 +12,12 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.equipment.camera import IMAGE, VIDEO
 from lfield_sim.autopilot.flavours import MavResult
 from lfield_sim.mavlink.geo import GeoOrigin
 from lfield_sim.mavlink.mav_command import CommandAnswer, DelayedResult, MavCommand
 from lfield_sim.mavlink.services.service import VehicleService
-from lfield_sim.mavlink.telemetry.equipment_messages import (
-    camera_feedback,
-    camera_image_captured,
-    gimbal_manager_information,
-)
+from lfield_sim.mavlink.telemetry.equipment_messages import camera_feedback
 
 #: Accepted pulses of a servo in microseconds.
 PULSES = range(0, 3001)
@@ -35,10 +31,7 @@ class EquipmentCommands(VehicleService):
     def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
         super().__init__(autopilot, place)
         self.commands = {number: partial(self._carry_out, number) for number in EQUIPMENT}
-        self.requests = {
-            dialect.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._no_information,
-            dialect.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._gimbal_information,
-        }
+        self.requests = {dialect.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._no_information}
 
     def _carry_out(self, number: int, command: MavCommand) -> CommandAnswer:
         pilot, hardware = self.autopilot, HARDWARE_OF.get(number)
@@ -58,11 +51,6 @@ class EquipmentCommands(VehicleService):
         """ArduPilot accepts the request and sends nothing."""
         return None if self.autopilot.flavour.submodes else []
 
-    def _gimbal_information(self) -> list[Any] | None:
-        if "gimbal" not in self.autopilot.payload.fitted:
-            return self._no_information()
-        return [gimbal_manager_information(self.autopilot, self.place)]
-
     def _miss(self, number: int, *, px4: bool) -> CommandAnswer:
         """The result of a command for missing payload."""
         if number == dialect.MAV_CMD_DO_WINCH and not self.autopilot.flies and not px4:
@@ -73,7 +61,7 @@ class EquipmentCommands(VehicleService):
             return MavResult.FAILED, []
         if number == dialect.MAV_CMD_DO_GRIPPER:
             return DelayedResult(MavResult.ACCEPTED, GRIPPING, progress=True), []
-        return (MavResult.UNSUPPORTED if number == dialect.MAV_CMD_IMAGE_START_CAPTURE else None), []
+        return (MavResult.UNSUPPORTED if number in CAPTURES else None), []
 
 
 def _servo(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
@@ -124,35 +112,28 @@ def _winch(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer
 
 
 def _digicam(pilot: Autopilot, place: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    if command.whole(5) != 1:
-        return MavResult.ACCEPTED, []
-    pilot.payload.pictures += 1
-    return MavResult.ACCEPTED, [camera_feedback(pilot, place)]
+    return _capture(pilot, place, command) if command.whole(5) == 1 else (MavResult.ACCEPTED, [])
 
 
-def _capture(pilot: Autopilot, place: GeoOrigin, _: MavCommand) -> CommandAnswer:
-    pilot.payload.pictures += 1
-    return MavResult.ACCEPTED, [camera_image_captured(pilot, place)]
+def _capture(pilot: Autopilot, place: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    """The autopilot triggers the camera, and reports where."""
+    pilot.payload.camera.set_mode(IMAGE)
+    series = command.number == dialect.MAV_CMD_IMAGE_START_CAPTURE
+    interval, count = (command.value(2), command.whole(3)) if series else (0.0, 1)
+    result = pilot.payload.camera.shoot(pilot.now, interval, count)
+    return result, [camera_feedback(pilot, place)] if result is MavResult.ACCEPTED else []
 
 
-def _gimbal(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    """Angles in degrees; NaN keeps one. Rates are not supported."""
-    return _point(pilot, command.given(1), command.given(2))
+def _stop_capture(pilot: Autopilot, _: GeoOrigin, __: MavCommand) -> CommandAnswer:
+    return pilot.payload.camera.stop_shooting(), []
 
 
-def _mount(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    if command.whole(7) != dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING:
-        return MavResult.DENIED, []
-    return _point(pilot, command.given(1), command.given(3))
-
-
-def _point(pilot: Autopilot, pitch: float | None, yaw: float | None) -> CommandAnswer:
-    payload = pilot.payload
-    payload.point(
-        payload.pitch_goal if pitch is None else math.radians(pitch),
-        payload.yaw_goal if yaw is None else math.radians(yaw),
-    )
-    return MavResult.ACCEPTED, []
+def _record(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    camera = pilot.payload.camera
+    if command.number == dialect.MAV_CMD_VIDEO_STOP_CAPTURE:
+        return camera.stop_recording(), []
+    camera.set_mode(VIDEO)
+    return camera.record(pilot.now), []
 
 
 EQUIPMENT: Mapping[int, Callable[[Autopilot, GeoOrigin, MavCommand], CommandAnswer]] = {
@@ -160,26 +141,31 @@ EQUIPMENT: Mapping[int, Callable[[Autopilot, GeoOrigin, MavCommand], CommandAnsw
     dialect.MAV_CMD_DO_SET_SERVO: _servo,
     dialect.MAV_CMD_DO_SET_ACTUATOR: _actuators,
     dialect.MAV_CMD_DO_DIGICAM_CONTROL: _digicam,
-    dialect.MAV_CMD_DO_MOUNT_CONTROL: _mount,
     dialect.MAV_CMD_DO_GRIPPER: _gripper,
-    dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _gimbal,
     dialect.MAV_CMD_IMAGE_START_CAPTURE: _capture,
+    dialect.MAV_CMD_IMAGE_STOP_CAPTURE: _stop_capture,
+    dialect.MAV_CMD_VIDEO_START_CAPTURE: _record,
+    dialect.MAV_CMD_VIDEO_STOP_CAPTURE: _record,
     dialect.MAV_CMD_DO_WINCH: _winch,
 }
+#: Commands of the camera protocol.
+CAPTURES = frozenset({
+    dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_IMAGE_STOP_CAPTURE,
+    dialect.MAV_CMD_VIDEO_START_CAPTURE, dialect.MAV_CMD_VIDEO_STOP_CAPTURE,
+})  # fmt: skip
 #: Payload required by a command; servos and relays need none.
 HARDWARE_OF: Mapping[int, str] = {
     dialect.MAV_CMD_DO_DIGICAM_CONTROL: "camera",
     dialect.MAV_CMD_IMAGE_START_CAPTURE: "camera",
-    dialect.MAV_CMD_DO_MOUNT_CONTROL: "gimbal",
-    dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: "gimbal",
+    dialect.MAV_CMD_IMAGE_STOP_CAPTURE: "camera",
+    dialect.MAV_CMD_VIDEO_START_CAPTURE: "camera",
+    dialect.MAV_CMD_VIDEO_STOP_CAPTURE: "camera",
     dialect.MAV_CMD_DO_GRIPPER: "gripper",
     dialect.MAV_CMD_DO_WINCH: "winch",
 }
-#: PX4's results for ArduPilot's commands: it refuses outputs by number, and does not answer for winch and old
-#: mount.
+#: PX4's results for ArduPilot's commands: it refuses outputs by number, and does not answer for a winch.
 NOT_OF_PX4: Mapping[int, MavResult | None] = {
     dialect.MAV_CMD_DO_SET_RELAY: MavResult.UNSUPPORTED,
     dialect.MAV_CMD_DO_SET_SERVO: MavResult.UNSUPPORTED,
-    dialect.MAV_CMD_DO_MOUNT_CONTROL: None,
     dialect.MAV_CMD_DO_WINCH: None,
 }

@@ -433,4 +433,7 @@ def test_unknown_payload_option_is_refused(capsys):
     SIM.add_arguments(parser)
     with pytest.raises(SystemExit):
         parser.parse_args(["--fitted", "gripper,laser"])
-    assert "all, none, or some of camera, gimbal, gripper, winch, by commas" in capsys.readouterr().err
+    assert (
+        "all, none, or some of camera, gimbal, gripper, winch, mavlink_camera, mavlink_gimbal, by commas"
+        in capsys.readouterr().err
+    )

@@ -28,9 +28,9 @@ def test_payload_instructions_take_effect(bench, flavour):
         await fc.execute("setServo", [3, 0.5])
         assert payload.servos[3] == 1750
         await fc.execute("triggerCamera", [])
-        assert payload.pictures == 1
+        assert payload.camera.pictures == 1
         await fc.execute("pointGimbal", [-0.8, 0.4])
-        assert (payload.pitch, payload.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
+        assert (payload.gimbal.pitch, payload.gimbal.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
 
     b.run(mission)
 
@@ -131,7 +131,7 @@ def test_camera_trigger_with_lost_acknowledgement_is_not_repeated(bench):
         assert error.value.kind == "DeviceTimeoutException"
 
     b.run(mission)
-    assert b.autopilot.payload.pictures == 1
+    assert b.autopilot.payload.camera.pictures == 1
 
 
 @on_bench("bench")
@@ -231,9 +231,5 @@ def test_unanswered_px4_payload_command_suggests_missing_hardware(bench):
         with pytest.raises(DeviceError, match="it may have no camera; it may have been executed") as raised:
             await fc.execute("triggerCamera", [])
         assert raised.value.kind == "DeviceTimeoutException"
-        with pytest.raises(
-            DeviceError, match="pointGimbal: the autopilot did not answer: it may have no gimbal"
-        ):
-            await fc.execute("pointGimbal", [0.0, 0.0])
 
     b.run(mission)

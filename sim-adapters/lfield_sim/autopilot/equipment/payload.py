@@ -8,17 +8,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from lfield_sim.autopilot.body.goals import Vector
+from lfield_sim.autopilot.equipment.camera import CameraModel
+from lfield_sim.autopilot.equipment.gimbal import GimbalModel, towards
+
 #: Amperes: switched on, motors turning, flying.
 IDLE_CURRENT, ARMED_CURRENT, FLYING_CURRENT = 0.5, 2.0, 18.0
 FULL_VOLTS, EMPTY_VOLTS, RESISTANCE = 16.8, 13.2, 0.02
-#: Line of the winch in metres, its default speed, and the rate of the gimbal in rad/s.
-LINE, LINE_SPEED, GIMBAL_RATE = 20.0, 0.5, math.radians(90.0)
-#: Range of the gimbal's pitch and yaw.
-PITCH_RANGE = (math.radians(-90.0), math.radians(30.0))
-YAW_RANGE = (math.radians(-170.0), math.radians(170.0))
+#: Line of the winch in metres, and its default speed.
+LINE, LINE_SPEED = 20.0, 0.5
 SERVOS, RELAYS = 16, 6
-#: Optional payload; servos and relays are outputs of each autopilot.
+#: Optional payload; servos and relays are outputs of each autopilot. These hang on its outputs.
 HARDWARE = frozenset({"gripper", "winch", "camera", "gimbal"})
+#: Payload with MAVLink: components with ids of their own.
+MAVLINK_CAMERA, MAVLINK_GIMBAL = "mavlink_camera", "mavlink_gimbal"
 
 
 @dataclass(slots=True)
@@ -50,7 +53,7 @@ class Battery:
 
 @dataclass(slots=True)
 class Payload:
-    """The payload; `fitted` are its parts of HARDWARE.
+    """The payload; `fitted` are its parts of HARDWARE, MAVLINK_CAMERA and MAVLINK_GIMBAL.
 
     Servos are in microseconds by number from 1, `line` is the length paid out.
     """
@@ -62,11 +65,13 @@ class Payload:
     line: float = 0.0
     line_goal: float = 0.0
     line_speed: float = 0.0
-    pictures: int = 0
-    pitch: float = 0.0
-    yaw: float = 0.0
-    pitch_goal: float = 0.0
-    yaw_goal: float = 0.0
+    gimbal: GimbalModel = field(default_factory=GimbalModel)
+    camera: CameraModel = field(default_factory=CameraModel)
+
+    @property
+    def has_gimbal(self) -> bool:
+        """Whether the autopilot has a gimbal of either kind."""
+        return not self.fitted.isdisjoint({"gimbal", MAVLINK_GIMBAL})
 
     def wind_by(self, length: float, speed: float) -> None:
         """Pays out (positive) or in by a length, within its line."""
@@ -81,17 +86,12 @@ class Payload:
         """Pays out (positive) or in at a speed, to the end of the line; 0 stops."""
         self.wind_to(self.line if speed == 0.0 else math.copysign(LINE, speed), speed)
 
-    def point(self, pitch: float, yaw: float) -> None:
-        """Turns the gimbal, within its range."""
-        self.pitch_goal = min(max(pitch, PITCH_RANGE[0]), PITCH_RANGE[1])
-        self.yaw_goal = min(max(yaw, YAW_RANGE[0]), YAW_RANGE[1])
+    def step(self, dt: float, now: float, here: Vector, heading: float) -> None:
+        """Advances time by `dt` seconds to `now`, on a vehicle at a place with a heading."""
+        self.line = towards(self.line, self.line_goal, self.line_speed * dt)
+        self.gimbal.step(dt, here, heading)
+        self.camera.step(now)
 
-    def step(self, dt: float) -> None:
-        """Advances time by `dt` seconds."""
-        self.line = _towards(self.line, self.line_goal, self.line_speed * dt)
-        self.pitch = _towards(self.pitch, self.pitch_goal, GIMBAL_RATE * dt)
-        self.yaw = _towards(self.yaw, self.yaw_goal, GIMBAL_RATE * dt)
-
-
-def _towards(value: float, goal: float, change: float) -> float:
-    return value + max(-change, min(change, goal - value))
+    def restarted(self) -> Payload:
+        """The payload after a restart of the autopilot: the camera is a computer of its own."""
+        return Payload(self.fitted, camera=self.camera)

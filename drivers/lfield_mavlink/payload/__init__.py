@@ -1,0 +1,1 @@
+"""Payload of a vehicle: gripper, winch, servos, relays, gimbal, camera."""

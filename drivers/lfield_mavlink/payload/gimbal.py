@@ -1,0 +1,211 @@
+"""Gimbal protocol v2: https://mavlink.io/en/services/gimbal_v2.html.
+
+The gimbal manager is the autopilot, or a gimbal with a component id of its own. It obeys its primary
+controller: PX4 refuses every other station, ArduPilot obeys all. So each instruction takes control unless
+another station has it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+from lfield.driver import DeviceError
+from lfield_mavlink import log_messages
+from lfield_mavlink.contact.components import GIMBALS
+from lfield_mavlink.contact.contact import STATE_TIMEOUT, Contact
+from lfield_mavlink.geodesy import Place, Vector
+from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
+from lfield_mavlink.payload.gimbal_attitude import GimbalAttitude, GimbalManager, direction
+from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, StateReports
+
+#: Tolerance of an angle, and what counts as progress, in radians.
+TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
+#: Seconds between two checks of its attitude; requests for a manager that accepted one and sent nothing.
+PAUSE, REQUESTS = 0.1, 3
+#: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
+UNCHANGED, REMOVED = -1.0, -3.0
+NOBODY = (0, 0)
+LEVEL = dialect.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | dialect.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
+YAW_LOCK = dialect.GIMBAL_MANAGER_FLAGS_YAW_LOCK
+
+Goal = Callable[[], tuple[float, float]]
+
+
+class Gimbal:
+    """Instructions of the gimbal."""
+
+    def __init__(self, vehicle: Contact, reports: StateReports) -> None:
+        self._vehicle, self._reports = vehicle, reports
+        self._manager: GimbalManager | None = None
+
+    # -- instructions ---------------------------------------------------------------------------------
+
+    async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
+        """Points it: pitch above the horizon, yaw clockwise from the nose, with which it turns."""
+        await self._point("pointGimbal", (pitch, yaw), LEVEL, lambda: (pitch, yaw))
+
+    async def do_point_gimbal_heading(self, pitch: float, heading: float) -> None:
+        """Points it to a heading clockwise from north, which it keeps when the vehicle turns."""
+        goal = (pitch, math.remainder(heading, math.tau) if math.isfinite(heading) else heading)
+        await self._point("pointGimbalHeading", goal, LEVEL | YAW_LOCK, lambda: self._on_nose(goal))
+
+    async def do_point_gimbal_at(self, north: float, east: float, down: float) -> None:
+        """Points it at a position relative to home, and follows that until the next instruction."""
+        await self._watch("pointGimbalAt", (north, east, down))
+
+    async def do_point_gimbal_at_global(self, latitude: float, longitude: float, height: float) -> None:
+        """The same for degrees, and metres above home."""
+        what, state = "pointGimbalAtGlobal", self._vehicle.state
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # refuses NaN as well
+            raise self._vehicle.error(
+                f"{what} requires a latitude from -90 to 90 and a longitude from -180 to 180"
+            )
+        if state.home is None:
+            raise self._vehicle.error(f"{what}: the home position is unknown")
+        north, east, _ = state.home.to(Place(latitude, longitude, state.home.altitude), state.radius)
+        await self._watch(what, (north, east, -height))
+
+    async def do_take_gimbal(self) -> None:
+        """Takes primary control, also from another station."""
+        await self._control("takeGimbal", await self._found("takeGimbal"), force=True)
+
+    async def do_release_gimbal(self) -> None:
+        """Ends following a position and gives control back."""
+        manager = await self._found("releaseGimbal")
+        if await self._holder(manager) not in (NOBODY, self._mine):
+            return
+        # A manager may know no regions of interest: then there is none to end.
+        await self._order("releaseGimbal", manager, dialect.MAV_CMD_DO_SET_ROI_NONE, manager.device)
+        await self._configure("releaseGimbal", manager, REMOVED, REMOVED)
+
+    async def do_gimbal_attitude(self) -> list[float]:
+        """Roll, pitch above the horizon and yaw clockwise from the nose."""
+        attitude = await self._attitude(await self._found("gimbalAttitude"))
+        if attitude is None:
+            raise self._vehicle.error("gimbalAttitude: the gimbal does not report its attitude", timeout=True)
+        return [attitude.roll, attitude.pitch, attitude.yaw]
+
+    # -- manager and control --------------------------------------------------------------------------
+
+    async def _found(self, what: str) -> GimbalManager:
+        """The gimbal manager. Raises DeviceError without one."""
+        for component in () if self._manager else (AUTOPILOT, *self._vehicle.components.present(GIMBALS)):
+            for _ in range(REQUESTS):
+                message = await self._reports.request(MANAGER, component)
+                if message is not None:
+                    self._manager = GimbalManager.of(message)
+                    return self._manager
+        if self._manager is None:
+            raise self._vehicle.error(
+                f"{what} refused: no gimbal: neither the autopilot nor a component 154 or 171 to 175 of "
+                f"system {self._vehicle.system} is a gimbal manager; set up the gimbal in the autopilot "
+                "(ArduPilot MNT1_TYPE, PX4 MNT_MODE_IN 4 and MNT_MODE_OUT)"
+            )
+        return self._manager
+
+    async def _control(self, what: str, manager: GimbalManager, *, force: bool = False) -> None:
+        """Takes primary control; from another station only by `force`. Raises DeviceError."""
+        holder = await self._holder(manager)
+        if holder == self._mine:
+            return
+        if holder != NOBODY and not force:
+            system, component = holder
+            self._vehicle.note(log_messages.GIMBAL_CONTROLLED.line(system=system, component=component))
+            raise self._vehicle.error(
+                f"{what} refused: system {system}, component {component} controls the gimbal; "
+                "takeGimbal() takes control"
+            )
+        await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
+
+    @property
+    def _mine(self) -> tuple[int, int]:
+        return self._vehicle.station, COMPONENT
+
+    async def _holder(self, manager: GimbalManager) -> tuple[int, int]:
+        """The system and component in primary control; NOBODY also if the manager does not report it."""
+        status = await self._reports.request(CONTROL, manager.component)
+        if status is None:
+            return NOBODY
+        return status.primary_control_sysid, status.primary_control_compid
+
+    async def _configure(self, what: str, manager: GimbalManager, system: float, component: float) -> None:
+        values = (system, component, UNCHANGED, UNCHANGED, None, None)
+        await self._order(what, manager, dialect.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, *values, manager.device)
+
+    async def _order(self, what: str, manager: GimbalManager, number: int, *values: float | None) -> None:
+        try:
+            await self._vehicle.command(
+                what, number, *values, optional=True, component="gimbal", target=manager.component
+            )
+        except DeviceError:
+            self._manager = None
+            raise
+
+    # -- motion ---------------------------------------------------------------------------------------
+
+    async def _point(self, what: str, goal: tuple[float, float], flags: int, shown: Goal) -> None:
+        if not all(abs(angle) <= math.pi for angle in goal):
+            raise self._vehicle.error(f"{what} requires angles from -pi to pi")
+        manager = await self._found(what)
+        if why := manager.why_beyond(*shown()):
+            raise self._vehicle.error(f"{what} refused: {why}")
+        await self._control(what, manager)
+        degrees = tuple(map(math.degrees, goal))
+        values = (*degrees, math.nan, math.nan, float(flags), None, manager.device)
+        await self._order(what, manager, dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, *values)
+        await self._reach(what, manager, shown)
+
+    async def _watch(self, what: str, goal: Vector) -> None:
+        state = self._vehicle.state
+        if not all(map(math.isfinite, goal)):
+            raise self._vehicle.error(f"{what} requires a finite position")
+        if state.home is None or state.position is None or not state.knows_frames:
+            raise self._vehicle.error(f"{what}: the position of the vehicle is unknown")
+        manager = await self._found(what)
+        await self._control(what, manager)
+        await self._vehicle.command(
+            what, dialect.MAV_CMD_DO_SET_ROI_LOCATION, float(manager.device),
+            place=state.home.shifted(goal, state.radius), component="gimbal", target=manager.component,
+        )  # fmt: skip
+        await self._reach(what, manager, lambda: self._on_nose(direction(self._way(goal))))
+
+    def _way(self, goal: Vector) -> Vector:
+        north, east, down = (
+            there - here for there, here in zip(goal, self._vehicle.state.position or goal, strict=True)
+        )
+        return north, east, down
+
+    def _on_nose(self, goal: tuple[float, float]) -> tuple[float, float]:
+        """Pitch and yaw from the nose of a pitch and a heading."""
+        return goal[0], math.remainder(goal[1] - (self._vehicle.state.yaw or 0.0), math.tau)
+
+    async def _reach(self, what: str, manager: GimbalManager, goal: Goal) -> None:
+        """Waits until it points there; a gimbal that reports no attitude has accepted the command only.
+
+        A slow gimbal has time as long as it comes closer.
+        """
+        clock = self._vehicle.clock
+        nearest, end = math.inf, clock.monotonic() + STATE_TIMEOUT
+        while (attitude := await self._attitude(manager)) is not None:
+            away = attitude.away(*goal())
+            if away <= TOLERANCE:
+                return
+            if away < nearest - PROGRESS:
+                nearest, end = away, clock.monotonic() + STATE_TIMEOUT
+            if clock.monotonic() >= end:
+                raise self._vehicle.error(
+                    f"{what} was accepted but the gimbal stays {away:.2f} rad from there; "
+                    "it may be at the end of its range, or controlled by another station"
+                )
+            self._vehicle.check_link()
+            await asyncio.sleep(PAUSE)
+
+    async def _attitude(self, manager: GimbalManager) -> GimbalAttitude | None:
+        """Its attitude: one that it has just sent, or on request."""
+        message: Any = self._reports.recent(ATTITUDE, manager.reporter, PAUSE)
+        if message is None:
+            message = await self._reports.request(ATTITUDE, manager.reporter)
+        return None if message is None else GimbalAttitude.of(message, self._vehicle.state.yaw or 0.0)

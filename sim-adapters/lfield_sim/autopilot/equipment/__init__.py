@@ -1,0 +1,1 @@
+"""Equipment of a vehicle: battery, outputs, winch, gimbal and camera, as models without messages."""
