@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -56,16 +57,23 @@ _OUTLINE_KINDS = {
     "agent": types.SymbolKind.Object,
     "witness": types.SymbolKind.Object,
 }
+#: Checks between two collections of garbage: one takes as long as several answers.
+_CHECKS_PER_COLLECTION = 50
 
 
 class LfieldServer:
-    """The handlers of one server with one workspace."""
+    """The handlers of one server with one workspace.
+
+    It collects old objects itself: started by allocations, that would be in the middle of an answer.
+    """
 
     def __init__(self, workspace: Workspace) -> None:
         self.server = LanguageServer("lfield", __version__)
         self._workspace = workspace
         self._checking: asyncio.Task[None] | None = None
         self._index: tuple[str, LineIndex] | None = None
+        self._checks = 0
+        gc.set_threshold(*gc.get_threshold()[:2], 1_000_000)
         handlers: dict[str, Callable[[Any], Any]] = {
             types.TEXT_DOCUMENT_DID_OPEN: self.on_open,
             types.TEXT_DOCUMENT_DID_CHANGE: self.on_change,
@@ -122,6 +130,9 @@ class LfieldServer:
         while (changed := self._workspace.step()) is not None:
             self._publish(changed)
             await asyncio.sleep(0)
+        self._checks += 1
+        if self._checks % _CHECKS_PER_COLLECTION == 0:
+            gc.collect()
 
     def _publish(self, changed: Mapping[Path, list[Diagnostic]]) -> None:
         for path, findings in changed.items():

@@ -42,11 +42,6 @@ def a_long_line_is_not_shortened(patch: Patch) -> None:
     patch.setattr(operator_input, "MAX_LINE", 1_000_000)
 
 
-def a_cancelled_thread_gets_the_line(patch: Patch) -> None:
-    """A thread whose call was cancelled still waits: the line is lost with it."""
-    patch.setattr(OperatorInput, "cancel", lambda self, agent, thread: True)
-
-
 def a_limit_ends_the_wait_of_the_first_thread(patch: Patch) -> None:
     """At the end of a limit the thread that has waited longest gets the exception."""
 
@@ -79,7 +74,6 @@ READ_BUGS: tuple[ReadBug, ...] = (
     a_line_from_the_page_is_kept,
     lines_are_kept_without_limit,
     a_long_line_is_not_shortened,
-    a_cancelled_thread_gets_the_line,
     a_limit_ends_the_wait_of_the_first_thread,
     a_question_is_not_ended,
     read_in_init_is_no_pause,
