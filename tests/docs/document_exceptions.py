@@ -170,7 +170,6 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/07-survey/mission.dL --all --sim --until-done": SURVEY,
         "lfield watch --deploy examples/07-survey/mission.dL": SURVEY,
         "lfield test examples/07-survey": SUITE,
-        "python examples/07-survey/survey_times.py": SURVEY,
     },
     "examples/06-search-and-rescue/README.md": {
         "lfield up --deploy examples/06-search-and-rescue/mission.dL --all --sim --until-done": RESCUE,
