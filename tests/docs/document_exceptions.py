@@ -173,7 +173,6 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/08-survey/mission.dL --all --sim --until-done": SURVEY,
         "lfield watch --deploy examples/08-survey/mission.dL": SURVEY,
         "lfield test examples/08-survey": SUITE,
-        "python examples/08-survey/survey_times.py": SURVEY,
     },
     "examples/06-search-and-rescue/README.md": {
         "lfield up --deploy examples/06-search-and-rescue/mission.dL --all --sim --until-done": RESCUE,

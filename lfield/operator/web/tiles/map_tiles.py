@@ -18,19 +18,23 @@ OWN_ADDRESS = "tiles/{z}/{x}/{y}"
 
 @dataclass(frozen=True, slots=True)
 class MapTile:
-    """A picture and its media type."""
+    """A picture and its media type.
+
+    The type follows from the first bytes: nothing else of a file is sent to browsers.
+    """
 
     data: bytes
     kind: str
 
 
 class MapBackground(Protocol):
-    """A source of tiles."""
+    """A source of tiles: a file on this computer, or an address that browsers request themselves."""
 
     #: Where browsers request them, with {z}, {x} and {y}.
     address: str
     #: The server of another address than that of the page, '' for the page's own.
     origin: str
+    #: The zooms that have tiles; browsers enlarge those of the last one.
     min_zoom: int
     max_zoom: int
     #: The attribution of the author.
