@@ -23,8 +23,8 @@ from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, Sta
 
 #: Tolerance of an angle, and what counts as progress, in radians.
 TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
-#: Seconds between two checks of its attitude; requests for a manager that accepted one and sent nothing.
-PAUSE, REQUESTS = 0.1, 3
+#: Seconds between two checks of its attitude.
+PAUSE = 0.1
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0
 NO_STATION = (0, 0)
@@ -93,11 +93,10 @@ class Gimbal:
     async def _found(self, what: str) -> GimbalManager:
         """The gimbal manager. Raises DeviceError without one."""
         for component in () if self._manager else (AUTOPILOT, *self._vehicle.components.present(GIMBALS)):
-            for _ in range(REQUESTS):
-                message = await self._reports.request(MANAGER, component)
-                if message is not None:
-                    self._manager = GimbalManager.of(message)
-                    return self._manager
+            message = await self._reports.request(MANAGER, component)
+            if message is not None:
+                self._manager = GimbalManager.of(message)
+                break
         if self._manager is None:
             raise self._vehicle.error(
                 f"{what} refused: no gimbal: neither the autopilot nor a component 154 or 171 to 175 of "
