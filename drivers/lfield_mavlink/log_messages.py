@@ -66,7 +66,7 @@ AUTONOMOUS_WAIVED = LogMessage(
 
 GIMBAL_CONTROLLED = LogMessage(
     "mavlink-gimbal-controlled",
-    "gimbal not pointed: system {system}, component {component} controls it; takeGimbal() takes control",
+    "gimbal not pointed: system {system}, component {component} controls it; acquireGimbal() takes control",
     "warning",
 )
 

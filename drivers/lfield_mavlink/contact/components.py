@@ -42,7 +42,10 @@ def is_of_payload(component: int, kind: int) -> bool:
 
 
 class Components:
-    """The cameras and gimbals of one vehicle, by component id. `now` returns the time in seconds."""
+    """The cameras and gimbals of one vehicle, by component id.
+
+    `now` returns the time in seconds. A component that was silent is present again with its next heartbeat.
+    """
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now

@@ -100,14 +100,14 @@ class Camera:
         self._sequence = self._sequence % SEQUENCES + 1
         await self._order(camera, replace(TRIGGER, values=(0.0, 0.0, 1.0, float(self._sequence))))
         end = self._vehicle.clock.monotonic() + SHOOTING
-        while (picture := self._picture(camera, first)) is None:
+        while (report := self._report(camera, first)) is None:
             if self._vehicle.clock.monotonic() >= end:
                 raise self._vehicle.error(f"{what} was accepted but no picture came within {SHOOTING:g} s")
             self._vehicle.check_link()
-            if not await self._vehicle.wait_for(lambda: bool(self._picture(camera, first)), REPORTING):
+            if not await self._vehicle.wait_for(lambda: bool(self._report(camera, first)), REPORTING):
                 # Its report was lost, or it has not been taken yet: then this is refused.
                 await self._reports.request(IMAGE, camera, float(first))
-        if picture.capture_result != 1:
+        if report.capture_result != 1:
             raise self._vehicle.error(f"{what} failed: the camera stored no picture")
 
     async def do_start_pictures(self, interval: float, count: int) -> None:
@@ -144,9 +144,9 @@ class Camera:
     def _on_picture(self, message: Any) -> None:
         place = Place.scaled(message.lat, message.lon, message.alt)
         if message.get_srcComponent() == self._component and message.capture_result == 1 and place:
-            self._vehicle.publish(pictureTaken=[place.latitude, place.longitude, place.altitude])
+            self._vehicle.publish(lastPicture=[place.latitude, place.longitude, place.altitude])
 
-    def _picture(self, camera: int, index: int) -> Any | None:
+    def _report(self, camera: int, index: int) -> Any | None:
         """The report of a picture."""
         message = self._reports.recent(IMAGE, camera, SHOOTING)
         return message if message is not None and message.image_index >= index else None

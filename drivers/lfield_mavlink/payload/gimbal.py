@@ -23,11 +23,11 @@ from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, Sta
 
 #: Tolerance of an angle, and what counts as progress, in radians.
 TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
-#: Seconds between two checks of its attitude; requests for a manager that accepted one and sent nothing.
-PAUSE, REQUESTS = 0.1, 3
+#: Seconds between two checks of its attitude.
+PAUSE = 0.1
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0
-NOBODY = (0, 0)
+NO_STATION = (0, 0)
 LEVEL = dialect.GIMBAL_MANAGER_FLAGS_ROLL_LOCK | dialect.GIMBAL_MANAGER_FLAGS_PITCH_LOCK
 YAW_LOCK = dialect.GIMBAL_MANAGER_FLAGS_YAW_LOCK
 
@@ -68,14 +68,14 @@ class Gimbal:
         north, east, _ = state.home.to(Place(latitude, longitude, state.home.altitude), state.radius)
         await self._watch(what, (north, east, -height))
 
-    async def do_take_gimbal(self) -> None:
+    async def do_acquire_gimbal(self) -> None:
         """Takes primary control, also from another station."""
-        await self._control("takeGimbal", await self._found("takeGimbal"), force=True)
+        await self._control("acquireGimbal", await self._found("acquireGimbal"), force=True)
 
     async def do_release_gimbal(self) -> None:
         """Ends following a position and gives control back."""
         manager = await self._found("releaseGimbal")
-        if await self._holder(manager) not in (NOBODY, self._mine):
+        if await self._holder(manager) not in (NO_STATION, self._mine):
             return
         # A manager may know no regions of interest: then there is none to end.
         await self._order("releaseGimbal", manager, dialect.MAV_CMD_DO_SET_ROI_NONE, manager.device)
@@ -93,11 +93,10 @@ class Gimbal:
     async def _found(self, what: str) -> GimbalManager:
         """The gimbal manager. Raises DeviceError without one."""
         for component in () if self._manager else (AUTOPILOT, *self._vehicle.components.present(GIMBALS)):
-            for _ in range(REQUESTS):
-                message = await self._reports.request(MANAGER, component)
-                if message is not None:
-                    self._manager = GimbalManager.of(message)
-                    return self._manager
+            message = await self._reports.request(MANAGER, component)
+            if message is not None:
+                self._manager = GimbalManager.of(message)
+                break
         if self._manager is None:
             raise self._vehicle.error(
                 f"{what} refused: no gimbal: neither the autopilot nor a component 154 or 171 to 175 of "
@@ -111,12 +110,12 @@ class Gimbal:
         holder = await self._holder(manager)
         if holder == self._mine:
             return
-        if holder != NOBODY and not force:
+        if holder != NO_STATION and not force:
             system, component = holder
             self._vehicle.note(log_messages.GIMBAL_CONTROLLED.line(system=system, component=component))
             raise self._vehicle.error(
                 f"{what} refused: system {system}, component {component} controls the gimbal; "
-                "takeGimbal() takes control"
+                "acquireGimbal() takes control"
             )
         await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
 
@@ -125,10 +124,10 @@ class Gimbal:
         return self._vehicle.station, COMPONENT
 
     async def _holder(self, manager: GimbalManager) -> tuple[int, int]:
-        """The system and component in primary control; NOBODY also if the manager does not report it."""
+        """The system and component in primary control; NO_STATION also if the manager does not report it."""
         status = await self._reports.request(CONTROL, manager.component)
         if status is None:
-            return NOBODY
+            return NO_STATION
         return status.primary_control_sysid, status.primary_control_compid
 
     async def _configure(self, what: str, manager: GimbalManager, system: float, component: float) -> None:

@@ -23,8 +23,8 @@ MANAGER, CONTROL, ATTITUDE = (
     dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
 )
 KINDS = (WINCH, SERVOS, RELAYS, SETTINGS, CAPTURE, IMAGE, MANAGER, CONTROL, ATTITUDE)
-#: Seconds to wait for a requested message, and between two requests.
-PATIENCE, PAUSE = 0.5, 0.1
+#: Seconds to wait for a requested message, and between two of them; requests for a message that is not sent.
+PATIENCE, PAUSE, REQUESTS = 0.5, 0.1, 3
 
 
 class StateReports:
@@ -46,12 +46,15 @@ class StateReports:
         return message if self._vehicle.clock.monotonic() - at <= age else None
 
     async def request(self, kind: int, component: int = AUTOPILOT, index: float | None = None) -> Any | None:
-        """Requests a message of a kind; None when the component does not send it."""
+        """Requests a message of a kind, again if it was lost; None when the component does not send it."""
         self._latest.pop((kind, component), None)
         request = dialect.MAV_CMD_REQUEST_MESSAGE
-        answer = await self._vehicle.exchange.command(request, float(kind), index, target=component)
-        if answer.result == dialect.MAV_RESULT_ACCEPTED:
-            await self._vehicle.wait_for(lambda: (kind, component) in self._latest, PATIENCE)
+        for _ in range(REQUESTS):
+            answer = await self._vehicle.exchange.command(request, float(kind), index, target=component)
+            if answer.result != dialect.MAV_RESULT_ACCEPTED:
+                break
+            if await self._vehicle.wait_for(lambda: (kind, component) in self._latest, PATIENCE):
+                break
         return self._latest.get((kind, component), (0.0, None))[1]
 
     async def confirm(

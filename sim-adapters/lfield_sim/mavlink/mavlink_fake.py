@@ -18,16 +18,16 @@ from lfield_sim.autopilot.flavours import MavResult
 from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.faults import Faults
 from lfield_sim.mavlink.command_handlers import answer, second_answer
+from lfield_sim.mavlink.equipment.components import components_of
+from lfield_sim.mavlink.equipment.equipment_commands import EquipmentCommands
+from lfield_sim.mavlink.equipment.gimbal_service import GimbalService
 from lfield_sim.mavlink.geo import GeoOrigin
 from lfield_sim.mavlink.link.codec import PacketReaders, PacketWriter
 from lfield_sim.mavlink.link.radio_link import LINK_FAULTS, RadioLink, make_faults
 from lfield_sim.mavlink.link.signing import MessageSigning
 from lfield_sim.mavlink.mav_command import CommandAnswer, DelayedResult, MavCommand
 from lfield_sim.mavlink.message_sender import MessageSender
-from lfield_sim.mavlink.services.components import components_of
-from lfield_sim.mavlink.services.equipment_commands import EquipmentCommands
 from lfield_sim.mavlink.services.file_service import FileService
-from lfield_sim.mavlink.services.gimbal_service import GimbalService
 from lfield_sim.mavlink.services.information_service import InformationService
 from lfield_sim.mavlink.services.motor_test import MotorTest
 from lfield_sim.mavlink.services.parameters import ParameterService

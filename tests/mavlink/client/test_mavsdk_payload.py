@@ -71,14 +71,14 @@ def test_a_camera_takes_pictures_series_and_videos(flavour):
         (item,) = found.cameras
         assert (item.component_id, item.model_name) == (CAMERA, "simulated camera")
         await camera.set_mode(CAMERA, Mode.PHOTO)
-        third = asyncio.create_task(until(camera.subscribe_capture_info(), lambda taken: taken.index == 2))
+        third = asyncio.create_task(until(camera.subscribe_capture_info(), lambda image: image.index == 2))
         await asyncio.sleep(0)
         await camera.take_photo(CAMERA)
         await asyncio.sleep(0.5)
         await camera.start_photo_interval(CAMERA, 0.5)
-        picture = await third
-        assert picture.is_success
-        assert picture.position.latitude_deg == pytest.approx(LATITUDE, abs=1e-4)
+        image = await third
+        assert image.is_success
+        assert image.position.latitude_deg == pytest.approx(LATITUDE, abs=1e-4)
         await camera.stop_photo_interval(CAMERA)
         await camera.set_mode(CAMERA, Mode.VIDEO)
         with pytest.raises(CameraError) as refused:

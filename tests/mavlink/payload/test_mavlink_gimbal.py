@@ -34,8 +34,8 @@ def test_it_is_done_when_the_gimbal_points_there(bench, flavour):
         assert asyncio.get_running_loop().time() - start > 1.4
         assert (gimbal.pitch, gimbal.yaw) == pytest.approx((-1.5, 2.5), abs=0.06)
         assert gimbal.primary == (fc.station, COMPONENT)
-        roll, pitch, yaw = await fc.execute("gimbalAttitude", [])
-        assert (roll, pitch, yaw) == pytest.approx((0.0, -1.5, 2.5), abs=0.06)
+        angles = await fc.execute("gimbalAttitude", [])
+        assert angles == pytest.approx([0.0, -1.5, 2.5], abs=0.06)
         b.autopilot.vehicle.yaw = 1.0
         await asyncio.sleep(1.0)
         await fc.execute("pointGimbalHeading", [-0.5, 1.5])
@@ -85,7 +85,7 @@ def test_another_station_in_control_is_an_error_until_control_is_taken(bench, fl
         gimbal.target = (1.0, 2.0, 3.0)
         await fc.execute("releaseGimbal", [])
         assert (gimbal.primary, gimbal.target) == (OTHER, (1.0, 2.0, 3.0))
-        await fc.execute("takeGimbal", [])
+        await fc.execute("acquireGimbal", [])
         await fc.execute("pointGimbal", [-0.5, 0.0])
         assert gimbal.pitch == pytest.approx(-0.5, abs=0.06)
 
@@ -111,7 +111,7 @@ def test_without_a_gimbal_it_is_an_error_that_says_what_is_missing(bench, flavou
 
     async def mission(fc):
         for instruction, arguments in (
-            ("pointGimbal", [0.0, 0.0]), ("takeGimbal", []), ("releaseGimbal", []), ("gimbalAttitude", [])
+            ("pointGimbal", [0.0, 0.0]), ("acquireGimbal", []), ("releaseGimbal", []), ("gimbalAttitude", [])
         ):  # fmt: skip
             with pytest.raises(DeviceError, match=f"{instruction} refused: no gimbal"):
                 await fc.execute(instruction, arguments)

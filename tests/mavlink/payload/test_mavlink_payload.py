@@ -28,7 +28,7 @@ def test_payload_instructions_take_effect(bench, flavour):
         await fc.execute("setServo", [3, 0.5])
         assert payload.servos[3] == 1750
         await fc.execute("triggerCamera", [])
-        assert payload.camera.pictures == 1
+        await b.until(lambda: payload.camera.pictures == 1)
         await fc.execute("pointGimbal", [-0.8, 0.4])
         assert (payload.gimbal.pitch, payload.gimbal.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
 

@@ -1,0 +1,1 @@
+"""Equipment on the wire: commands of the autopilot, gimbal manager, camera and gimbal components."""
