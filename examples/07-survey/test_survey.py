@@ -26,6 +26,7 @@ def row(vehicles):
     return tuple(map(int, found.groups()))
 
 
+@pytest.mark.few(0)
 def test_the_other_vehicle_flies_the_strip_of_one_whose_computer_is_lost(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, SMALL)
     team = lfield_mission(path)
