@@ -10,7 +10,7 @@ from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
-from lfield_sim.autopilot.equipment.camera import CARD, VIDEO_RATE, IMAGE, IMAGE_SIZE, VIDEO
+from lfield_sim.autopilot.equipment.camera import CARD, IMAGE, IMAGE_SIZE, VIDEO, VIDEO_RATE
 from lfield_sim.autopilot.equipment.payload import Payload
 
 CAMERA = dialect.MAV_COMP_ID_CAMERA
