@@ -79,7 +79,10 @@ class ScriptedExchange:
 
 
 def ack(number, result, system=255, component=dialect.MAV_COMP_ID_ONBOARD_COMPUTER):
-    return dialect.MAVLink_command_ack_message(number, result, 0, 0, system, component)
+    message = dialect.MAVLink_command_ack_message(number, result, 0, 0, system, component)
+    # A packed message has a sender: the autopilot.
+    message.pack(dialect.MAVLink(None, srcSystem=1, srcComponent=1))
+    return message
 
 
 def test_unanswered_command_is_repeated_with_higher_confirmation(jumping):

@@ -10,7 +10,7 @@ from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
-from lfield_sim.autopilot.equipment.camera import CARD, FILM, IMAGE, PICTURE, VIDEO
+from lfield_sim.autopilot.equipment.camera import CARD, IMAGE, IMAGE_SIZE, VIDEO, VIDEO_RATE
 from lfield_sim.autopilot.equipment.payload import Payload
 
 CAMERA = dialect.MAV_COMP_ID_CAMERA
@@ -41,11 +41,11 @@ async def test_a_picture_is_done_when_the_camera_has_stored_it(b, fc, /):
     camera = await present(b, fc)
     for count in (1, 2):
         await fc.execute("triggerCamera", [])
-        assert (camera.pictures, camera.used) == (count, count * PICTURE)
+        assert (camera.pictures, camera.used) == (count, count * IMAGE_SIZE)
     latitude, longitude, altitude = b.values["lastPicture"]
     assert (latitude, longitude, altitude) == pytest.approx((47.397742, 8.545594, 488.0), abs=1e-3)
     await b.until(lambda: b.values.get("pictures") == 2)
-    assert b.values["storage"] == pytest.approx(CARD - 2 * PICTURE)
+    assert b.values["storage"] == pytest.approx(CARD - 2 * IMAGE_SIZE)
 
 
 @on_bench("filmed")
@@ -67,7 +67,7 @@ async def test_a_series_and_a_video_are_shown_by_the_status(b, fc, /):
     await asyncio.sleep(10.0)
     await fc.execute("stopVideo", [])
     assert not b.values["recording"]
-    assert camera.used - camera.pictures * PICTURE > 9.9 * FILM
+    assert camera.used - camera.pictures * IMAGE_SIZE > 9.9 * VIDEO_RATE
     await fc.execute("triggerCamera", [])
     assert camera.mode == IMAGE
 

@@ -19,19 +19,15 @@ def test_the_program_of_the_page_films_and_takes_a_picture(tmp_path):
     for name, fence in (("inspection.L", "java"), ("inspection.dL", "text")):
         (block,) = re.findall(rf"```{fence} {name}\n(.*?)```", page, re.DOTALL)
         (tmp_path / name).write_text(block, encoding="utf-8")
-    command = [
-        sys.executable,
-        "-m",
-        "lfield",
-        "up",
-        "--deploy",
-        "inspection.dL",
-        "--all",
-        "--sim",
-        "--until-done",
-    ]
-    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    (pitch,) = re.findall(r"pitch (-?[0-9.]+)", ended.stdout)
+    command = [sys.executable, "-m", "lfield", "up", "--deploy", "inspection.dL"]
+    command += ["--all", "--sim", "--until-done"]
+    ended = subprocess.run(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stdout
+    found = re.search(r"pitch (-?[0-9.]+)", ended.stdout)
+    assert found is not None, ended.stdout
+    (pitch,) = found.groups()
     # On the ground, at a place on the ground.
     assert abs(float(pitch)) < 0.1

@@ -13,7 +13,7 @@ from lfield_sim.autopilot.flavours import MavResult
 #: CAMERA_MODE.
 IMAGE, VIDEO = 0, 1
 #: Seconds from the command to the picture; MiB of a picture, and MiB/s of video.
-EXPOSURE, PICTURE, FILM = 0.3, 8.0, 6.0
+EXPOSURE, IMAGE_SIZE, VIDEO_RATE = 0.3, 8.0, 6.0
 #: The card in MiB, and the shortest interval of a series in seconds.
 CARD, SHORTEST = 32_000.0, 0.5
 
@@ -43,7 +43,7 @@ class CameraModel:
     @property
     def is_full(self) -> bool:
         """Whether no picture fits on the card."""
-        return self.free < PICTURE
+        return self.free < IMAGE_SIZE
 
     @property
     def is_shooting(self) -> bool:
@@ -100,7 +100,7 @@ class CameraModel:
     def step(self, now: float) -> None:
         """Advances to a time: takes the picture that is due, and writes the video. A full card ends both."""
         if self.recording_since is not None:
-            self.used += FILM * (now - self._now)
+            self.used += VIDEO_RATE * (now - self._now)
         self._now = now
         if self.is_shooting and now >= self._due:
             self._expose()
@@ -109,7 +109,7 @@ class CameraModel:
 
     def _expose(self) -> None:
         is_stored = not (self.broken or self.is_full)
-        self.used += PICTURE * is_stored
+        self.used += IMAGE_SIZE * is_stored
         self.pictures += 1
         self.shot.append(is_stored)
         self._left = self._left - 1 if not self.is_full else 0
