@@ -6,6 +6,7 @@ autopilot. Ids: https://mavlink.io/en/messages/common.html#MAV_COMPONENT.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Callable, Sequence
 
@@ -50,10 +51,13 @@ class Components:
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._beats: dict[int, float] = {}
+        #: Set at the first heartbeat of any of them.
+        self.appeared = asyncio.Event()
 
     def on_heartbeat(self, component: int) -> None:
         """A heartbeat of a camera or gimbal."""
         self._beats[component] = self._now()
+        self.appeared.set()
 
     def present(self, ids: Sequence[int]) -> list[int]:
         """Those of these ids whose heartbeats arrive, in this order."""

@@ -76,6 +76,7 @@ class Camera:
 
     async def run(self) -> None:
         """Requests the status of a camera component until cancelled."""
+        await self._vehicle.components.appeared.wait()
         while True:
             await asyncio.sleep(POLL)
             camera = self._component

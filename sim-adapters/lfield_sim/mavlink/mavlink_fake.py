@@ -251,11 +251,13 @@ class MavlinkFake:
 
     def _transmit(self, messages: list[Any], component: int = COMPONENT) -> list[bytes]:
         """Sends messages of a component; returns the packets that arrive at once."""
-        writer, packets = self._writers[component], []
-        for message in messages:
-            self.gate.seal(writer.packer)
-            packets.append(writer.pack(message))
+        packets = [self._pack(message, component) for message in messages]
         return self.wire.send(packets, self.autopilot.now)
+
+    def _pack(self, message: Any, component: int = COMPONENT) -> bytes:
+        writer = self._writers[component]
+        self.gate.seal(writer.packer)
+        return writer.pack(message)
 
 
 def _command(message: Any) -> MavCommand:
