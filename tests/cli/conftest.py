@@ -1,4 +1,4 @@
-"""Real `python -m lfield` processes: started, listened to, and none left behind."""
+"""Real `python -m lfield` processes: start, output, and cleanup."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from lfield.cli.main import main
 from lfield.testing.keyring import Keyring
 
 ROOT = Path(__file__).parents[2]
-#: Seconds for anything that is only a matter of time on a busy machine.
+# : Seconds for anything that depends on the load of the machine.
 PATIENCE = 60.0
 #: In the environment of a test's processes, to find them and all that they start.
 MARK = "LFIELD_TEST_RUN"
 
 
 class Process:
-    """A running command; its lines are kept as they come, by stream."""
+    """A running command; its lines are stored as they arrive, by stream."""
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
-        # The starts of hosts that a test starts by hand are on record in its own folder.
+        # The starts of hosts that a test starts by hand are recorded in its own folder.
         state = str(options.get("cwd", tempfile.gettempdir()))
         own = {"XDG_STATE_HOME": state, "XDG_CONFIG_HOME": f"{state}/config", MARK: mark}
         environment = {**os.environ, **own, **options.pop("env", {})}
@@ -78,7 +78,7 @@ class Process:
         return "\n".join(["stdout:", *self.out, "stderr:", *self.err])
 
     def wait_for(self, pattern: str) -> re.Match[str]:
-        """The first line of either stream with this in it."""
+        """The first line of either stream with this pattern."""
         found: list[re.Match[str]] = []
 
         def seen() -> bool:
@@ -91,7 +91,7 @@ class Process:
         return found[0]
 
     def wait(self) -> int:
-        """The exit status; all lines are here then."""
+        """The exit status; all lines have been read then."""
         try:
             status = self.popen.wait(PATIENCE)
         except subprocess.TimeoutExpired:
@@ -106,7 +106,7 @@ class Process:
 
 
 def run_of(pid: int, mark: str) -> bool:
-    """Whether a live process was started by a run of a test."""
+    """If a live process was started by a run of a test."""
     try:
         environment = Path(f"/proc/{pid}/environ").read_bytes()
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -125,9 +125,8 @@ def processes_of(mark: str) -> list[int]:
 
 
 class Ports:
-    """TCP ports that no other test process takes, below the range from which the system picks.
-
-    They come in blocks; who has bound the UDP port with the number of a block's first has the block.
+    """TCP ports that no other test process takes, below the range of the system. They come in blocks; the
+    owner of a block has bound the UDP port with the number of its first port.
     """
 
     SIZE = 50
@@ -146,7 +145,7 @@ class Ports:
         raise RuntimeError("all ports for tests are taken")
 
     def take(self, count: int) -> list[int]:
-        """Ports on which nobody listens, each time the next ones of the block."""
+        """Ports without a listener, each time the next ones of the block."""
         found: list[int] = []
         while len(found) < count:
             port = next(self._next)
@@ -163,7 +162,7 @@ class Ports:
 
 
 class Lfield:
-    """Starts commands in a folder, and ends what a test left running."""
+    """Starts commands in a folder, and ends processes that a test left running."""
 
     def __init__(self, folder: Path, ports: Ports) -> None:
         self.folder = folder
@@ -175,11 +174,11 @@ class Lfield:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What makes a process, and all it starts, one of this test."""
+        """The variables that mark a process, and all it starts, as part of this test."""
         return {**os.environ, "XDG_CONFIG_HOME": f"{self.folder}/config", MARK: self.mark}
 
     def start(self, *words: object, **options) -> Process:
-        """A command that goes on."""
+        """A command that continues to run."""
         process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)
         self.started.append(process)
         return process
@@ -207,7 +206,7 @@ class Lfield:
         return self.write(f"{name}.dL", deployment)
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
-        """One process for each host, on ports of their own, as by hand; none waits for another."""
+        """One process for each host, on its own port, as by hand; none waits for another."""
         words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
         return {name: self.start(*words, "--host", name, **more) for name in names}
 
@@ -221,7 +220,7 @@ class Lfield:
         return processes_of(self.mark)
 
     def running(self, word: str) -> list[int]:
-        """Those of its processes that were started with a word, which may have ended meanwhile."""
+        """Those of its processes whose command line has a word; they may have ended meanwhile."""
         found = []
         for pid in self.left():
             with suppress(FileNotFoundError, ProcessLookupError):
@@ -240,7 +239,7 @@ class Lfield:
         return self.running("lfield.guard.process")
 
     def all_ended(self) -> bool:
-        """Whether all processes have ended, before too long."""
+        """If all processes have ended, within the time limit."""
         end = time.monotonic() + PATIENCE
         while self.left() and time.monotonic() < end:
             time.sleep(0.05)
@@ -262,7 +261,7 @@ class Lfield:
 
 @dataclass(frozen=True)
 class Said:
-    """What a command came to that ran in this process."""
+    """The result of a command that ran in this process."""
 
     status: int
     out: list[str]
@@ -287,7 +286,7 @@ def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
 def here(
     lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Said]:
-    """`here(*words)`: a command in this process, in the folder of `lfield`: one more would add nothing."""
+    """`here(*words)`: a command in this process, in the folder of `lfield`."""
     monkeypatch.chdir(lfield.folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
 
@@ -302,7 +301,7 @@ def here(
 
 @pytest.fixture(scope="module")
 def shared_lfield(tmp_path_factory: pytest.TempPathFactory, ports: Ports) -> Iterator[Lfield]:
-    """One for all tests of a file, for teams that several look at."""
+    """One for all tests of a file, for teams that several tests use."""
     made = Lfield(tmp_path_factory.mktemp("shared"), ports)
     yield made
     made.end()
@@ -310,7 +309,7 @@ def shared_lfield(tmp_path_factory: pytest.TempPathFactory, ports: Ports) -> Ite
 
 @pytest.fixture
 def alone() -> Iterator[dict[str, str]]:
-    """The environment of commands that see no fakes and teams but each other."""
-    # Not pytest's folder: the path of a socket may have 107 bytes.
+    """The environment of commands that find no fakes and teams but each other."""
+    # Not pytest's folder: the path of a socket has at most 107 bytes.
     with tempfile.TemporaryDirectory(prefix="lf-") as folder:
         yield {"XDG_RUNTIME_DIR": folder}

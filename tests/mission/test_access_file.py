@@ -1,4 +1,4 @@
-"""Access files: what is read of them, and a caret under all that fits no program, team or registry."""
+"""Access files: their rules, and a caret under every entry that fits no program, team or registry."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def loaded(folder: Path, text: str) -> Mission:
 
 @dataclass(frozen=True)
 class Site:
-    """The mission, compiled once, and whatever its access file may say."""
+    """The mission, compiled once, with any access file."""
 
     folder: Path
     mission: Mission
@@ -109,7 +109,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
     return Site(folder, loaded(folder, PAGE))
 
 
-def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
+def test_rules_are_read_with_their_line_numbers(tmp_path: Path) -> None:
     assert loaded(tmp_path, PAGE).access == Access(
         "mission.access.yaml",
         (
@@ -124,7 +124,7 @@ def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
                 (
                     PortalRule("type", "Arm", 6, ("home", "grab")),
                     PortalRule("agent", "arm2", 7),
-                    # As the winch calls what lifts.
+                    # The calls of the winch that lift.
                     PortalRule("capability", "Lift", 8, (), {"Winch": ("up",)}),
                     PortalRule("others", "others", 9, ()),
                 ),
@@ -146,7 +146,7 @@ assistants: [anna]
 """
 
 
-def test_calls_of_persons_are_read_as_those_of_coordinators(tmp_path: Path) -> None:
+def test_calls_of_persons_are_read_like_those_of_coordinators(tmp_path: Path) -> None:
     assert loaded(tmp_path, CALLS).access == Access(
         "mission.access.yaml",
         calls=(
@@ -167,7 +167,7 @@ def test_calls_of_persons_are_read_as_those_of_coordinators(tmp_path: Path) -> N
     )
 
 
-def test_without_a_file_and_with_an_empty_one_nothing_is_ruled(tmp_path: Path) -> None:
+def test_without_a_file_or_with_an_empty_one_there_are_no_rules(tmp_path: Path) -> None:
     empty = loaded(tmp_path, "# nothing yet\n")
     assert (empty.access, empty.calls) == (Access("mission.access.yaml"), None)
     (tmp_path / "mission.access.yaml").unlink()
@@ -175,8 +175,8 @@ def test_without_a_file_and_with_an_empty_one_nothing_is_ruled(tmp_path: Path) -
     assert (without.access, without.calls) == (NO_RULES, None)
 
 
-def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> None:
-    """Ours takes a while, and a mission that names no capability does without."""
+def test_the_registry_is_read_only_for_names_of_capabilities(tmp_path: Path) -> None:
+    """The shipped registry takes time to read, and a mission that names no capability does not need it."""
     deploy = deployed(tmp_path, "coordinators: {boss: {Arm: all, winch: [stow], others: [where]}}\n")
     (tmp_path / "mission.capabilities.yaml").unlink()
     assert load_mission(deploy).registry is None
@@ -252,7 +252,7 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
         ("coordinators: {boss: &a {}}", "&a", "anchors and aliases are not allowed", ""),
     ],
 )
-def test_what_fits_nothing_is_drawn_at_its_place(
+def test_an_entry_that_fits_nothing_is_reported_at_its_place(
     site: Site, text: str, drawn: str, said: str, hint: str
 ) -> None:
     with pytest.raises(ProgramError) as error:
@@ -266,7 +266,7 @@ def test_what_fits_nothing_is_drawn_at_its_place(
     assert hint in shown[-1]
 
 
-def test_all_mistakes_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_mistakes_are_reported_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = "people: {a: [b, c]}\ncoordinators:\n  x: {}\n  boss: {Arm: [no, home, nor], y: all}\n"
     assert main(["check", str(deployed(tmp_path, text))]) == 65
     told = capsys.readouterr().err
@@ -276,7 +276,7 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err.count("error[Y113]") == 6
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     deploy = deployed(tmp_path, "")
     (tmp_path / "mission.access.yaml").unlink()
     (tmp_path / "mission.access.yaml").mkdir()
@@ -284,7 +284,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.Capt
     assert "mission.access.yaml" in capsys.readouterr().err
 
 
-def test_a_file_under_a_name_that_is_nearly_right_and_a_link_to_nowhere_are_no_mission_without_rules(
+def test_a_misnamed_file_or_a_dangling_link_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     deploy, rules = deployed(tmp_path, ""), tmp_path / "mission.access.yaml"
@@ -334,7 +334,7 @@ def test_any_text_is_rules_or_findings_with_places(site: Site, draw: st.DataObje
             assert access.refusal(coordinator, resource, "home").count("\n") == 0
 
 
-def test_rules_travel_in_the_bundle_and_count_as_the_mission(tmp_path: Path) -> None:
+def test_rules_are_in_the_bundle_and_in_its_digest(tmp_path: Path) -> None:
     mission = loaded(tmp_path, PAGE)
     data = bundle.encode(mission)
     assert bundle.decode(data).access == mission.access
@@ -345,7 +345,7 @@ def test_rules_travel_in_the_bundle_and_count_as_the_mission(tmp_path: Path) -> 
     assert bundle.decode(other).access.digest != mission.access.digest
 
 
-def test_another_devices_file_takes_no_rule_away(tmp_path: Path) -> None:
+def test_another_devices_file_removes_no_rule(tmp_path: Path) -> None:
     path = tmp_path / "mission.lfm"
     path.write_bytes(bundle.encode(loaded(tmp_path, PAGE)))
     (tmp_path / "field.yaml").write_text("agents: {}\n")

@@ -1,4 +1,4 @@
-"""What rules say: one line decides, the most specific; persons lose what is left out, and never the stop."""
+"""The meaning of rules: the most specific line decides; persons lose omitted rights, but never the stop."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def person(may: frozenset[Right], name: str = "anna") -> Identity:
 # --- portal calls -----------------------------------------------------------------------------------------
 
 
-def test_who_is_not_named_calls_everything() -> None:
+def test_a_caller_without_a_rule_may_call_everything() -> None:
     rules = access(CallerRule("agent", "boss", 2, ()))
     assert rules.refusal(ONE, ARM, "home") == NO_RULES.refusal(BOSS, ARM, "home") == ""
 
 
-def test_of_callers_the_name_counts_before_the_type_before_others() -> None:
+def test_caller_rules_by_name_override_type_and_others() -> None:
     rules = access(
         CallerRule("others", "others", 2, ()),
         CallerRule("type", "Relay", 3, (PortalRule("others", "others", 4, ("home",)),)),
@@ -62,7 +62,7 @@ def test_of_callers_the_name_counts_before_the_type_before_others() -> None:
     )
 
 
-def test_of_resources_the_name_counts_before_the_type_before_capabilities_before_others() -> None:
+def test_resource_rules_by_name_override_type_capability_and_others() -> None:
     lines = (
         PortalRule("others", "others", 3, ()),
         PortalRule("capability", "Lift", 4, (), {"Winch": ("up", "down")}),
@@ -91,7 +91,7 @@ def test_capabilities_of_one_resource_add_up() -> None:
     )
 
 
-def test_calls_are_asked_by_number_and_kept() -> None:
+def test_calls_are_checked_by_number_and_cached() -> None:
     rules = access(CallerRule("agent", "boss", 2, (PortalRule("type", "Arm", 3, ("home",)),)))
     calls = CallPermissions(rules, [ARM, WINCH, BOSS, ONE], ["home", "grab", "up"])
     for _ in range(2):
@@ -121,13 +121,13 @@ CALLERS = st.builds(
 @given(
     st.lists(CALLERS, max_size=4), st.sampled_from([BOSS, ONE]), st.sampled_from([ARM, ARM2, WINCH]), NAMES
 )
-def test_whatever_a_bundle_says_a_call_is_let_in_or_refused_with_its_rule(
+def test_any_rules_of_a_bundle_allow_a_call_or_refuse_it_with_the_rule(
     callers: list[CallerRule], coordinator: SimpleNamespace, resource: SimpleNamespace, portal: str
 ) -> None:
     rules = decode_access(encode_access(access(*callers)))
     told = rules.refusal(coordinator, resource, portal)
     assert not told or f"{FILE}:" in told
-    # What one more line allows of just this resource is allowed, whatever else is there.
+    # One more line for just this resource allows it, with any other lines.
     let_in = CallerRule("agent", coordinator.id, 1, (PortalRule("agent", resource.id, 2, (portal,)),))
     assert access(let_in, *callers).refusal(coordinator, resource, portal) == ""
 
@@ -148,18 +148,18 @@ RIGHTS = st.frozensets(st.sampled_from(Right))
 @pytest.mark.parametrize(
     ("name", "kept"),
     [
-        # Who may go on may stop and look, as in a certificate.
+        # A person who may operate may stop and observe, as in a certificate.
         ("anna", ALL_RIGHTS),
         ("bob", {Right.STOP, Right.COMMAND}),
         ("carl", {Right.STOP, Right.COMMAND, Right.OBSERVE}),
     ],
 )
-def test_what_is_left_of_all_rights(name: str, kept: set[Right]) -> None:
+def test_rules_restrict_all_rights(name: str, kept: set[Right]) -> None:
     assert PEOPLE.restrict(person(ALL_RIGHTS, name)).may == kept
 
 
 @given(RIGHTS, st.sampled_from(["anna", "bob", "carl"]))
-def test_a_mission_gives_no_rights_and_takes_no_stop(may: frozenset[Right], name: str) -> None:
+def test_a_mission_grants_no_right_and_removes_no_stop(may: frozenset[Right], name: str) -> None:
     left = PEOPLE.restrict(person(may, name))
     assert left.may <= may
     assert (Right.STOP in left.may) == (Right.STOP in may)
@@ -167,7 +167,7 @@ def test_a_mission_gives_no_rights_and_takes_no_stop(may: frozenset[Right], name
         assert bool(PEOPLE.why_not(person(may, name), right)) == (right in may - left.may)
 
 
-def test_the_rule_that_takes_a_right_is_named() -> None:
+def test_the_rule_that_removes_a_right_is_named() -> None:
     assert PEOPLE.why_not(person(ALL_RIGHTS, "bob"), Right.OPERATE) == (
         "bob may not operate in this mission: m.access.yaml:3 limits bob to: nothing"
     )
@@ -176,7 +176,7 @@ def test_the_rule_that_takes_a_right_is_named() -> None:
     )
 
 
-def test_all_that_is_taken_is_told_by_right() -> None:
+def test_all_removed_rights_are_listed() -> None:
     taken = PEOPLE.denied_rights(person(ALL_RIGHTS, "carl"))
     assert taken == {Right.OPERATE: PEOPLE.why_not(person(ALL_RIGHTS, "carl"), Right.OPERATE)}
     assert (
@@ -186,7 +186,7 @@ def test_all_that_is_taken_is_told_by_right() -> None:
     )
 
 
-def test_people_are_persons_only() -> None:
+def test_people_rules_apply_only_to_persons() -> None:
     for who in (Identity("local", "bob", ALL_RIGHTS), Identity("host", "bob", ALL_RIGHTS), ANONYMOUS):
         assert PEOPLE.restrict(who) is who
     assert NO_RULES.restrict(person(ALL_RIGHTS)).may == ALL_RIGHTS
@@ -200,7 +200,7 @@ def test_portals_are_closed_to_persons_without_a_line() -> None:
     assert access(CallerRule("others", "others", 2)).person_refusal("anna", ARM, "home") != ""
 
 
-def test_the_line_of_a_person_counts_before_others() -> None:
+def test_the_line_of_a_person_overrides_others() -> None:
     lines = (PortalRule("type", "Arm", 3, ("home",)), PortalRule("agent", "arm2", 4, ()))
     rules = Access(FILE, (), (), (CallerRule("person", "anna", 2, lines), CallerRule("others", "others", 5)))
     assert rules.person_refusal("anna", ARM, "home") == ""
@@ -213,7 +213,7 @@ def test_the_line_of_a_person_counts_before_others() -> None:
     )
     for other in ("bob", ""):
         assert rules.person_refusal(other, ARM, "grab") == ""
-    # A coordinator has no use of such a line.
+    # Such a line does not apply to a coordinator.
     assert rules.refusal(SimpleNamespace(id="anna", type="Boss"), ARM, "grab") == ""
     assert decode_access(encode_access(rules)) == rules
 

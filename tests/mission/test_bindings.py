@@ -59,7 +59,7 @@ def problems(path, plugins, needed=NEEDED, **options) -> str:
     return "\n".join(error.value.problems)
 
 
-def test_what_is_written_is_read(written, plugins):
+def test_a_devices_file_is_read(written, plugins):
     bindings = read_bindings(written(GOOD), NEEDED, plugins)
     alpha, beta = bindings.devices["alpha"]["fc"], bindings.devices["beta"]["fc"]
     assert (alpha.name, alpha.endpoint, alpha.ttl, alpha.safe_state) == (
@@ -72,7 +72,7 @@ def test_what_is_written_is_read(written, plugins):
     assert [d.name for d in bindings.of(["beta", "tour"])] == ["beta.fc"]
 
 
-def test_limits_of_agents_go_over_the_defaults(written, plugins):
+def test_limits_of_agents_override_the_defaults(written, plugins):
     bindings = read_bindings(written(GOOD), NEEDED, plugins)
     alpha, tour = bindings.limits("alpha"), bindings.limits("tour")
     assert (alpha.heap, alpha.call_depth, alpha.string_length) == (2 << 20, 50, 1000)
@@ -81,7 +81,7 @@ def test_limits_of_agents_go_over_the_defaults(written, plugins):
     assert read_bindings(None, {"x": {}}, plugins).limits("x").heap == 1 << 20
 
 
-def test_how_long_a_reservation_lasts_and_others_wait(written, plugins):
+def test_reservation_lease_and_wait_are_read(written, plugins):
     usual = read_bindings(written(GOOD), NEEDED, plugins)
     assert (usual.reservations.lease, usual.reserved_wait("alpha")) == (6.0, 5.0)
     text = (
@@ -137,12 +137,12 @@ def test_how_long_a_reservation_lasts_and_others_wait(written, plugins):
         ("threads: 4", "threads: 0", "error[Y113]: 'threads' must be from 1 to 65536, not 0"),
     ],
 )
-def test_mistakes_are_drawn_at_their_place(written, plugins, old, new, drawn):
+def test_mistakes_are_reported_at_their_place(written, plugins, old, new, drawn):
     assert old in GOOD
     assert drawn in problems(written(GOOD.replace(old, new, 1)), plugins)
 
 
-def test_all_mistakes_are_told_at_once(written, plugins):
+def test_all_mistakes_are_reported_at_once(written, plugins):
     text = (
         GOOD.replace("system: 3", "system: 300")
         .replace("kind: rover", "kind: boat")
@@ -195,19 +195,19 @@ def test_joints_and_their_calibration_are_checked(written, tmp_path, old, new, d
     assert drawn in problems(written(SERVOS.replace(old, new)), servos, needed)
 
 
-def test_a_needed_device_that_is_not_bound(written, plugins):
+def test_an_unbound_device_is_reported(written, plugins):
     told = problems(written("agents: {alpha: {}}\n"), plugins)
     assert "alpha.fc (Mavlink) is not bound in" in told
     assert "beta.fc (Mavlink) is not bound in" in told
     assert "alpha.fc (Mavlink) is not bound and there is no devices file" in problems(None, plugins)
 
 
-def test_a_device_type_without_a_driver(plugins):
+def test_a_device_type_without_a_driver_is_reported(plugins):
     told = problems(None, plugins, {"alpha": {"arm": "Robot"}}, simulate=True)
     assert told == "alpha.arm: no installed driver provides a Robot (device types installed: Mavlink)"
 
 
-def test_a_driver_of_another_type(written, plugins):
+def test_a_driver_of_another_type_is_reported(written, plugins):
     told = problems(written(GOOD), plugins, {**NEEDED, "alpha": {"fc": "Servo"}})
     assert "driver 'mavlink' provides a Mavlink, but fc is a Servo" in told
 
@@ -222,7 +222,7 @@ def test_simulation_needs_no_file(plugins):
     )
 
 
-def test_simulation_keeps_what_the_file_says_but_the_endpoint(written, plugins):
+def test_simulation_keeps_the_bindings_but_the_endpoint(written, plugins):
     fc = read_bindings(written(GOOD), NEEDED, plugins, simulate=True).devices["alpha"]["fc"]
     assert (fc.endpoint, fc.option("system"), fc.limits, fc.safe_state) == (
         SIMULATED + "udp:127.0.0.1:14550",
@@ -232,7 +232,7 @@ def test_simulation_keeps_what_the_file_says_but_the_endpoint(written, plugins):
     )
 
 
-def test_a_simulated_host_may_be_silent_for_long_whatever_is_written_for_the_field(written, plugins):
+def test_the_silence_of_a_simulated_host_is_fixed(written, plugins):
     field = read_bindings(written(GOOD + "silence: 0.1\n"), NEEDED, plugins)
     assert field.silence == 0.1
     assert read_bindings(written(GOOD), NEEDED, plugins).silence == 0.2
@@ -243,12 +243,12 @@ def test_a_simulated_host_may_be_silent_for_long_whatever_is_written_for_the_fie
     assert read_bindings(None, NEEDED, plugins, simulate=True).silence == SIM_SILENCE
 
 
-def test_the_file_says_what_runs_the_program(written, plugins):
+def test_the_file_selects_the_engine(written, plugins):
     assert read_bindings(written(GOOD), NEEDED, plugins).engine == "auto"
     assert read_bindings(written(GOOD + "engine: reference\n"), NEEDED, plugins).engine == "reference"
 
 
-def test_no_such_file(plugins, tmp_path):
+def test_a_missing_file_is_an_input_error(plugins, tmp_path):
     with pytest.raises(InputFileError):
         read_bindings(tmp_path / "none.yaml", NEEDED, plugins)
 
@@ -265,7 +265,7 @@ def test_a_sensor_is_bound_without_a_safe_state(written, sensor):
 
 @pytest.fixture
 def sensor():
-    """A driver whose one device only senses."""
+    """A driver whose only device is a sensor."""
     eye = load_manifest("eye/m.yaml", b"driver: eye\ntype: Eye\ntelemetry: {light: {type: real}}\n")
     return DriverIndex({"eye": DriverInfo("eye", "eye:PLUGIN", {"Eye": eye}, {}, "eye")})
 
@@ -278,7 +278,7 @@ agents:
 """
 
 
-def test_what_a_device_does_without_a_policy_is_read(written, plugins):
+def test_the_behaviour_without_a_policy_is_read(written, plugins):
     path = written(WITHOUT_POLICY.format("{after: 30, do: hold}"))
     (device,) = read_bindings(path, {"alpha": {"fc": "Mavlink"}}, plugins).all
     assert device.without_policy == OrphanPolicy(30.0, "hold")
@@ -299,7 +299,7 @@ def test_what_a_device_does_without_a_policy_is_read(written, plugins):
         ("land", "'without_policy' must be a mapping, not"),
     ],
 )
-def test_what_makes_no_sense_without_a_policy_is_drawn_at_its_place(written, plugins, written_as, words):
+def test_an_invalid_behaviour_without_a_policy_is_reported_at_its_place(written, plugins, written_as, words):
     told = problems(written(WITHOUT_POLICY.format(written_as)), plugins, {"alpha": {"fc": "Mavlink"}})
     assert words in told
     assert "m.devices.yaml:4:" in told
@@ -321,7 +321,7 @@ def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
     assert "did you mean 'land'?" in problem
 
 
-def test_what_two_files_state_of_one_agent_is_told_when_they_are_checked(tmp_path):
+def test_attributes_stated_in_two_files_are_reported_by_check(tmp_path):
     (tmp_path / "m.L").write_text(
         "include <can/winch.L>;\ncoordinator Boss { init(string[] arg) { findLift(); } }\n"
     )
@@ -365,7 +365,7 @@ agents:
         (", endpoint: 14550", "2:53: error[Y112]: 'endpoint' must be text, not the number 14550"),
     ],
 )
-def test_an_endpoint_that_is_none_is_told_with_its_place(written, plugins, tmp_path, endpoint, told):
+def test_an_invalid_endpoint_is_reported_at_its_place(written, plugins, tmp_path, endpoint, told):
     path = written(ENDPOINTS.format(endpoint))
     assert problems(path, plugins).startswith(f"{path}:{told}")
     (tmp_path / "m.L").write_text("resource Copter { Mavlink fc; init(string[] arg) { } }\n")
@@ -374,11 +374,11 @@ def test_an_endpoint_that_is_none_is_told_with_its_place(written, plugins, tmp_p
     assert (found.severity, found.render().startswith(f"{path}:{told}")) == ("error", True)
     if (
         "Y112" not in told
-    ):  # A fake does not mind where its device would be; what is no text is wrong there too.
+    ):  # A fake does not use the endpoint; a value that is not text is an error there too.
         read_bindings(path, NEEDED, plugins, simulate=True)
 
 
-def test_a_driver_that_is_not_installed_here_is_asked_nothing(written, plugins):
+def test_endpoints_of_a_driver_that_is_not_installed_are_not_validated(written, plugins):
     there = plugins.by_driver["mavlink"].without_local_parts
     elsewhere = replace(there, reference="nowhere_at_all:PLUGIN")
     path = written(ENDPOINTS.format(", endpoint: 'foo:bar'"))
@@ -422,11 +422,11 @@ def test_a_waiver_may_have_a_reason(written, plugins, waivers, names, reasons):
         ("device_watchdog", "error[Y112]: 'waivers' must be names, or names with a reason each"),
     ],
 )
-def test_a_waiver_that_needs_a_reason_has_one(written, plugins, waivers, told):
+def test_an_invalid_waiver_or_a_missing_reason_is_reported(written, plugins, waivers, told):
     assert told in problems(written(WAIVED % waivers), plugins)
 
 
-def test_a_station_is_no_ground_station_of_others(written, plugins):
+def test_a_station_id_of_a_ground_station_is_refused(written, plugins):
     text = (WAIVED % "[device_watchdog]").replace("system: 2", "system: 2, station: 255")
     assert "'station' must be from 0 to 254, not 255" in problems(written(text), plugins)
 
@@ -446,12 +446,12 @@ def test_a_station_is_no_ground_station_of_others(written, plugins):
             "alpha.fc: its station has the system id 3, which belongs to itself",
         ),
         ("system: 1", "system: 2", ""),
-        # On one network they could not be told apart at all, so there are two.
+        # On one network they could not be distinguished, so there are two.
         ("system: 1", "system: 1", ""),
     ],
 )
 def test_stations_of_all_endpoints_are_compared(written, plugins, lead, other, told):
-    """Links may lead to one network: a station that another vehicle hears keeps that from landing."""
+    """Links may lead to one network: a station that another vehicle hears prevents its landing."""
     fc = "{driver: mavlink, endpoint: 'udp:127.0.0.1:%d', %s}"
     agents = {"alpha": fc % (1, lead), "beta": fc % (2, other)}
     lines = [f"  {agent}: {{devices: {{fc: {device}}}}}\n" for agent, device in agents.items()]

@@ -42,7 +42,7 @@ def data(rich: Mission) -> bytes:
 
 
 def sealed(data: bytes, **changed: bytes) -> bytes:
-    """The bundle with some parts replaced, and all digests as they must be then."""
+    """The bundle with some parts replaced, and all digests recomputed."""
     parts = {name: changed.get(name, bytes(part)) for name, part in bundle.contents(data).parts.items()}
     rows = [bundle.PartEntry(name, len(part), hashlib.sha256(part).digest()) for name, part in parts.items()]
     table = msgspec.msgpack.encode(rows)
@@ -50,8 +50,8 @@ def sealed(data: bytes, **changed: bytes) -> bytes:
     return header + table + b"".join(parts.values())
 
 
-def test_a_signature_lies_behind_the_parts_and_is_nobodys_to_read(data: bytes, rich: Mission) -> None:
-    """What it is worth, `authority/bundle_signature.py` says; a bundle with one is the same bundle."""
+def test_a_signature_is_stored_after_the_parts_and_not_decoded(data: bytes, rich: Mission) -> None:
+    """`authority/bundle_signature.py` checks it; a bundle with a signature is the same bundle."""
     once = bundle.with_signature(data, b"signed")
     assert (bundle.contents(data).signature, bundle.contents(once).signature) == (b"", b"signed")
     assert bundle.contents(once)[:3] == bundle.contents(data)[:3]
@@ -66,10 +66,10 @@ def test_a_signature_lies_behind_the_parts_and_is_nobodys_to_read(data: bytes, r
             bundle.contents(cut)
 
 
-# --- what goes in comes out -------------------------------------------------------------------------------
+# --- round trip ----------------------------------------------------------------------------------
 
 
-def test_a_mission_comes_out_as_it_went_in(rich: Mission, data: bytes) -> None:
+def test_a_mission_is_encoded_and_decoded_unchanged(rich: Mission, data: bytes) -> None:
     read = bundle.decode(data)
     assert (read.name, read.warnings) == (rich.name, rich.warnings)
     assert "this statement is unreachable" in read.warnings[0]
@@ -83,12 +83,12 @@ def test_a_mission_comes_out_as_it_went_in(rich: Mission, data: bytes) -> None:
     assert read.on_fakes().world == "fakes"
 
 
-def test_its_registry_gives_the_same_answers(rich: Mission, data: bytes) -> None:
+def test_the_decoded_registry_gives_the_same_answers(rich: Mission, data: bytes) -> None:
     read = bundle.decode(data).registry
     assert rich.registry is not None
     assert read is not None
     assert read.digest == rich.registry.digest
-    # What counts for an answer, written canonically; live attributes are settled in both.
+    # The content relevant for answers, written canonically; live attributes are resolved in both.
     assert digest_of_registry(read) == digest_of_registry(rich.registry)
     assert read.providers["Crane"].live["boom"].factor == pytest.approx(57.29578)
     assert list(read.compositions["grip-and-climb"].needs) == list(
@@ -96,7 +96,7 @@ def test_its_registry_gives_the_same_answers(rich: Mission, data: bytes) -> None
     )
 
 
-def test_the_digests_of_program_and_team_are_their_identities(rich: Mission, data: bytes) -> None:
+def test_digests_of_program_and_team_are_their_identities(rich: Mission, data: bytes) -> None:
     table = {row.name: row.digest for row in bundle.contents(data).table}
     assert table["program"] == rich.program.digest
     assert table["team"] == rich.team.deployment
@@ -106,7 +106,7 @@ def test_a_team_has_the_hash_of_its_deployment(tmp_path: Path, rich: Mission) ->
     assert rich.team.deployment.hex() == read_deployment(write_rich(tmp_path), None).hash
 
 
-def test_a_mission_without_devices_and_capabilities(plain: Mission) -> None:
+def test_a_mission_without_devices_and_capabilities_is_small(plain: Mission) -> None:
     data = bundle.encode(plain)
     read = bundle.decode(data)
     assert read.registry is None
@@ -115,14 +115,14 @@ def test_a_mission_without_devices_and_capabilities(plain: Mission) -> None:
     assert len(data) < 4000
 
 
-def test_addresses_do_not_count_as_the_team(rich: Mission) -> None:
+def test_addresses_are_not_part_of_the_team(rich: Mission) -> None:
     moved = bundle.encode(rich.at(rich.team.at({"yard": "10.0.0.7:1"})))
     before, after = bundle.contents(bundle.encode(rich)).table, bundle.contents(moved).table
     assert [a.name for a, b in zip(before, after, strict=True) if a != b] == ["bindings"]
     assert bundle.decode(moved).team.addresses == ("10.0.0.7:1", "dock:9000")
 
 
-def test_the_same_files_are_the_same_bundle_in_any_folder_and_process(tmp_path: Path) -> None:
+def test_the_same_files_give_the_same_bundle_in_any_folder_and_process(tmp_path: Path) -> None:
     made = []
     for number, folder in enumerate((tmp_path / "here", tmp_path / "there" / "deep")):
         write_rich(folder)
@@ -139,18 +139,18 @@ def stating(mission: Mission, **values: object) -> bytes:
     return bundle.encode(mission.with_bindings(replace(mission.bindings, attributes={agent: values})))
 
 
-def test_what_bindings_state_is_in_it(rich: Mission) -> None:
+def test_stated_attributes_of_bindings_are_in_the_bundle(rich: Mission) -> None:
     agent = rich.team.deployed[0].id
     read = bundle.decode(stating(rich, payload=1.5, tools=("hook", "winch")))
     assert read.bindings.attributes == {agent: {"payload": 1.5, "tools": ("hook", "winch")}}
 
 
 @pytest.mark.parametrize("wrong", [{"payload": "heavy"}, {"tools": 3}, {"nonsense": 1.0}, {"payload": True}])
-def test_what_bindings_cannot_state_is_refused(rich: Mission, wrong: dict[str, object]) -> None:
+def test_invalid_stated_attributes_are_refused(rich: Mission, wrong: dict[str, object]) -> None:
     assert f"bindings state {next(iter(wrong))} = " in reason(stating(rich, **wrong))
 
 
-# --- bytes that are none ------------------------------------------------------------------------------------
+# --- invalid bytes -------------------------------------------------------------------------------
 
 
 def reason(data: bytes) -> str:
@@ -160,7 +160,7 @@ def reason(data: bytes) -> str:
     return str(caught.value)
 
 
-def test_other_files(data: bytes) -> None:
+def test_other_files_are_refused(data: bytes) -> None:
     assert "does not start with the header of a bundle" in reason(b"")
     assert "does not start with the header of a bundle" in reason(b"LFLP" + data[4:])
     assert "is larger than 64 MiB" in reason(data.ljust(bundle.MAX_SIZE + 1, b"\0"))
@@ -174,21 +174,21 @@ def test_a_bundle_of_another_version_is_refused_with_both(data: bytes) -> None:
 
 
 @given(st.data())
-def test_any_byte_that_is_not_what_it_was_is_found(data: bytes, draw: st.DataObject) -> None:
+def test_any_changed_byte_is_detected(data: bytes, draw: st.DataObject) -> None:
     at = draw.draw(st.integers(0, len(data) - 1))
     wrong = bytes([data[at] ^ draw.draw(st.integers(1, 255))])
     reason(data[:at] + wrong + data[at + 1 :])
 
 
 @given(st.data())
-def test_a_cut_is_found_and_so_is_what_follows(data: bytes, draw: st.DataObject) -> None:
+def test_truncated_and_extended_bundles_are_refused(data: bytes, draw: st.DataObject) -> None:
     reason(data[: draw.draw(st.integers(0, len(data) - 1))])
     reason(data + draw.draw(st.binary(min_size=1, max_size=9)))
 
 
 @given(st.sampled_from(bundle.PARTS), st.data())
-def test_parts_that_make_no_sense_with_digests_that_do(data: bytes, part: str, draw: st.DataObject) -> None:
-    """Whoever can write a bundle can write its digests: what is read is checked all the same."""
+def test_invalid_parts_with_valid_digests_are_refused(data: bytes, part: str, draw: st.DataObject) -> None:
+    """An author of a bundle can also write its digests: the content is checked in any case."""
     old = bytes(bundle.contents(data).parts[part])
     start, end = sorted((draw.draw(st.integers(0, len(old))), draw.draw(st.integers(0, len(old)))))
     new = old[:start] + draw.draw(st.binary(max_size=6)) + old[min(end, start + 6) :]
@@ -197,12 +197,12 @@ def test_parts_that_make_no_sense_with_digests_that_do(data: bytes, part: str, d
 
 
 @pytest.mark.parametrize("part", bundle.PARTS)
-def test_nesting_without_end(data: bytes, part: str) -> None:
+def test_endless_nesting_is_refused(data: bytes, part: str) -> None:
     for deep in (b"\x91" * 200_000, b"\x81\xa1a" * 200_000):
         reason(sealed(data, **{part: deep}))
 
 
-def test_a_condition_nested_without_end(data: bytes) -> None:
+def test_an_endlessly_nested_condition_is_refused(data: bytes) -> None:
     registry, known = bytes(bundle.contents(data).parts["registry"]), bundle.decode(data).registry
     assert known is not None
     text = "payload > 1.0 && environment == terrestrial"
@@ -221,7 +221,7 @@ def test_a_condition_nested_without_end(data: bytes) -> None:
 
 
 @pytest.mark.parametrize("word", ["mode", "park"], ids=["needs_arguments", "is_not_there"])
-def test_a_cancel_that_nothing_does(data: bytes, word: str) -> None:
+def test_a_cancel_without_an_instruction_is_refused(data: bytes, word: str) -> None:
     drivers = bytes(bundle.contents(data).parts["drivers"])
     old, new = (msgspec.msgpack.encode({"cancel": name})[1:] for name in ("stop", word))
     assert old in drivers
@@ -229,7 +229,7 @@ def test_a_cancel_that_nothing_does(data: bytes, word: str) -> None:
     assert "Dynamixel has no instruction for the cancel of moveTo, moveUntil" in told
 
 
-def test_a_table_of_other_parts(data: bytes) -> None:
+def test_a_table_of_other_parts_is_refused(data: bytes) -> None:
     rows = [row for row in bundle.contents(data).table if row.name != "registry"]
     table = msgspec.msgpack.encode(rows)
     header = bundle._HEADER.pack(b"LFMB", bundle.VERSION, 0, len(table), hashlib.sha256(table).digest())
@@ -240,7 +240,7 @@ def part_of(mission: Mission, name: str) -> bytes:
     return bytes(bundle.contents(bundle.encode(mission)).parts[name])
 
 
-def test_parts_of_different_missions_do_not_fit(rich: Mission, plain: Mission, data: bytes) -> None:
+def test_parts_of_different_missions_are_refused(rich: Mission, plain: Mission, data: bytes) -> None:
     assert "which the program does not define" in reason(sealed(data, team=part_of(plain, "team")))
     assert "is not bound" in reason(sealed(data, bindings=part_of(plain, "bindings")))
     assert "which is not in the bundle" in reason(sealed(data, drivers=part_of(plain, "drivers")))
@@ -274,11 +274,11 @@ def test_parts_of_different_missions_do_not_fit(rich: Mission, plain: Mission, d
         ([("Echo", "a", "x", ()), ("", "", "", ())], "a name in the team is too long, or empty"),
     ],
 )
-def test_a_team_that_cannot_be(plain: Mission, rows: list[object], told: str) -> None:
+def test_an_invalid_team_is_refused(plain: Mission, rows: list[object], told: str) -> None:
     assert told in reason(sealed(bundle.encode(plain), team=msgspec.msgpack.encode(rows)))
 
 
-def test_a_file_is_named_with_what_is_wrong(tmp_path: Path, data: bytes) -> None:
+def test_an_invalid_file_is_named_with_the_reason(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mission.lfm"
     path.write_bytes(data[:-1])
     with pytest.raises(BundleError, match=r"mission.lfm is not a valid bundle: it is truncated"):
@@ -287,7 +287,7 @@ def test_a_file_is_named_with_what_is_wrong(tmp_path: Path, data: bytes) -> None
         bundle.read(tmp_path / "nobody.lfm")
 
 
-def test_the_plain_deployment_is_what_it_says(plain: Mission) -> None:
+def test_the_plain_deployment_has_its_agents(plain: Mission) -> None:
     assert [f"//{a.type}:{a.id}@{a.host}" for a in plain.team.deployed] == [
         line.partition("?")[0] for line in PLAIN_DEPLOYMENT.splitlines()
     ]

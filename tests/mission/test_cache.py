@@ -1,4 +1,4 @@
-"""Bundles that were built before: when one counts, when it is built again, and who may not be believed."""
+"""Cached bundles: when one is used, when it is built again, and which are not trusted."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> list[BuildRequest]:
-    """The orders that were really built."""
+    """The requests that were built."""
     orders: list[BuildRequest] = []
     build = build_cache._build
 
@@ -44,7 +44,7 @@ def bytes_of(order: BuildRequest) -> bytes:
         return path.read_bytes()
 
 
-def test_nothing_is_built_twice(tmp_path: Path, built: list[BuildRequest]) -> None:
+def test_an_unchanged_mission_is_built_once(tmp_path: Path, built: list[BuildRequest]) -> None:
     order = BuildRequest(write_plain(tmp_path / "here"))
     assert bytes_of(order) == bytes_of(order)
     assert len(built) == 1
@@ -52,20 +52,20 @@ def test_nothing_is_built_twice(tmp_path: Path, built: list[BuildRequest]) -> No
         assert list(bundle.read(path).team.hosts) == ["alpha", "bravo"]
 
 
-def test_nothing_is_left_of_a_build_while_its_bundle_runs(tmp_path: Path, folder: Path) -> None:
-    """Whoever runs it may be killed, and tidies nothing up then."""
+def test_no_temporary_file_remains_while_a_bundle_runs(tmp_path: Path, folder: Path) -> None:
+    """The process that runs it may be killed without a cleanup."""
     with cached_bundle(BuildRequest(write_plain(tmp_path / "here"))) as path:
         assert sorted(found.suffix for found in folder.iterdir()) == [".lfm", ".made"]
         assert path.parent == folder
 
 
-def test_another_order_is_another_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
+def test_other_options_give_another_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     found = {bytes_of(BuildRequest(deploy, simulate=simulate)) for simulate in (False, True)}
     assert len(found) == len(built) == 2
 
 
-def test_a_change_of_any_file_counts(tmp_path: Path, folder: Path, built: list[BuildRequest]) -> None:
+def test_a_change_of_any_file_causes_a_build(tmp_path: Path, folder: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     order = BuildRequest(deploy)
     before = bytes_of(order)
@@ -81,7 +81,7 @@ def test_a_change_of_any_file_counts(tmp_path: Path, folder: Path, built: list[B
     assert len(built) == 2
 
 
-def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: list[BuildRequest]) -> None:
+def test_a_new_file_causes_a_build(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_plain(tmp_path / "here")
     order = BuildRequest(deploy)
     bytes_of(order)
@@ -91,7 +91,7 @@ def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: l
     assert len(built) == 2
 
 
-def test_of_a_folder_of_modules_only_those_count(
+def test_only_python_modules_of_a_module_folder_count(
     tmp_path: Path, built: list[BuildRequest], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     modules = tmp_path / "modules"
@@ -99,7 +99,7 @@ def test_of_a_folder_of_modules_only_those_count(
     monkeypatch.setenv("PYTHONPATH", str(modules))
     order = BuildRequest(write_plain(tmp_path / "here"))
     bytes_of(order)
-    # As tools leave their caches where they are called.
+    # As tools leave their caches in their working folder.
     (modules / ".cache").mkdir()
     (modules / "__pycache__").mkdir()
     bytes_of(order)
@@ -109,7 +109,7 @@ def test_of_a_folder_of_modules_only_those_count(
     assert len(built) == 2
 
 
-def test_an_included_file_counts(tmp_path: Path, built: list[BuildRequest]) -> None:
+def test_a_changed_included_file_causes_a_build(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_plain(tmp_path / "here")
     deploy.with_suffix(".L").write_text('include "more.L";\n' + PLAIN)
     (deploy.parent / "more.L").write_text("class More { public int a; }")
@@ -120,7 +120,7 @@ def test_an_included_file_counts(tmp_path: Path, built: list[BuildRequest]) -> N
     assert len(built) == 2
 
 
-def test_what_was_tampered_with_is_built_again(
+def test_a_modified_cached_bundle_is_built_again(
     tmp_path: Path, folder: Path, built: list[BuildRequest]
 ) -> None:
     order = BuildRequest(write_plain(tmp_path / "here"))
@@ -136,7 +136,9 @@ def test_what_was_tampered_with_is_built_again(
     assert len(built) == 5
 
 
-def test_the_folder_is_the_users_alone(tmp_path: Path, folder: Path, built: list[BuildRequest]) -> None:
+def test_the_cache_folder_is_private_to_the_user(
+    tmp_path: Path, folder: Path, built: list[BuildRequest]
+) -> None:
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     order = BuildRequest(write_plain(tmp_path / "here"))
     folder.chmod(0o770)
@@ -150,7 +152,7 @@ def test_the_folder_is_the_users_alone(tmp_path: Path, folder: Path, built: list
     assert list(folder.iterdir()) == []
 
 
-def test_files_with_mistakes_are_told_by_the_process_that_builds(
+def test_mistakes_in_files_are_reported_by_the_build_process(
     tmp_path: Path, folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     deploy = write_rich(tmp_path / "here")
@@ -162,7 +164,9 @@ def test_files_with_mistakes_are_told_by_the_process_that_builds(
     assert list(folder.iterdir()) == []
 
 
-def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_bundles_are_removed(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(build_cache, "MAX_BUNDLES", 1)
     first, second = BuildRequest(write_plain(tmp_path / "here")), BuildRequest(write_rich(tmp_path / "there"))
     bytes_of(first)
@@ -182,7 +186,7 @@ def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pyt
 
 
 @pytest.mark.few(0)
-def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
+def test_a_bundle_gets_other_bindings(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     file = tmp_path / "mission.lfm"
     file.write_bytes(bytes_of(BuildRequest(deploy)))
@@ -199,7 +203,7 @@ def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[BuildRequest]) 
         pytest.fail("that driver is not in the bundle")
 
 
-def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
+def test_a_damaged_bundle_gets_no_other_bindings(tmp_path: Path) -> None:
     file = tmp_path / "mission.lfm"
     file.write_bytes(b"LFMB")
     with pytest.raises(BundleError):
@@ -212,7 +216,7 @@ def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
     assert caught.value.status == 65
 
 
-def test_who_has_no_home_keeps_no_bundles(monkeypatch):
+def test_a_user_without_a_home_has_no_cache(monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("HOME", "relative")
     monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer

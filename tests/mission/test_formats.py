@@ -38,7 +38,7 @@ GREETINGS = sorted(FORMATS.glob("greeting-*.bin"))
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
-def test_a_program_file_of_a_release_still_runs(path: Path) -> None:
+def test_a_program_file_of_an_earlier_release_runs(path: Path) -> None:
     mission = load_mission(FORMATS / "hello.dL", path)
     out, log = io.StringIO(), io.StringIO()
 
@@ -78,12 +78,12 @@ def test_a_later_program_file_is_refused_with_both_versions() -> None:
 
 
 @pytest.mark.parametrize("path", DUMPS, ids=lambda path: path.name)
-def test_a_dump_of_a_release_is_still_explained(path: Path) -> None:
+def test_a_dump_of_an_earlier_release_is_explained(path: Path) -> None:
     record, program, block = dump_file.decode(path.read_bytes())
     assert (record.host, record.members) == ("alpha", ("left", "boss"))
     assert program.units["Loader"] == "coordinator"
     assert block.trail() == [1, 0]
-    # Its proxies have no word for a start.
+    # Its proxies have no field for a start.
     shown = view(block, program, record.members).threads[0].frames[0].locals
     assert dict(shown)["arm"] == "proxy of left"
 
@@ -99,7 +99,7 @@ def test_a_later_dump_is_refused_with_both_versions() -> None:
         dump_file.decode(data[1:])
 
 
-def test_a_dump_with_one_bit_flipped_is_refused_wherever_the_bit_is() -> None:
+def test_a_dump_with_any_flipped_bit_is_refused() -> None:
     record, program, block = dump_file.decode(DUMPS[-1].read_bytes())
     members = enumerate(zip(record.members, record.types, strict=True))
     team = [TeamMember(number, name, type_, "resource", 0) for number, (name, type_) in members]
@@ -120,7 +120,7 @@ ALPHA = Identity("host", "alpha", NO_RIGHTS)
 
 
 @pytest.mark.parametrize("path", GREETINGS, ids=lambda path: path.name)
-def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
+def test_a_host_of_another_release_is_refused_with_both_versions(path: Path) -> None:
     ((kind, payload),) = FrameDecoder(dict.fromkeys(range(256), 1 << 16)).feed(path.read_bytes())
     message = decode_message(kind, payload)
     assert isinstance(message, IncompatibleHello)
@@ -131,7 +131,7 @@ def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
     assert len(str(told.value)) < MAX_TEXT
 
 
-def test_the_files_of_a_mission_of_0_3_are_valid() -> None:
+def test_mission_files_of_0_3_are_valid() -> None:
     folder = FORMATS / "mission-0.3"
     mission = load_mission(folder / "mission.dL", simulate=True)
     assert mission.registry is not None

@@ -1,4 +1,4 @@
-"""Where a team is: origins and poses in a devices file, what is wrong with them, and what comes of them."""
+"""The frame of a team: origins and poses in a devices file, their mistakes, and their effects."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def wrong(reading):
     return problems
 
 
-def test_an_agents_pose_counts_before_its_hosts_and_both_before_the_earth(reading):
+def test_the_pose_of_an_agent_overrides_its_hosts_and_both_override_the_origin(reading):
     bound = reading(ORIGIN + HOSTS + DEVICES)
     origin = Origin(47.4, 8.5, 488.0)
     own, hosts = Pose(3.0, -4.5, 0.0, 0.5), Pose(10.0, 20.0, -1.0)
@@ -62,18 +62,18 @@ def test_an_agents_pose_counts_before_its_hosts_and_both_before_the_earth(readin
     assert bound.devices["beta"]["fc"].frame == Placement(origin, hosts, 1)
 
 
-def test_who_has_no_pose_is_where_it_is_on_the_earth(reading):
+def test_an_agent_without_a_pose_is_at_its_position_on_the_earth(reading):
     bound = reading(ORIGIN + DEVICES)
     assert bound.devices["beta"]["fc"].frame == Placement(Origin(47.4, 8.5, 488.0), None, 1)
 
 
-def test_without_a_frame_nobody_has_one(reading):
+def test_without_a_frame_no_device_has_one(reading):
     bound = reading(DEVICES.replace("frame: {north: 3, east: -4.5, heading: 0.5}, ", ""))
     assert not bound.frames
     assert [device.frame for device in bound.all] == [None, None]
 
 
-def test_a_vehicle_that_is_nowhere_in_the_teams_frame_is_refused(reading, wrong):
+def test_a_vehicle_without_a_place_in_the_teams_frame_is_refused(reading, wrong):
     said = wrong(DEVICES)
     assert (
         "beta.fc (Mavlink) reports positions, but their place in the team's frame is unknown: give beta or"
@@ -108,21 +108,21 @@ def test_a_vehicle_that_is_nowhere_in_the_teams_frame_is_refused(reading, wrong)
         ("hosts: {grund: {frame: {north: 0, east: 0}}}\n", "the deployment has no host 'grund'"),
     ],
 )
-def test_what_is_wrong_is_drawn_at_its_place(wrong, text, said):
+def test_mistakes_in_frames_are_reported_at_their_place(wrong, text, said):
     found = wrong(text + DEVICES)
     assert said in found
     assert "m.devices.yaml:1:" in found
     assert "^" in found
 
 
-def test_what_nobody_has_bound_is_placed_too(reading):
+def test_a_simulated_unbound_device_has_a_place(reading):
     bound = reading(ORIGIN + HOSTS, simulate=True)
     fc = bound.devices["beta"]["fc"]
     assert fc.endpoint.startswith(SIMULATED)
     assert fc.frame == Placement(Origin(47.4, 8.5, 488.0), Pose(10.0, 20.0, -1.0), 1)
 
 
-def test_only_where_they_are_can_be_read_alone(tmp_path):
+def test_frames_can_be_read_without_the_other_bindings(tmp_path):
     path = tmp_path / "m.devices.yaml"
     path.write_text(HOSTS + "agents: {alpha: {devices: {fc: {driver: none}}}}\n")
     assert read_frames(path, HOMES).agents == dict.fromkeys(("beta", "crane"), Pose(10.0, 20.0, -1.0))
@@ -164,7 +164,7 @@ def hall(tmp_path):
     return tmp_path / "m.dL"
 
 
-def test_what_has_no_telemetry_of_its_place_is_where_its_pose_says(hall):
+def test_an_agent_without_position_telemetry_is_at_its_pose(hall):
     mission = load_mission(hall)
     registry = mission.stated
     assert registry.agents == {
@@ -174,7 +174,7 @@ def test_what_has_no_telemetry_of_its_place_is_where_its_pose_says(hall):
     assert mission.registry.agents == {"left": {"east": 7.0}}
 
 
-def test_a_bundle_carries_where_they_are_and_other_bindings_place_them_anew(hall, tmp_path):
+def test_a_bundle_has_the_frames_and_other_bindings_replace_them(hall, tmp_path):
     carried = bundle.decode(bundle.encode(load_mission(hall)))
     assert carried.bindings.frames == load_mission(hall).bindings.frames
     assert carried.stated.agents["right"]["down"] == -6.0
@@ -186,7 +186,7 @@ def test_a_bundle_carries_where_they_are_and_other_bindings_place_them_anew(hall
 @pytest.mark.parametrize(
     "pose", [Pose(float("nan"), 0.0), Pose(0.0, float("inf")), Pose(0.0, 0.0, 0.0, 99.0)]
 )
-def test_a_bundle_with_a_pose_that_is_none_is_refused(hall, pose):
+def test_a_bundle_with_an_invalid_pose_is_refused(hall, pose):
     mission = load_mission(hall)
     frames = Frames(None, {}, {"right": pose}, mission.bindings.frames.everybody)
     broken = mission.with_bindings(mission.bindings.__class__(frames=frames))

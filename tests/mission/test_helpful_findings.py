@@ -1,4 +1,4 @@
-"""Mistakes between the files of a mission are found by `check`, at their place and with a cure."""
+"""`check` finds mistakes between the files of a mission, at their place and with a hint."""
 
 from __future__ import annotations
 
@@ -55,16 +55,16 @@ def line_of(finding: ReportableFinding) -> tuple[object, object, object]:
     return data["severity"], data["code"], place["start"]["line"] if isinstance(place, dict) else None
 
 
-def test_a_good_mission_has_no_findings(tmp_path: Path) -> None:
+def test_a_valid_mission_has_no_findings(tmp_path: Path) -> None:
     assert found(mission(tmp_path)) == []
 
 
-def test_an_argument_that_init_reads_and_the_deployment_lacks(tmp_path: Path) -> None:
+def test_an_argument_that_init_reads_but_the_deployment_lacks_is_an_error(tmp_path: Path) -> None:
     short = DEPLOYMENT.replace("?rover1&b&c", "?rover1&b")
     assert found(mission(tmp_path, short)) == [("error", "L716", 2)]
 
 
-def test_an_argument_under_a_condition_may_be_missing(tmp_path: Path) -> None:
+def test_an_argument_read_under_a_condition_may_be_missing(tmp_path: Path) -> None:
     assert ("error", "L716", 2) not in found(mission(tmp_path))
 
 
@@ -79,7 +79,9 @@ def test_an_argument_under_a_condition_may_be_missing(tmp_path: Path) -> None:
         ("while (arg[1] == arg[2]) { print(arg[3]); }", False),
     ],
 )
-def test_an_argument_in_a_block_that_is_always_entered(tmp_path: Path, line: str, is_found: bool) -> None:
+def test_an_argument_read_in_a_block_that_is_always_entered_is_required(
+    tmp_path: Path, line: str, is_found: bool
+) -> None:
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1&b&c", "?rover1&b"))
     program = path.with_suffix(".L")
     program.write_text(program.read_text().replace("print(arg[3]);", line))
@@ -87,7 +89,7 @@ def test_an_argument_in_a_block_that_is_always_entered(tmp_path: Path, line: str
 
 
 @pytest.mark.parametrize("index", ["9223372036854775807", "2147483648", "-1", "1 + 2"])
-def test_an_argument_with_any_constant_index(tmp_path: Path, index: str) -> None:
+def test_an_argument_with_any_constant_index_is_required(tmp_path: Path, index: str) -> None:
     """Also one of billions, without as many placeholders in the hint."""
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1&b&c", "?rover1&b"))
     program = path.with_suffix(".L")
@@ -97,21 +99,21 @@ def test_an_argument_with_any_constant_index(tmp_path: Path, index: str) -> None
     assert len(str(finding.as_data()["hint"])) < 200
 
 
-def test_an_argument_that_should_be_the_id_of_an_agent(tmp_path: Path) -> None:
+def test_an_argument_that_is_not_an_agent_id_is_a_warning(tmp_path: Path) -> None:
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1", "?rovr1"))
     finding = check_file(path)[0]
     assert line_of(finding) == ("warning", "L907", 2)
     assert finding.as_data()["hint"] == "did you mean 'rover1'?"
 
 
-def test_a_constant_id_that_the_deployment_lacks(tmp_path: Path) -> None:
+def test_a_constant_id_that_the_deployment_lacks_is_a_warning(tmp_path: Path) -> None:
     path = mission(tmp_path)
     program = path.with_suffix(".L")
     program.write_text(program.read_text().replace("(arg[1])", '("rover2")'))
     assert found(path) == [("warning", "L907", 9)]
 
 
-def test_a_misspelt_host_and_numbered_hosts(tmp_path: Path) -> None:
+def test_a_misspelt_host_is_a_warning_and_numbered_hosts_are_not(tmp_path: Path) -> None:
     text = f"{DEPLOYMENT}//SurveyRover:rover2@aplha\n//@alpha2\n"
     devices = DEVICES.replace(
         "rover1: {", "rover2: {devices: {fc: {driver: mavlink, endpoint: 'tcp:h:1'}}}, rover1: {"
@@ -195,7 +197,7 @@ def test_a_misspelt_limit_lists_all_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "endpoint", ["udp://127.0.0.1:14550", "udp:192.168.1..5:14550", "ucp://h:1", "tcp://h:PORT"]
 )
-def test_an_endpoint_that_cannot_be_meant(tmp_path: Path, endpoint: str) -> None:
+def test_an_implausible_endpoint_is_an_error(tmp_path: Path, endpoint: str) -> None:
     devices = DEVICES.replace("udpin:127.0.0.1:14550", endpoint)
     assert found(mission(tmp_path, devices=devices)) == [("error", "Y113", 1)]
 
@@ -211,7 +213,7 @@ def test_an_endpoint_that_cannot_be_meant(tmp_path: Path, endpoint: str) -> None
         ("serial:///dev/ttyUSB0:57600", "serial:/dev/ttyUSB0:57600"),
     ],
 )
-def test_the_urls_of_mavsdk(url: str, endpoint: str) -> None:
+def test_urls_of_mavsdk_are_endpoints(url: str, endpoint: str) -> None:
     assert parse_endpoint(url) == parse_endpoint(endpoint)
 
 
@@ -222,7 +224,7 @@ def test_a_url_with_two_meanings_shows_both_spellings() -> None:
     assert "udp:10.0.0.2:14550" in refused.value.reason
 
 
-def test_names_and_addresses_of_hosts() -> None:
+def test_names_and_addresses_of_hosts_are_validated() -> None:
     good = ["localhost", "rover-1", "rover_1.local", "10.0.0.2", "::1", "fe80::1%wlan0", "a.b.c."]
     bad = ["192.168.1..5", "192.168.1", "300.1.1.1", "", "-a", "a b", "a..b", "x" * 300]
     assert [host for host in good if not is_host(host)] == []
@@ -234,7 +236,7 @@ def test_a_host_with_an_ipv6_address_may_be_named_without_brackets(tmp_path: Pat
     assert loaded.team.find_host("::1") == loaded.team.find_host("[::1]") == "[::1]"
 
 
-def test_a_damaged_program_file_is_answered_in_our_words(tmp_path: Path) -> None:
+def test_the_error_for_a_damaged_program_file_has_no_text_of_libraries(tmp_path: Path) -> None:
     data = encode(compile_file(mission(tmp_path).with_suffix(".L"))[0])
     header, body = data[:44], data[44:].replace(b"SurveyRover", b"Survey\xffover")
     not_utf8 = header[:8] + hashlib.sha256(body).digest() + header[40:] + body

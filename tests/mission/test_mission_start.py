@@ -1,4 +1,4 @@
-"""Which hosts a new start does not wait for: from the devices file into the bundle."""
+"""The hosts for which a new start does not wait: from the devices file into the bundle."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write(folder: Path, start: str = "") -> Path:
         ("[h1]", "'start' must be a mapping", ""),
     ],
 )
-def test_what_makes_no_sense_is_drawn_at_its_place(
+def test_mistakes_in_the_start_section_are_reported_at_their_place(
     tmp_path: Path, written: str, told: str, hint: str
 ) -> None:
     with pytest.raises(BindingError) as caught:
@@ -49,7 +49,7 @@ def test_what_makes_no_sense_is_drawn_at_its_place(
     assert hint in said
 
 
-def test_a_bundle_has_it_and_it_is_a_part_of_the_digest(tmp_path: Path) -> None:
+def test_the_start_section_is_in_the_bundle_and_its_digest(tmp_path: Path) -> None:
     plain = load_mission(write(tmp_path))
     mission = load_mission(write(tmp_path, "{without: [h1]}"))
     data = bundle.encode(mission)
@@ -60,7 +60,7 @@ def test_a_bundle_has_it_and_it_is_a_part_of_the_digest(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("without", [("h9",), ("h1", "h1")])
-def test_a_bundle_that_makes_no_sense_is_refused(tmp_path: Path, without: tuple[str, ...]) -> None:
+def test_a_bundle_with_an_invalid_start_section_is_refused(tmp_path: Path, without: tuple[str, ...]) -> None:
     mission = load_mission(write(tmp_path))
     changed = mission.with_bindings(replace(mission.bindings, start=MissionStart(without)))
     with pytest.raises(BundleError, match="'start: without' has hosts that are not in the team"):

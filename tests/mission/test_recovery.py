@@ -1,4 +1,4 @@
-"""Who decides that a coordinator is lost: from the devices file to what a host is told, and into bundles."""
+"""The recovery of coordinators: from the devices file to the settings of a host, and into bundles."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ def wrong(deploy: Path) -> str:
     return "\n".join(told.value.problems)
 
 
-def test_all_hosts_are_members_unless_they_are_named(write: Write) -> None:
+def test_all_hosts_are_members_unless_some_are_named(write: Write) -> None:
     mission = load_mission(write(3))
     assert mission.fenced == {"boss"}
     assert mission.recovery == RecoverySettings(2.0, ("h0", "h1", "h2"))
     assert load_mission(write(9)).recovery.members == tuple(f"h{n}" for n in range(9))
     named = load_mission(write(12, "recovery: {lease: 0.5, members: [h7, h2, h11]}")).recovery
-    # In the order of the team, so that two hosts that name the same ones say the same.
+    # In the order of the team, so that two hosts with the same members have equal settings.
     assert named == RecoverySettings(0.5, ("h2", "h7", "h11"))
     assert str(named) == "a lease of 0.5 s among h2, h7 and h11"
 
 
-def test_without_a_fenced_coordinator_nobody_decides(write: Write) -> None:
+def test_without_a_fenced_coordinator_there_is_no_member(write: Write) -> None:
     mission = load_mission(write(12, "recovery: {lease: 3}", heartbeat=""))
     assert (mission.fenced, mission.recovery) == (frozenset(), RecoverySettings(3.0, ()))
     assert mission_problems(write(2, heartbeat="")) == []
 
 
-def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
+def test_of_more_than_nine_hosts_members_must_be_named(write: Write) -> None:
     sentence = (
         "a team of 10 hosts with a coordinator that calls heartbeatInterval needs the names of at most 9"
     )
@@ -95,7 +95,9 @@ def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
         ("{lease: 0.5}\nsilence: 0.7", "'lease' must be no shorter than 'silence', which is 0.7, not 0.5"),
     ],
 )
-def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, told: str) -> None:
+def test_mistakes_in_the_recovery_section_are_reported_at_their_place(
+    write: Write, written: str, told: str
+) -> None:
     said = wrong(write(3, f"recovery: {written}"))
     assert told in said
     assert "m.devices.yaml:1:" in said
@@ -114,7 +116,7 @@ def test_no_device_outlives_a_lease(tmp_path: Path) -> None:
     assert "m.dL:3:1: error[Y115]: devices go safe after their host was silent for 3 s" in wrong(deploy)
     devices.write_text(f"silence: 3\nrecovery: {{lease: 3}}\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
     assert load_mission(deploy).recovery.lease == 3.0
-    # Fakes come with a silence of their own.
+    # Fakes have a silence of their own.
     devices.write_text("recovery: {lease: 1}\n")
     assert load_mission(deploy, simulate=True).bindings.silence == 1.0
 
@@ -129,19 +131,19 @@ def test_no_device_outlives_a_lease(tmp_path: Path) -> None:
         ("", "'members' must be 1 to 9 hosts, not 0"),
     ],
 )
-def test_one_mistake_in_the_members_is_told_once(write: Write, members: str, told: str) -> None:
+def test_one_mistake_in_the_members_is_reported_once(write: Write, members: str, told: str) -> None:
     with pytest.raises(BindingError) as found:
         load_mission(write(3, f"recovery:\n  members: {members}\n"))
     (problem,) = found.value.problems
     assert told in problem
 
 
-def test_ten_members_are_too_many(write: Write) -> None:
+def test_ten_members_are_refused(write: Write) -> None:
     names = ", ".join(f"h{n}" for n in range(10))
     assert "'members' must be 1 to 9 hosts, not 10" in wrong(write(11, f"recovery: {{members: [{names}]}}"))
 
 
-def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
+def test_a_team_of_two_gets_the_hint_to_add_a_witness(write: Write) -> None:
     deploy = write(2)
     (found,) = mission_problems(deploy)
     problem, is_error = found.render(), found.severity == "error"
@@ -157,7 +159,7 @@ def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
     (found,) = mission_problems(write(4, "recovery: {members: [h3, h1]}"))
     problem = found.render()
     assert "when one of h1 and h3 is lost" in problem
-    # Another host would be no member by itself.
+    # Another host would not become a member by itself.
     assert "name at least three hosts in 'recovery: {members: [...]}'" in problem
     assert "witness" not in problem
 
@@ -171,7 +173,7 @@ def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
         (1, "//@ground\n", "ground", "add a witness, a host without agents: //@name; and name at least"),
     ],
 )
-def test_one_member_whose_loss_stops_all_is_told(
+def test_a_single_member_whose_loss_stops_all_is_a_warning(
     write: Write, hosts: int, witness: str, member: str, hint: str
 ) -> None:
     (found,) = mission_problems(write(hosts, f"recovery: {{members: [{member}]}}", witness))
@@ -182,14 +184,14 @@ def test_one_member_whose_loss_stops_all_is_told(
     assert hint in problem
 
 
-def test_whose_loss_loses_all_agents_anyway_may_decide_alone(write: Write) -> None:
+def test_a_host_whose_loss_loses_all_agents_may_decide_alone(write: Write) -> None:
     assert mission_problems(write(1, "recovery: {members: [h0]}", "//@ground\n")) == []
-    # Who decides need not have agents.
+    # A member needs no agents.
     watchers = "//@w0\n//@w1\n//@w2\n"
     assert mission_problems(write(2, "recovery: {members: [w0, w1, w2]}", watchers)) == []
 
 
-def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_path: Path) -> None:
+def test_recovery_is_in_the_bundle_and_another_devices_file_changes_it(write: Write, tmp_path: Path) -> None:
     mission = load_mission(write(2, "recovery: {lease: 4}", witness="//@ground:9000\n"))
     read = bundle.decode(bundle.encode(mission))
     assert read.fenced == {"boss"}
@@ -217,21 +219,23 @@ def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_p
         (RecoverySettings(2.0, ("h9",)), "the members of 'recovery' are not hosts of the team, or too many"),
     ],
 )
-def test_a_bundle_that_makes_no_sense(write: Write, recovery: RecoverySettings, told: str) -> None:
+def test_a_bundle_with_invalid_recovery_is_refused(
+    write: Write, recovery: RecoverySettings, told: str
+) -> None:
     mission = load_mission(write(3))
     changed = mission.with_bindings(replace(mission.bindings, recovery=recovery))
     with pytest.raises(BundleError, match=told):
         bundle.decode(bundle.encode(changed))
 
 
-def test_a_bundle_of_too_many_without_names(write: Write) -> None:
+def test_a_bundle_with_too_many_unnamed_members_is_refused(write: Write) -> None:
     mission = load_mission(write(10, "recovery: {members: [h1]}"))
     changed = mission.with_bindings(replace(mission.bindings, recovery=RecoverySettings()))
     with pytest.raises(BundleError, match="needs the names of at most 9"):
         bundle.decode(bundle.encode(changed))
 
 
-def test_bindings_of_an_earlier_bundle_have_the_usual_recovery(write: Write) -> None:
+def test_bindings_of_an_earlier_bundle_have_the_default_recovery(write: Write) -> None:
     mission: Mission = load_mission(write(3))
     plain = msgspec.to_builtins(mission.bindings)
     del plain["recovery"]

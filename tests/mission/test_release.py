@@ -1,4 +1,4 @@
-"""Which bundles a host of a team with keys takes: those alone that somebody has signed who may."""
+"""The bundles that a host of a team with keys accepts: only those signed by a person with the right."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NOW, DAY = 1_795_464_000.0, 86400.0
 
 @dataclass(frozen=True)
 class Signer:
-    """Somebody with keys of an authority, from NOW for ten days."""
+    """A person with keys of an authority, from NOW for ten days."""
 
     authority: CertificateAuthority
     keys: Keys
@@ -61,7 +61,7 @@ def anna() -> Signer:
 
 @pytest.fixture(scope="module")
 def takes(anna: Signer) -> Callable[..., Acceptance]:
-    """What a host of anna's authority does with the bytes of a bundle."""
+    """The result of a host of anna's authority for the bytes of a bundle."""
 
     def look(data: bytes, at: float = NOW, **options: object) -> Acceptance:
         certificate = anna.authority.certificate
@@ -80,19 +80,19 @@ def why(takes: Callable[..., Acceptance], data: bytes, at: float = NOW, **option
     return str(error.value)
 
 
-def test_a_signature_changes_nothing_of_the_bundle(data: bytes, anna: Signer) -> None:
+def test_a_signature_does_not_change_the_bundle(data: bytes, anna: Signer) -> None:
     signed = anna.signs(data)
     plain, same = bundle.decode(data), bundle.decode(signed)
     assert same.release.digest == plain.release.digest == bundle.contents(data).digest
     assert (plain.release.signature, bool(same.release.signature)) == (b"", True)
     assert same.program.digest == plain.program.digest
     assert same.team == plain.team
-    # Who builds it anew signs it anew.
+    # A new build needs a new signature.
     assert bundle.encode(same) == data
     assert bundle.with_signature(anna.signs(signed, NOW + 60), b"") == data
 
 
-def test_who_has_signed_it_and_when_is_known_from_then_on(
+def test_the_signer_and_the_time_are_known_after_acceptance(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     release, doubt = takes(anna.signs(data, NOW + 3600.5), NOW + DAY)
@@ -103,18 +103,18 @@ def test_who_has_signed_it_and_when_is_known_from_then_on(
     assert str(FROM_FILES) == "no bundle"
 
 
-def test_what_nobody_has_signed_does_not_run(data: bytes, takes: Callable[..., Acceptance]) -> None:
+def test_an_unsigned_bundle_does_not_run(data: bytes, takes: Callable[..., Acceptance]) -> None:
     assert "it is not signed: sign it with 'lfield sign', with keys that may 'command'" in why(takes, data)
     with pytest.raises(SignatureError, match="runs bundles only: 'lfield build' makes one"):
         accept_bundle(FROM_FILES, b"", "", at=NOW)
 
 
-def test_another_authority_and_other_people_do_not_count(
+def test_signatures_of_another_authority_or_without_the_right_are_refused(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     foreign = signer(new_authority(NOW - DAY, NOW + 900 * DAY))
     assert "is not of this authority" in why(takes, foreign.signs(data))
-    # `sign_bundle` refuses that: it is a signature that somebody has made by other means.
+    # `sign_bundle` refuses that: such a signature was made by other means.
     bob = signer(anna.authority, Right.OPERATE, "bob")
     with pytest.raises(KeysError, match="bob may not sign bundles"):
         bob.signs(data)
@@ -125,7 +125,7 @@ def test_another_authority_and_other_people_do_not_count(
     assert "bob may not sign bundles: that takes keys that may 'command'" in why(takes, forged)
 
 
-def test_the_signature_of_another_bundle_does_not_count(
+def test_the_signature_of_another_bundle_is_refused(
     tmp_path: Path, data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     deploy = write_plain(tmp_path)
@@ -136,7 +136,7 @@ def test_the_signature_of_another_bundle_does_not_count(
 
 
 @given(st.data())
-def test_one_bit_changed_anywhere_is_seen(
+def test_any_changed_bit_of_a_signed_bundle_is_detected(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance], draw: st.DataObject
 ) -> None:
     signed = anna.signs(data)
@@ -147,8 +147,12 @@ def test_one_bit_changed_anywhere_is_seen(
         takes(bytes(changed))
 
 
-def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Callable[..., Acceptance]) -> None:
-    """The certificate in it has bits that its own signature says nothing of, and some that cannot be read."""
+def test_any_changed_bit_of_a_signature_is_detected(
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
+) -> None:
+    """The certificate in it has bits that its own signature does not cover, and some that cannot be
+    decoded.
+    """
     signed = anna.signs(data)
     size = len(bundle.contents(signed).signature)
     for bit in [*range(8 * 80), *range(8 * (size - 160), 8 * size)]:
@@ -159,7 +163,7 @@ def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Calla
             takes(bytes(changed))
 
 
-def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_mission(
+def test_an_expired_signer_prevents_a_start_but_stops_no_mission(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     signed, later = anna.signs(data), NOW + 11 * DAY
@@ -169,7 +173,7 @@ def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_missio
     assert "expired 2026-12-03" in doubt
 
 
-def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
+def test_a_revoked_signer_prevents_a_start_but_stops_no_mission(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     revoked = RevocationList(3, frozenset({anna.serial}), NOW)
@@ -180,19 +184,20 @@ def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
     assert "revoked" in doubt
 
 
-def test_nobody_has_signed_before_their_certificate_began(
+def test_a_signature_before_the_certificate_is_valid_is_refused(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     with pytest.raises(KeysError, match="not valid at the present time"):
         anna.signs(data, NOW - 60.0)
-    # A clock that is behind the signer's changes nothing: when it was signed is the signer's word.
+    # A clock that is behind the signer's changes nothing: the time of the signature is the signer's
+    # statement.
     assert takes(anna.signs(data, NOW + 5 * DAY), NOW).bundle.at == NOW + 5 * DAY
 
 
-def test_bytes_that_are_no_signature(data: bytes, takes: Callable[..., Acceptance]) -> None:
+def test_invalid_signature_bytes_are_refused(data: bytes, takes: Callable[..., Acceptance]) -> None:
     for signature in (b"\0", b"\xff" * 300, bytes(60_000)):
         assert "its signature cannot be read" in why(takes, bundle.with_signature(data, signature))
 
 
-def test_a_release_is_short_where_people_compare_it() -> None:
+def test_a_bundle_id_has_a_short_form() -> None:
     assert BundleId(bytes(range(32))).short == "0001020304050607"

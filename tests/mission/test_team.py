@@ -13,14 +13,14 @@ def team(text: str) -> Team:
     return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
-def test_lookup_of_a_host() -> None:
+def test_hosts_are_found_by_name() -> None:
     made = team("//Arm:a@olive\n//Arm:b@ficus")
     assert made.find_host("ficus") == "ficus"
     with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
         made.find_host("oliv")
 
 
-def test_addresses_of_hosts() -> None:
+def test_hosts_have_addresses() -> None:
     made = team("//Arm:a@olive\n//Arm:b@ficus:9000")
     assert made.addresses_by_host == {"olive": "olive:8181", "ficus": "ficus:9000"}
     moved = made.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
@@ -37,7 +37,7 @@ def test_a_witness_is_a_host_without_agents() -> None:
     assert team_of(made.rows, {"Arm": "resource"}, {}).deployment == made.deployment
 
 
-def test_maps() -> None:
+def test_maps_are_parsed() -> None:
     made = team("//Arm:a@olive")
     assert parse_maps(["olive=10.0.0.1:1"], made) == {"olive": "10.0.0.1:1"}
     for word in ("olive", "olive=10.0.0.1", "olive=10.0.0.1:0", "olive=:1", "olive=x:70000"):

@@ -1,4 +1,4 @@
-"""Snapshots of hosts by hand, as hosts send them and as the read model has them."""
+"""Snapshots of hosts for tests, as hosts send them and as the read model has them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def batch_of(snapshot: Status) -> EventBatch:
 
 
 def states_of(answers: Mapping[K, Status | LfieldError]) -> dict[K, HostState]:
-    """The hosts after these snapshots; an error where one has not answered."""
+    """The hosts after these snapshots; an error for a host without an answer."""
     return host_states({k: batch_of(a) if isinstance(a, Status) else a for k, a in answers.items()})
 
 

@@ -1,4 +1,4 @@
-"""Whom a command asks, and where: each host once, at the socket of whoever runs it."""
+"""The hosts that a command asks, and their addresses: each host once, at the socket of its user."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def test_two_runs_of_one_mission_are_both_asked():
     assert list(display_names(parties[:1]).values()) == ["alpha", "bravo"]
 
 
-def test_hosts_elsewhere_are_asked_where_the_run_knows_them():
+def test_remote_hosts_are_asked_at_the_addresses_of_the_run():
     one = run("tour-00000001", "alpha", bravo="10.0.0.2:8181")
     assert asked(targets_of_runs([one]))[one.id]["bravo"] == "10.0.0.2:8181"
 
 
-def test_hosts_by_themselves_are_one_team():
+def test_runs_of_single_hosts_of_a_mission_are_one_team():
     """Two services on one computer: each knows the other at its address, and that is asked once."""
     bravo, alpha = run("tour-00000002", "bravo"), run("tour-00000001", "alpha")
     (party,) = targets_of_runs([bravo, alpha])
@@ -79,8 +79,8 @@ def test_hosts_by_themselves_are_one_team():
     assert list(party.addresses) == ["alpha", "bravo"]
 
 
-def test_a_host_that_is_not_the_one_next_door_is_asked_too():
-    """alpha looks for bravo where no bravo of this computer is."""
+def test_a_remote_host_with_the_name_of_a_local_one_is_asked_too():
+    """alpha has an address for bravo that is not that of the local bravo."""
     alpha = run("tour-00000001", "alpha", bravo="10.0.0.2:8181")
     assert asked(targets_of_runs([alpha, run("tour-00000002", "bravo")])) == {
         "tour-00000001": {"alpha": "unix:/run/tour-00000001/alpha.sock", "bravo": "10.0.0.2:8181"},
@@ -88,7 +88,7 @@ def test_a_host_that_is_not_the_one_next_door_is_asked_too():
     }
 
 
-def test_a_host_elsewhere_that_two_runs_know_is_asked_once():
+def test_a_remote_host_that_two_runs_know_is_asked_once():
     team = team_of([*ROWS, ("Post", "last", "carol", ())], {"Post": "resource"}, {})
     (party,) = targets_of_runs(
         [run("tour-00000001", "alpha", team=team), run("tour-00000002", "bravo", team=team)]
@@ -97,18 +97,18 @@ def test_a_host_elsewhere_that_two_runs_know_is_asked_once():
     assert party.addresses["carol"] == "carol:8181"
 
 
-def test_runs_of_other_missions_are_their_own():
+def test_runs_of_other_missions_are_teams_of_their_own():
     assert [party.id for party in targets_of_runs([ONE, OTHER])] == [ONE.id, OTHER.id]
 
 
-def test_a_map_comes_before_the_sockets():
+def test_a_map_option_overrides_the_sockets():
     assert asked(targets_of_team(TEAM, [ONE, TWO], ["bravo=10.0.0.9:1"])) == {
         ONE.id: {"alpha": "unix:/run/tour-00000001/alpha.sock", "bravo": "10.0.0.9:1"},
         TWO.id: {"alpha": "unix:/run/tour-00000002/alpha.sock"},
     }
 
 
-def test_a_mission_that_nobody_runs_here_is_asked_where_it_says():
+def test_a_mission_that_does_not_run_here_is_asked_at_its_addresses():
     assert asked(targets_of_team(TEAM, [OTHER], ["alpha=10.0.0.9:1"])) == {
         "": {"alpha": "10.0.0.9:1", "bravo": "bravo:9"}
     }
@@ -116,7 +116,7 @@ def test_a_mission_that_nobody_runs_here_is_asked_where_it_says():
         targets_of_team(TEAM, [], ["carol=10.0.0.9:1"])
 
 
-def test_one_run_is_picked():
+def test_one_run_is_selected():
     runs = [ONE, TWO, OTHER]
     assert select_runs(runs, "") == runs
     assert select_runs(runs, TWO.id) == select_runs(runs, "00000002") == [TWO]
@@ -129,7 +129,7 @@ def test_one_run_is_picked():
         select_runs([], "tour")
 
 
-def test_the_mission_that_runs_is_known(tmp_path):
+def test_the_running_mission_is_found(tmp_path):
     file = tmp_path / "mission.dL"
     file.write_text("//Post:near@alpha\n")
     team = open_team(file)
@@ -142,17 +142,17 @@ def test_the_mission_that_runs_is_known(tmp_path):
         running_mission(runs)
 
 
-# --- what other users say -------------------------------------------------------------------------------
+# --- runs that other users claim -----------------------------------------------------------------
 
 
 def claimed(id: str, *here: str, user="mallory", **more) -> Run:
-    """A run of another user, who says that these hosts are there."""
+    """A run of another user that claims these hosts."""
     made = run(id, *here, **more)
     return replace(made, folder=Path(f"/tmp/lfield-7/{id}"), owner=user, is_foreign=True)
 
 
-def test_the_word_of_another_user_takes_no_way_to_a_host_away():
-    """bravo is on another computer, and somebody here says that it is at their door."""
+def test_a_claimed_run_does_not_replace_the_address_of_a_host():
+    """bravo is on another computer, and another local user claims its socket."""
     alpha, false = run("tour-00000001", "alpha", bravo="10.0.0.2:1"), claimed("tour-00000002", "bravo")
     for runs in ([alpha, false], [false, alpha]):
         assert asked(targets_of_runs(runs)) == {
@@ -163,14 +163,14 @@ def test_the_word_of_another_user_takes_no_way_to_a_host_away():
     assert asked(targets_of_runs([alpha, same]))["tour-00000001"]["bravo"] == "10.0.0.2:1"
 
 
-def test_nor_the_hosts_of_a_mission_that_is_named():
+def test_a_claimed_run_does_not_replace_hosts_of_a_named_mission():
     false = claimed("tour-00000002", "alpha", "bravo")
     (team, beside) = targets_of_team(TEAM, [false], ["alpha=10.0.0.9:1"])
     assert (team.user, dict(team.addresses)) == ("", {"alpha": "10.0.0.9:1", "bravo": "bravo:9"})
     assert (beside.user, list(beside.addresses)) == ("mallory", ["bravo"])
 
 
-def test_nor_an_answer_of_a_run_that_is_called_the_same():
+def test_a_claimed_run_with_the_same_id_keeps_its_own_answers():
     own, same = run("tour-00000001", "alpha", "bravo"), claimed("tour-00000001", "alpha", "bravo")
     parties = targets_of_runs([same, own])
     places = [place for party in parties for place in party.host_refs]
@@ -180,28 +180,28 @@ def test_nor_an_answer_of_a_run_that_is_called_the_same():
     assert select_runs([same, own], "00000001") == select_runs([same, own], own.id) == [own]
 
 
-def test_what_a_run_asks_over_the_network_is_not_asked_for_another_user_too():
+def test_remote_addresses_of_a_run_are_not_asked_for_another_user():
     alpha, other = run("tour-00000001", "alpha"), claimed("tour-00000002", "alpha")
     (own, beside) = targets_of_runs([alpha, other])
     assert list(own.addresses) == ["alpha", "bravo"]
     assert list(beside.addresses) == ["alpha"]
 
 
-def test_runs_of_one_other_user_are_one_team_and_those_of_two_are_not():
+def test_runs_of_one_other_user_are_one_team_and_of_two_users_are_two():
     first, second = claimed("tour-00000001", "alpha"), claimed("tour-00000002", "bravo")
     assert [party.runs for party in targets_of_runs([first, second])] == [(first, second)]
     third = claimed("tour-00000002", "bravo", user="bob")
     assert [party.user for party in targets_of_runs([first, third])] == ["mallory", "bob"]
 
 
-def test_a_run_that_is_named_is_believed():
+def test_a_run_of_another_user_is_trusted_if_it_is_named():
     false = claimed("tour-00000002", "alpha", "bravo")
     (named,) = select_runs([ONE, false], "mallory/tour-00000002")
     assert (named.id, named.user) == ("mallory/tour-00000002", "")
     assert [party.user for party in targets_of_team(TEAM, [named], [])] == [""]
 
 
-def test_one_team_is_looked_at_whatever_others_say_they_run():
+def test_the_own_team_is_selected_despite_claims_of_other_users():
     own, false = targets_of_runs([ONE]), targets_of_runs([claimed("tour-00000002", "alpha")])
     assert single_target([*own, *false]) == own[0]
     assert single_target(false) == false[0]
@@ -218,7 +218,7 @@ NAMES_BY_ADDRESS = [
 
 
 @pytest.mark.parametrize(("of_one", "of_other"), NAMES_BY_ADDRESS)
-def test_hosts_of_a_team_that_run_here_one_by_one_are_one_team(of_one, of_other):
+def test_hosts_of_a_team_that_run_here_singly_are_one_team(of_one, of_other):
     """Each run knows the other's host by another address, as in `--map bravo=localhost:9`."""
     one, other = run("tour-00000001", "alpha", **of_one), run("tour-00000002", "bravo", **of_other)
     party = single_target(targets_of_runs([one, other]))
@@ -234,8 +234,8 @@ def test_a_host_that_runs_here_twice_makes_two_teams():
         single_target(targets_of_runs(twice))
 
 
-def test_no_file_is_opened_since_another_user_names_it(tmp_path):
-    """It may be a fifo, which waits for ever."""
+def test_a_file_that_another_user_names_is_not_opened(tmp_path):
+    """It may be a fifo, which blocks without end."""
     fifo = tmp_path / "mission\x1b[31m.dL"
     os.mkfifo(fifo)
     false = claimed("tour-00000002", "alpha", file=str(fifo))
@@ -246,6 +246,6 @@ def test_no_file_is_opened_since_another_user_names_it(tmp_path):
         assert "\x1b" not in str(error.value)
 
 
-def test_names_of_hosts_order_no_terminal():
+def test_host_names_are_escaped_for_the_terminal():
     (party,) = targets_of_runs([run("tour-00000001", "a\x1b[31m", **{"a\x1b[31m": "10.0.0.1:1"})])
     assert "a\\u{1b}[31m" in display_names([party]).values()

@@ -1,4 +1,4 @@
-"""Hosts that are asked since another user says that they are there: beside, some at a time, not for long."""
+"""Requests to hosts that other users claim: limited in number and time, without a delay for own hosts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from lfield.wire.subscription_messages import EventBatch
 
 
 class Doors:
-    """Where nobody answers: at once where nobody `listens`, else never. Counts who is asked at a time."""
+    """Sockets without answers: refused at once where `listens` is false, else silent. Counts requests at a
+    time.
+    """
 
     def __init__(self, listens: Callable[[str], bool]) -> None:
         self._listens = listens
@@ -57,7 +59,7 @@ def claimed(count: int, user: str = "mallory") -> dict[HostRef, str]:
 
 
 def answers(doors: Doors, places: Mapping[HostRef, str]) -> tuple[float, dict[HostRef, object]]:
-    """What comes of asking, and how long it takes in seconds."""
+    """The answers, and the time they take (s)."""
 
     async def main():
         began = asyncio.get_running_loop().time()
@@ -71,7 +73,7 @@ def mute(address: str) -> bool:
     return "mallory" in address
 
 
-def test_thousands_of_doors_that_never_answer_cost_the_time_of_one():
+def test_thousands_of_silent_claimed_hosts_cost_one_timeout():
     doors = Doors(mute)
     took, found = answers(doors, claimed(4000) | own(3))
     assert took == pytest.approx(SNAPSHOT.timeout)
@@ -83,27 +85,27 @@ def test_thousands_of_doors_that_never_answer_cost_the_time_of_one():
     )
 
 
-def test_what_is_believed_is_asked_first():
+def test_trusted_hosts_are_asked_first():
     doors = Doors(mute)
     answers(doors, claimed(5) | own(3))
     assert doors.asked[:3] == list(own(3).values())
 
 
-def test_one_other_user_takes_no_time_of_another():
+def test_claims_of_one_user_do_not_delay_those_of_another():
     doors = Doors(mute)
     _, found = answers(doors, claimed(4000) | claimed(3, "ann"))
     assert [type(found[place]) for place in claimed(3, "ann")] == [NoListener] * 3
     assert doors.most <= client.MAX_FOREIGN
 
 
-def test_a_large_team_is_asked_some_hosts_at_a_time():
+def test_a_large_team_is_asked_a_limited_number_of_hosts_at_a_time():
     doors = Doors(lambda _: False)
     _, found = answers(doors, own(client.MAX_AT_ONCE + 100))
     assert len(found) == client.MAX_AT_ONCE + 100
     assert doors.most <= client.MAX_AT_ONCE
 
 
-def test_no_name_is_looked_up_because_another_user_says_so():
+def test_no_name_of_another_user_is_resolved():
     doors = Doors(lambda _: False)
     named, numbered = HostRef("mallory/tour-1", "a", "mallory"), HostRef("mallory/tour-1", "b", "mallory")
     _, found = answers(doors, {named: "slow.example:1", numbered: "10.0.0.2:1"})
@@ -118,7 +120,7 @@ def test_no_name_is_looked_up_because_another_user_says_so():
     ]
 
 
-def test_of_many_hosts_that_another_user_claims_there_is_one_line():
+def test_claimed_hosts_of_one_user_are_one_line():
     names = {place: f"{place.run}/{place.host}" for place in (*claimed(9), *own(9), *claimed(2, "ann"))}
     found = {place: NoListener("x") for place in names}
     said = list(unanswered_by_name(found, names))
@@ -130,12 +132,12 @@ def test_of_many_hosts_that_another_user_claims_there_is_one_line():
     ]
 
 
-# --- with real sockets ----------------------------------------------------------------------------------
+# --- with real sockets ---------------------------------------------------------------------------
 
 
 @pytest.fixture
 def doors():
-    """A folder with a door at which somebody listens who never takes a call, as the note of a run has it."""
+    """A folder with a socket that listens and never accepts, as the manifest of a run names it."""
     with tempfile.TemporaryDirectory(prefix="lf-") as path, socket.socket(socket.AF_UNIX) as listening:
         listening.bind(f"{path}/x.sock")
         listening.listen(4096)
@@ -149,7 +151,7 @@ def run_in(folder: Path, count: int, **whose) -> TargetTeam:
     return TargetTeam((run,), dict.fromkeys(hosts, f"unix:{folder}/x.sock"))
 
 
-def test_what_is_believed_is_told_before_others_have_answered(doors, tmp_path):
+def test_trusted_answers_come_before_those_of_other_users(doors, tmp_path):
     quick = Request(SNAPSHOT.message, EventBatch, 0.3)
     parties = [run_in(doors, 600, owner="mallory", is_foreign=True), run_in(tmp_path, 2)]
     turns = ask_in_turn(parties, quick)
@@ -160,7 +162,7 @@ def test_what_is_believed_is_told_before_others_have_answered(doors, tmp_path):
     assert all(isinstance(answer, AddressError) for answer in rest.values())
 
 
-def test_answers_are_told_while_another_host_is_still_asked(doors, monkeypatch):
+def test_answers_are_reported_while_another_host_is_still_asked(doors, monkeypatch):
     monkeypatch.setattr(client, "REPORT_AFTER", 0.05)
     party = run_in(doors, 2)
     gone = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
@@ -172,8 +174,8 @@ def test_answers_are_told_while_another_host_is_still_asked(doors, monkeypatch):
     assert [(place.host, type(answer)) for place, answer in rest.items()] == [("h0", AddressError)]
 
 
-async def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
-    """A future with an error that nobody has taken is told by Python itself, on stderr."""
+async def test_links_that_end_while_connecting_leave_no_pending_futures(doors):
+    """Python itself prints a future with an unread exception on stderr."""
     said: list[str] = []
 
     class Ending(TcpTransport):
@@ -183,7 +185,7 @@ async def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(do
 
     asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
     found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, SNAPSHOT)
-    # An error keeps what it came through.
+    # An error keeps its traceback.
     kinds = [type(answer) for answer in found.values()]
     del found
     gc.collect()

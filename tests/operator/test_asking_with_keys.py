@@ -1,4 +1,4 @@
-"""Commands over a network: with keys, without, with those of somebody who may not, and past what is wrong."""
+"""Commands over a network: with keys, without keys, without the right, and with damaged keys."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SNAPSHOT = batch_of(Status("alpha", "", 0.0, b"", b"", [], [], [], [], []))
 
 
 class Alpha:
-    """A host that answers, and keeps what it has heard; each link has a greeting."""
+    """A host that answers, and records its messages; each link has a handshake."""
 
     def __init__(self, name: str = "alpha") -> None:
         self.heard: list[tuple[str, object]] = []
@@ -76,7 +76,7 @@ def asked(
     host: Alpha | None = None,
     own="alpha",
 ):
-    """What asking a host over TCP, and one at a door, comes to."""
+    """The answers of a host over TCP and of one at a socket."""
     host = host or Alpha()
 
     async def story():
@@ -101,7 +101,7 @@ def test_with_keys_a_host_of_another_computer_answers(ring):
     assert ("operator", client.SNAPSHOT.message) in host.heard
 
 
-def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
+def test_without_keys_the_error_names_the_remedy(ring, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "nothing"))
     monkeypatch.delenv("LFIELD_KEYS", raising=False)
     over_tcp, _ = asked(ring)
@@ -109,7 +109,7 @@ def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
     assert "accepts commands only with keys: 'lfield keys person' creates them" in str(over_tcp)
 
 
-def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
+def test_missing_keys_do_not_prevent_a_stop_on_this_computer(ring):
     over_tcp, here = asked(ring, client.emergency_stop("fire"), keys=ring.folder / "nowhere")
     assert "has no keys of a person" in str(over_tcp)
     assert here == EmergencyStopResult({})
@@ -118,7 +118,7 @@ def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
 
 
 class Crowded(Alpha):
-    """Turns away the first callers, as a host in a flood does."""
+    """Refuses the first connections, as a host in a flood does."""
 
     def __init__(self, first: int) -> None:
         super().__init__()
@@ -131,32 +131,32 @@ class Crowded(Alpha):
         return self
 
 
-def test_a_stop_is_asked_again_where_callers_are_turned_away(ring, monkeypatch):
+def test_a_stop_is_retried_when_connections_are_refused(ring, monkeypatch):
     monkeypatch.setattr(observer_link, "RETRY_DELAY", 0.01)
     assert asked(ring, client.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopResult({})
     assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
-    # Who refuses has answered.
+    # A refusal is an answer.
     ring.put("me", ring.made("person", "anna", Right.OBSERVE))
     host = Alpha()
     assert isinstance(asked(ring, client.emergency_stop("fire"), ring.folder, host)[0], HandshakeError)
 
 
-def test_whoever_may_only_look_is_told_what_it_takes_to_stop(ring):
+def test_without_the_right_to_stop_the_error_names_the_right(ring):
     ring.put("me", ring.made("person", "anna", Right.OBSERVE))
     assert asked(ring, keys=ring.folder)[0] == SNAPSHOT
     over_tcp, _ = asked(ring, client.emergency_stop("fire"), keys=ring.folder)
     assert "anna may observe, and this takes the right to stop" in str(over_tcp)
 
 
-def test_a_host_that_has_the_keys_of_another_gets_no_command(ring):
+def test_a_host_with_the_keys_of_another_gets_no_command(ring):
     over_tcp, _ = asked(ring, keys=ring.folder, own="bravo")
     assert "host bravo calls itself alpha" in str(over_tcp)
     over_tcp, _ = asked(ring, keys=ring.folder, own="bravo", host=Alpha("bravo"))
     assert "bravo answered at the address of alpha" in str(over_tcp)
 
 
-async def test_a_host_may_stop_one_of_another_bundle_of_its_authority(ring):
-    """Whoever stops names no bundle; that they do not link is for the greeting of hosts."""
+async def test_a_host_may_stop_a_host_with_another_bundle_of_its_authority(ring):
+    """A stop names no bundle; different bundles matter to the handshake of hosts."""
     host = Alpha()
     host.hello = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32)
 
@@ -181,7 +181,7 @@ def test_a_command_brings_the_revocation_list_along(ring):
 
 @pytest.fixture
 def other_user(monkeypatch):
-    """A user who is not in the group lfield, and runs what listens at doors."""
+    """A user outside the group lfield who runs the host."""
     monkeypatch.setattr("lfield.net.peer_credentials._group_id", lambda: 900)
     return 12347
 
@@ -195,7 +195,7 @@ def test_root_reaches_a_host_that_another_user_runs(other_user, request_):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
-def test_who_is_not_root_believes_no_host_of_a_third(other_user, monkeypatch):
+def test_a_user_does_not_trust_a_host_of_a_third_user(other_user, monkeypatch):
     real = os.geteuid
     monkeypatch.setattr("lfield.net.peer_credentials.os.geteuid", lambda: real() or 1001)
     heard: list[object] = []
@@ -211,7 +211,7 @@ def test_who_is_not_root_believes_no_host_of_a_third(other_user, monkeypatch):
 
 
 def asked_of(user: int, request, heard: list[object] | None = None):
-    """What asking a host comes to that this user runs: the kernel names whoever listens."""
+    """The answer of a host that this user runs: the kernel names the user of the listening process."""
     host = Alpha()
 
     async def story(door: str):
@@ -226,7 +226,7 @@ def asked_of(user: int, request, heard: list[object] | None = None):
         finally:
             listener.close()
 
-    # The folder of a test is its user's alone.
+    # The folder of a test is private to its user.
     with tempfile.TemporaryDirectory() as folder:
         os.chown(folder, user, -1)
         answer = asyncio.run(story(f"unix:{folder}/door"))
@@ -235,8 +235,8 @@ def asked_of(user: int, request, heard: list[object] | None = None):
     return answer
 
 
-def test_a_bug_of_ours_is_told_as_one_and_not_tried_again(ring, monkeypatch):
-    """Taken for a host that cannot be reached, it would be asked again and again, and nobody would know."""
+def test_an_internal_error_is_raised_and_not_retried(ring, monkeypatch):
+    """Taken for an unreachable host, it would be retried, and the error would stay hidden."""
     host, called = Alpha(), []
     host.called = lambda link: called.append(link) or host
 

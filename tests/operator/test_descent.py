@@ -1,4 +1,4 @@
-"""The way down after an emergency stop: what is told of each device, and what it comes to."""
+"""The descent after an emergency stop: reports of each device, and the verdict."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ ALPHA, BRAVO = HostRef("tour-1", "alpha"), HostRef("tour-1", "bravo")
 
 
 def status(moving: str = "", *, latched: str = "stopped", silent: float | None = 0.1, name="fc") -> Status:
-    """What a host tells of its one device."""
+    """The snapshot of a host with one device."""
     device = DeviceStatus(name, {"height": 2.5}, silent, latched, moving)
     return Status("alpha", "", 1.0, b"", b"", [], [], [device], [], [])
 
 
 def descent(problem: str = "") -> SafeStateProgress:
-    """One device of one host, ten seconds before its time is up."""
+    """One device of one host, ten seconds before the deadline."""
     made = SafeStateProgress(10.0, 100.0)
     made.on_stopped(ALPHA, EmergencyStopResult({"fc": problem}))
     return made
 
 
 def look(made: SafeStateProgress, at: float, answer, place=ALPHA) -> list[str]:
-    """One look; the lines it gives."""
+    """One observation; returns the lines it gives."""
     made.set_time(at)
     made.on_host(place, state_of(answer))
     return [device.activity for device in made.changes()]
@@ -37,7 +37,7 @@ def wrong(made: SafeStateProgress) -> list[str]:
     return [sentence for _, sentence in made.verdicts()]
 
 
-def test_a_device_is_looked_at_until_it_is_at_rest():
+def test_a_device_is_observed_until_it_is_at_rest():
     made = descent()
     assert look(made, 100.5, status("descends, 5 m")) == ["descends, 5 m"]
     assert not made.is_over
@@ -46,7 +46,7 @@ def test_a_device_is_looked_at_until_it_is_at_rest():
     assert wrong(made) == []
 
 
-def test_words_are_told_when_they_change_and_once_in_a_second():
+def test_reports_are_printed_on_change_and_at_most_once_per_second():
     made = descent()
     assert look(made, 100.5, status("5 m")) == ["5 m"]
     assert look(made, 101.0, status("4 m")) == []
@@ -57,7 +57,7 @@ def test_words_are_told_when_they_change_and_once_in_a_second():
     assert look(made, 109.0, status()) == []
 
 
-def test_a_device_that_does_not_come_to_rest_in_its_time():
+def test_a_device_not_at_rest_in_time_is_a_failure():
     made = descent()
     look(made, 109.0, status("descends"))
     assert not made.is_over
@@ -66,7 +66,7 @@ def test_a_device_that_does_not_come_to_rest_in_its_time():
     assert wrong(made) == ["NOT AT REST after 10 s; last seen 0 s ago: descends"]
 
 
-def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest():
+def test_an_unconfirmed_device_passes_once_it_is_seen_at_rest():
     made = descent("its safe state was not confirmed in 5 s")
     assert wrong(made) == ["NOT CONFIRMED: its safe state was not confirmed in 5 s; last seen: never"]
     look(made, 101.0, status())
@@ -75,7 +75,7 @@ def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest
 
 
 @pytest.mark.parametrize("moving", ["", "descends"])
-def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
+def test_the_last_report_of_a_silent_device_is_not_its_state(moving):
     made = descent()
     look(made, 101.0, status("descends"))
     assert look(made, 104.5, status(moving, silent=3.5)) == ["no longer reporting"]
@@ -84,7 +84,7 @@ def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
     assert wrong(made) == ["NOT AT REST after 10 s: no longer reporting; last seen 9 s ago: descends"]
 
 
-def test_what_was_heard_before_the_stop_is_no_news_of_it():
+def test_telemetry_from_before_the_stop_does_not_count():
     made = descent()
     assert look(made, 100.0, status(silent=0.1)) == []
     assert look(made, 100.5, status(silent=0.5)) == []
@@ -94,8 +94,8 @@ def test_what_was_heard_before_the_stop_is_no_news_of_it():
     assert look(never_told, 100.0, status(silent=None)) == ["at rest"]
 
 
-def test_a_device_that_fell_silent_before_the_stop_was_seen_then():
-    """Its telemetry of before the stop proves no rest, and says where to look for it."""
+def test_a_device_silent_before_the_stop_is_reported_with_its_last_telemetry():
+    """Its telemetry from before the stop proves no rest, and shows its last position."""
     made = descent("its safe state was not confirmed in 5 s")
     look(made, 101.0, status("descends", silent=61.0))
     assert look(made, 110.0, status("descends", silent=70.0)) == []
@@ -104,7 +104,7 @@ def test_a_device_that_fell_silent_before_the_stop_was_seen_then():
 
 
 def test_a_device_in_use_is_not_at_rest():
-    """Its host was restarted, or somebody has lifted the stop and released it."""
+    """Its host was restarted, or another operator has lifted the stop and released it."""
     made = descent()
     assert look(made, 101.0, status(latched="")) == ["NOT in its safe state"]
     assert not made.is_over
@@ -113,7 +113,7 @@ def test_a_device_in_use_is_not_at_rest():
     assert not made.is_over
 
 
-def test_a_host_that_ends_before_its_devices_were_seen_at_rest():
+def test_a_host_that_ends_before_its_devices_are_at_rest_is_a_failure():
     made = descent()
     look(made, 101.0, status("descends"))
     assert look(made, 102.0, NoListener("10.0.0.1:1")) == ["its host has ended"]
@@ -122,7 +122,7 @@ def test_a_host_that_ends_before_its_devices_were_seen_at_rest():
     assert wrong(made) == ["NOT SEEN AT REST: its host has ended before; last seen 1 s ago: descends"]
 
 
-def test_a_host_that_ends_after_they_were():
+def test_a_host_that_ends_after_its_devices_are_at_rest_passes():
     made = descent()
     made.on_stopped(BRAVO, EmergencyStopResult({"fc": ""}))
     look(made, 101.0, status())
@@ -133,7 +133,7 @@ def test_a_host_that_ends_after_they_were():
     assert wrong(made) == []
 
 
-def test_a_host_that_does_not_answer_is_asked_again():
+def test_a_host_without_an_answer_is_asked_again():
     made = descent()
     look(made, 101.0, status("descends"))
     late = AddressError("10.0.0.1:1", "no answer within 2 s")
@@ -149,7 +149,7 @@ def test_a_host_that_does_not_answer_is_asked_again():
     assert wrong(made) == []
 
 
-def test_a_host_that_another_has_relayed_to_is_not_waited_for_until_the_end():
+def test_a_host_confirmed_by_relay_is_not_waited_for_until_the_deadline():
     """It has confirmed the safe state through another host, and no connection to it can be made."""
     made = SafeStateProgress(120.0, 100.0)
     made.on_stopped(ALPHA, EmergencyStopResult({"fc": ""}))
@@ -165,7 +165,7 @@ def test_a_host_that_another_has_relayed_to_is_not_waited_for_until_the_end():
     ]
 
 
-def test_a_host_that_cannot_be_asked_is_asked_while_others_descend():
+def test_an_unreachable_host_is_asked_while_others_descend():
     made = SafeStateProgress(120.0, 100.0)
     for place in (ALPHA, BRAVO):
         made.on_stopped(place, EmergencyStopResult({"fc": ""}))
@@ -179,7 +179,7 @@ def test_a_host_that_cannot_be_asked_is_asked_while_others_descend():
     assert wrong(made) == []
 
 
-def test_a_host_that_has_answered_once_is_looked_for_until_the_end():
+def test_a_host_that_has_answered_once_is_waited_for_until_the_deadline():
     made = SafeStateProgress(120.0, 100.0)
     made.on_stopped(ALPHA, EmergencyStopResult({"fc": ""}))
     look(made, 101.0, status("descends"))
@@ -187,7 +187,7 @@ def test_a_host_that_has_answered_once_is_looked_for_until_the_end():
     assert not made.is_over
 
 
-def test_a_device_that_its_host_says_nothing_of():
+def test_a_device_missing_in_the_snapshot_is_not_at_rest():
     made = descent()
     look(made, 110.0, status(name="other"))
     assert wrong(made) == ["NOT AT REST after 10 s; last seen: never"]

@@ -1,4 +1,4 @@
-"""What the doctor sees on a computer that is made up of files."""
+"""The findings of `lfield doctor` on a computer made of files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def one(findings, words):
     return found
 
 
-def test_a_computer_without_ports(findings):
+def test_doctor_reports_a_computer_without_ports(findings):
     assert one(findings(), "no serial ports").state == "ok"
 
 
@@ -48,7 +48,7 @@ def test_a_computer_without_ports(findings):
     ("group", "state", "words"),
     [(7, "ok", "members of the group lfield"), (None, "note", "only this user and root")],
 )
-def test_who_may_stop_what_this_user_starts(findings, monkeypatch, group, state, words):
+def test_doctor_reports_the_users_who_may_stop_a_run(findings, monkeypatch, group, state, words):
     monkeypatch.setattr("lfield.operator.diagnostics.shared_group_id", lambda: group)
     found = one(findings(), words)
     assert (found.state, "sudo groupadd --force lfield" in found.cure) == (state, group is None)
@@ -57,22 +57,22 @@ def test_who_may_stop_what_this_user_starts(findings, monkeypatch, group, state,
 @pytest.mark.parametrize(
     ("installed", "state", "words"), [(True, "ok", "wasmtime "), (False, "note", "the reference engine runs")]
 )
-def test_what_runs_programs_here(findings, monkeypatch, installed, state, words):
+def test_doctor_reports_the_engine_of_programs(findings, monkeypatch, installed, state, words):
     monkeypatch.setattr("lfield.operator.diagnostics.has_wasm", lambda: installed)
     if installed:
         pytest.importorskip("wasmtime", reason=NEEDED)
     assert one(findings(), words).state == state
 
 
-def test_a_wasmtime_of_another_processor_is_told(findings, monkeypatch):
+def test_doctor_reports_a_wasmtime_of_another_processor(findings, monkeypatch):
     monkeypatch.setattr("lfield.operator.diagnostics.has_wasm", lambda: True)
     monkeypatch.setitem(sys.modules, "lfield.vm.wasm.wasm_engine", None)
     monkeypatch.setattr("importlib.metadata.version", lambda name: "50.0.1")
     assert one(findings(), "wasmtime cannot be used").state == "warning"
 
 
-def test_a_wasmtime_that_cannot_compile_programs_is_told(findings, monkeypatch):
-    """One of another version makes an arena and the runtime, and refuses what `up` gives it."""
+def test_doctor_reports_a_wasmtime_that_cannot_compile_programs(findings, monkeypatch):
+    """A wasmtime of another version creates the arena and the runtime, and rejects the code of `up`."""
     wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
     def refuse(*_):
@@ -83,7 +83,7 @@ def test_a_wasmtime_that_cannot_compile_programs_is_told(findings, monkeypatch):
     assert one(findings(), what).state == "warning"
 
 
-def test_a_latency_timer_that_costs_time_is_told_with_its_cure(findings, tmp_path):
+def test_doctor_reports_a_slow_latency_timer_with_its_cure(findings, tmp_path):
     timer = put(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16\n")
     found = one(findings(), "ttyUSB0: holds bytes back for up to 16 ms")
     assert found.state == "warning"
@@ -92,7 +92,7 @@ def test_a_latency_timer_that_costs_time_is_told_with_its_cure(findings, tmp_pat
     assert one(findings(), "ttyUSB0: holds bytes back for 1 ms").state == "ok"
 
 
-def test_a_port_that_may_not_be_used(findings, tmp_path, monkeypatch):
+def test_doctor_reports_a_port_without_permission(findings, tmp_path, monkeypatch):
     port = put(tmp_path / "dev/ttyACM0")
     assert one(findings(), f"{port}: may be used").state == "ok"
     monkeypatch.setattr(os, "access", lambda path, mode: False)
@@ -101,7 +101,7 @@ def test_a_port_that_may_not_be_used(findings, tmp_path, monkeypatch):
     assert "sudo usermod -aG" in found.cure
 
 
-def test_a_can_interface_that_is_down(findings, tmp_path):
+def test_doctor_reports_a_can_interface_that_is_down(findings, tmp_path):
     state = put(tmp_path / "sys/class/net/can0/operstate", "down\n")
     found = one(findings(), "can0: down")
     assert (found.state, "ip link set can0 up" in found.cure) == ("problem", True)
@@ -122,13 +122,13 @@ def bare(monkeypatch):
 
 
 @pytest.mark.parametrize(("used", "state"), [((), "note"), (("can",), "note"), (("mavlink",), "problem")])
-def test_a_missing_library_is_a_problem_of_the_missions_that_use_its_driver(bare, used, state):
+def test_a_missing_library_is_a_problem_of_missions_that_use_its_driver(bare, used, state):
     (found,) = drivers(bare, used)
     assert found.what == "driver mavlink: not installed: no_such_library"
     assert (found.state, found.cure) == (state, "pip install 'lfield[mavlink]'")
 
 
-def test_a_device_whose_driver_lacks_its_library_needs_that_and_no_cable(bare):
+def test_a_device_of_a_driver_without_its_library_is_not_tried(bare):
     told: list[DiagnosticFinding] = []
     asyncio.run(
         endpoints(bare, [bind(bare.by_driver["mavlink"].plugin, "Mavlink")], SystemClock(), told.append)
@@ -138,7 +138,7 @@ def test_a_device_whose_driver_lacks_its_library_needs_that_and_no_cable(bare):
     ]
 
 
-def test_a_plugin_that_cannot_be_used(tmp_path):
+def test_doctor_reports_a_plugin_that_cannot_be_used(tmp_path):
     plugins = Plugins()
     plugins.add("no_such_package:PLUGIN")
     assert one({f.what: f for f in system(plugins, tmp_path)}, "no_such_package").state == "problem"

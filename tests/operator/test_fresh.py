@@ -1,4 +1,4 @@
-"""`lfield up --fresh`: what is thrown away, and what stands in the way of that."""
+"""`lfield up --fresh`: the coordinators it discards, and the conditions that prevent it."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def plan(pages, answers):
     return plan_reset("alpha", pages, host_states(answers))
 
 
-def test_what_is_here_ends_as_lost_by_a_persons_word_and_the_run_is_closed():
+def test_a_reset_ends_local_coordinators_as_lost_and_closes_the_run():
     pages = [StartCounter(3), RunMarker(True), BundleRecord(b"b" * 32), HERE, OVER, FenceRecord("pilot", 2)]
     found = plan(pages, {})
     assert (found.discarded, found.departed) == ([HERE], [])
     ended, run, bundle = found.pages
-    # Whoever begins anew is told again when the bundle is not signed by somebody who may.
+    # After a reset an unsigned bundle is reported again.
     assert (run, bundle) == (RunMarker(open=False), BundleRecord(b""))
     assert (ended.agent, ended.generation, ended.sequence) == ("pilot", 3, 4)
     assert (ended.state, ended.outcome, ended.detail, ended.ended_on) == (
@@ -59,7 +59,7 @@ def test_what_is_here_ends_as_lost_by_a_persons_word_and_the_run_is_closed():
 
 
 @pytest.mark.parametrize("state", ["PREPARED", "MOVED"])
-def test_who_has_left_is_in_the_way_unless_somebody_says_what_became_of_it(state):
+def test_a_departed_coordinator_blocks_a_reset_until_its_end_is_known(state):
     page = replace(AWAY, state=state)
     assert plan([page], {"bravo": AddressError("b:1", "nobody")}).departed == [page]
     assert plan([page], {"bravo": batch()}).departed == [page]
@@ -79,7 +79,7 @@ def test_who_has_left_is_in_the_way_unless_somebody_says_what_became_of_it(state
     )
 
 
-def test_who_is_parked_elsewhere_is_thrown_away_and_its_shadow_there_is_no_word():
+def test_a_coordinator_parked_elsewhere_is_discarded_but_its_shadow_is_no_proof():
     parked = ParkedStatus("scout", 2, 6, b"q" * 32, "RUN", "")
     found = plan([AWAY], {"bravo": batch(), "carol": batch(parked=(parked,))})
     assert found.parked == {AWAY: "carol"}
@@ -90,7 +90,7 @@ def test_who_is_parked_elsewhere_is_thrown_away_and_its_shadow_there_is_no_word(
 
 
 @pytest.mark.parametrize("reached", [True, False])
-def test_who_is_parked_elsewhere_is_given_up_there_or_nothing_is_thrown_away(
+def test_a_coordinator_parked_elsewhere_is_forgotten_there_or_nothing_changes(
     tmp_path, monkeypatch, capsys, reached
 ):
     file, asked = tmp_path / "host.journal", []
@@ -123,7 +123,7 @@ def kept(file, *pages):
     return journal.records()
 
 
-def test_it_asks_and_a_no_or_nobody_changes_nothing(tmp_path, monkeypatch, capsys):
+def test_a_reset_without_confirmation_changes_nothing(tmp_path, monkeypatch, capsys):
     file = tmp_path / "host.journal"
     kept(file, HERE, RunMarker(True), StartCounter(3))
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
@@ -144,7 +144,7 @@ def test_it_asks_and_a_no_or_nobody_changes_nothing(tmp_path, monkeypatch, capsy
     assert StartCounter(3) in pages
 
 
-def test_it_is_refused_while_a_coordinator_may_be_alive_elsewhere(tmp_path):
+def test_a_reset_is_refused_while_a_coordinator_may_be_alive_elsewhere(tmp_path):
     file = tmp_path / "host.journal"
     kept(file, HERE, AWAY)
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""What `lfield doctor` says of the keys of a computer."""
+"""The findings of `lfield doctor` on the keys of a computer."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def ledger(tmp_path: Path) -> Ledger:
 
 
 def told(folder: Path, at: float) -> tuple[str, str]:
-    """The state, and what comes behind the path."""
+    """The state, and the text after the path."""
     (finding,) = health(folder, at)
     return finding.state, finding.what.removeprefix(f"keys {folder}: ")
 
 
-def test_ends_are_told_before_they_come(ledger: Ledger) -> None:
+def test_an_expiry_is_reported_before_it_happens(ledger: Ledger) -> None:
     folder = ledger.make("host", "alpha", (), AT, AT + 90 * DAY).folder
     assert told(folder, AT) == ("ok", "host alpha, valid until 2027-02-21 20:00 UTC")
     assert told(folder, AT + 65.5 * DAY) == ("warning", "host alpha, expire in 24 days, 2027-02-21 20:00 UTC")
@@ -37,7 +37,7 @@ def test_ends_are_told_before_they_come(ledger: Ledger) -> None:
     assert "lfield keys renew host alpha" in ended.cure
 
 
-def test_what_cannot_be_used_is_a_problem_with_its_reason(ledger: Ledger, tmp_path: Path) -> None:
+def test_unusable_keys_are_a_problem_with_a_reason(ledger: Ledger, tmp_path: Path) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY)
     bravo = ledger.make("host", "bravo", (), AT, AT + DAY)
     ledger.revoke("host", "alpha", AT)
@@ -49,7 +49,7 @@ def test_what_cannot_be_used_is_a_problem_with_its_reason(ledger: Ledger, tmp_pa
     assert told(tmp_path, AT) == ("problem", "not found")
 
 
-def test_all_keys_of_this_computer_are_looked_at(
+def test_all_keys_of_this_computer_are_checked(
     ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))

@@ -1,4 +1,4 @@
-"""What root's commands make of runs that other users say there are."""
+"""Commands of root on runs that other users claim."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.operator.targets import TargetTeam, open_team
 
 
 def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
-    """A run of mallory, who listens nowhere."""
+    """A run of mallory, which listens nowhere."""
     doors = {host: f"{number}.sock" for number, host in enumerate(hosts)}
     note = RunManifest(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
     return Run(Path("/nowhere/tour-0a1b2c3d"), note, "mallory", is_foreign=True)
@@ -25,7 +25,7 @@ def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
 
 @pytest.fixture
 def there(monkeypatch):
-    """Have commands find these runs."""
+    """Makes these runs visible to commands."""
 
     def found(*all: Run) -> None:
         monkeypatch.setattr(runs, "runs_here", lambda: list(all))
@@ -33,7 +33,7 @@ def there(monkeypatch):
     return found
 
 
-def test_a_note_orders_no_terminal(there, capsys):
+def test_text_of_a_foreign_manifest_is_escaped_for_the_terminal(there, capsys):
     there(claimed("a\x1b[31m", mission="/m/\x1b]0;mine\x07.dL"))
     for command in ("ps", "estop", "resume", "pause", "recover"):
         assert main([command, *(["walk"] if command == "recover" else [])]) in (3, 69)
@@ -43,7 +43,7 @@ def test_a_note_orders_no_terminal(there, capsys):
         assert "\x07" not in said
 
 
-def test_a_note_with_thousands_of_hosts_is_a_few_lines(there, capsys):
+def test_a_foreign_manifest_with_thousands_of_hosts_is_a_few_lines(there, capsys):
     there(claimed(*(f"h{number}" for number in range(4000))))
     for command, status in (("ps", 69), ("estop", 3)):
         assert main([command]) == status
@@ -53,7 +53,7 @@ def test_a_note_with_thousands_of_hosts_is_a_few_lines(there, capsys):
         assert line.startswith("4000 hosts of mallory/tour-0a1b2c3d: ")
 
 
-def test_events_follow_some_hosts_of_another_user(there, capsys):
+def test_events_follow_a_limited_number_of_hosts_of_another_user(there, capsys):
     there(claimed(*(f"h{number}" for number in range(40))))
     assert main(["events", "--no-follow"]) == 69
     said = capsys.readouterr().err
@@ -63,7 +63,7 @@ def test_events_follow_some_hosts_of_another_user(there, capsys):
 
 
 @pytest.mark.parametrize("words", [("query", "Lift"), ("watch",)])
-def test_what_another_user_names_is_not_opened(there, capsys, tmp_path, words):
+def test_a_file_named_by_another_user_is_not_opened(there, capsys, tmp_path, words):
     fifo = tmp_path / "tour.dL"
     os.mkfifo(fifo)
     there(claimed("alpha", mission=str(fifo)))
@@ -75,7 +75,7 @@ def test_what_another_user_names_is_not_opened(there, capsys, tmp_path, words):
         )
 
 
-def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(there, capsys, tmp_path):
+def test_a_named_mission_is_asked_at_its_addresses_and_others_are_named(there, capsys, tmp_path):
     file = tmp_path / "tour.dL"
     file.write_text("//Post:near@localhost:1\n")
     (tmp_path / "tour.L").write_text("resource Post { portal hold() { } }\n")
@@ -98,7 +98,7 @@ def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(the
     assert "/nowhere" not in said
 
 
-def test_the_way_down_is_not_looked_at_for_as_long_as_another_user_says(monkeypatch):
+def test_the_descent_limit_of_another_user_is_not_used(monkeypatch):
     given = []
 
     class Given(SafeStateProgress):

@@ -1,4 +1,4 @@
-"""Where runs are: in directories that no other user can change, open to the group where that is possible."""
+"""The places of runs: in directories that no other user can change, open to the group where possible."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from lfield.text import user_dirs
 NOTE = RunManifest(
     "/m/tour.dL", "d" * 64, 7, 10.5, 120.0, {"alpha": "127.0.0.1:4001"}, {"alpha": "alpha.sock"}
 )
-#: Users of these tests by number, and the group `lfield` in them.
+# : Users of these tests by number, and the group `lfield` in them.
 ALICE, BOB, MALLORY, GROUP = 4242, 4243, 4244, 4999
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be other users")
 
 
 @pytest.fixture(autouse=True)
 def tmp_path(monkeypatch) -> Iterator[Path]:
-    """What /tmp and /run/user are here; this user has no runtime folder."""
-    # Not pytest's folder: others may not enter it, and the path of a socket may have 107 bytes.
+    """The folders /tmp and /run/user of the test; this user has no runtime folder."""
+    # Not pytest's folder: other users may not enter it, and a socket path has at most 107 bytes.
     with tempfile.TemporaryDirectory(prefix="lf-") as path:
         made = Path(path)
         made.chmod(0o755)
@@ -72,7 +72,7 @@ def begun(tell: Callable[[str], None] = pytest.fail):
 
 
 def owned(path: Path, user: int, rights: int = 0o700, group: int = -1) -> Path:
-    """A folder of somebody else."""
+    """A folder of another user."""
     path.mkdir(parents=True)
     path.chmod(rights)
     os.chown(path, user, group)
@@ -80,7 +80,7 @@ def owned(path: Path, user: int, rights: int = 0o700, group: int = -1) -> Path:
 
 
 def as_user(user: int, groups: Collection[int], work: Callable[[], object]) -> None:
-    """Do something as another user, in a process; what it raises fails the test."""
+    """Run something as another user, in a process; its exception fails the test."""
     child = os.fork()
     if child == 0:
         status = 1
@@ -90,7 +90,7 @@ def as_user(user: int, groups: Collection[int], work: Callable[[], object]) -> N
             os.setresuid(user, user, user)
             work()
             status = 0
-        except BaseException as error:  # nothing of a child may go on in the tests of its parent
+        except BaseException as error:  # a child must not continue with its parent's tests
             os.write(2, f"as user {user}: {type(error).__name__}: {error}\n".encode())
         finally:
             os._exit(status)
@@ -99,7 +99,7 @@ def as_user(user: int, groups: Collection[int], work: Callable[[], object]) -> N
 
 @contextmanager
 def begun_by(user: int, groups: Collection[int]) -> Iterator[Path]:
-    """The folder of a run that another user has begun, with the mask of files that is usual."""
+    """The folder of a run that another user has started, with the usual umask."""
     near, far = socket.socketpair()
 
     def begin() -> None:
@@ -118,7 +118,7 @@ def begun_by(user: int, groups: Collection[int]) -> Iterator[Path]:
         far.detach()
 
 
-# --- directories that other users have created --------------------------------------------------------------
+# --- directories that other users have created ---------------------------------------------------
 
 
 @pytest.mark.parametrize("taken", ["a link", "a file", "a fifo", "writable", "another user's"])
@@ -144,9 +144,7 @@ def test_a_run_is_refused_if_its_directory_is_not_private(usual, shared, taken):
     assert runs_here() == []
 
 
-def test_a_run_is_in_the_session_directory_if_the_one_of_the_group_is_taken(
-    tmp_path, usual, monkeypatch, group
-):
+def test_a_run_uses_the_session_directory_if_that_of_the_group_is_taken(tmp_path, usual, monkeypatch, group):
     usual.write_text("")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     told = []
@@ -155,14 +153,14 @@ def test_a_run_is_in_the_session_directory_if_the_one_of_the_group_is_taken(
     assert [text.partition(":")[0] for text in told] == ["members of the group lfield do not find this run"]
 
 
-def test_where_others_could_remove_a_run_none_begins(shared):
+def test_a_run_is_refused_where_other_users_could_remove_it(shared):
     shared.chmod(0o777)
     with pytest.raises(OutputFileError, match="others could remove files in it; no command could"), begun():
         pytest.fail("it runs")
     assert list(shared.iterdir()) == []
 
 
-def test_a_runtime_folder_that_others_may_change_is_none(tmp_path, usual, monkeypatch):
+def test_a_runtime_folder_that_others_may_change_is_not_used(tmp_path, usual, monkeypatch):
     (tmp_path / "runtime").mkdir()
     (tmp_path / "runtime").chmod(0o770)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "runtime"))
@@ -172,7 +170,7 @@ def test_a_runtime_folder_that_others_may_change_is_none(tmp_path, usual, monkey
 
 @pytest.mark.parametrize("here", ["", "here"])
 @pytest.mark.parametrize("runtime", [True, False])
-def test_every_place_where_a_run_may_begin_is_looked_into(tmp_path, usual, monkeypatch, group, here, runtime):
+def test_every_possible_place_of_a_run_is_searched(tmp_path, usual, monkeypatch, group, here, runtime):
     usual.write_text("taken")
     monkeypatch.setenv("LFIELD_RUNS", here)
     (tmp_path / "own").mkdir(mode=0o700)
@@ -185,7 +183,7 @@ def test_every_place_where_a_run_may_begin_is_looked_into(tmp_path, usual, monke
 
 
 @as_root
-def test_a_run_of_another_user_is_refused_in_a_directory_of_a_third(shared):
+def test_a_run_is_refused_in_a_directory_of_a_third_user(shared):
     owned(shared / f"lfield-{ALICE}", MALLORY, 0o777)
 
     def begin() -> None:
@@ -205,11 +203,11 @@ def test_only_the_directory_named_after_its_owner_is_searched(shared):
     assert (other.paths, other.owners) == ([shared / f"lfield-{MALLORY}"], {MALLORY})
 
 
-# --- the group ----------------------------------------------------------------------------------------------
+# --- the group -----------------------------------------------------------------------------------
 
 
-def test_a_run_of_a_member_is_open_to_the_group_and_nothing_else_is(usual, tmp_path, monkeypatch, group):
-    """Also where there is a runtime folder: others cannot enter that."""
+def test_only_the_run_of_a_member_is_open_to_the_group(usual, tmp_path, monkeypatch, group):
+    """Also with a runtime folder: other users cannot enter that."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     usual.mkdir(mode=0o700)
     (usual / "sims").mkdir(mode=0o700)
@@ -226,7 +224,7 @@ def test_a_run_of_a_member_is_open_to_the_group_and_nothing_else_is(usual, tmp_p
         os.umask(before)
 
 
-def test_a_run_for_this_environment_alone_is_open_to_nobody(tmp_path, monkeypatch, group):
+def test_a_run_for_this_environment_alone_is_private(tmp_path, monkeypatch, group):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("LFIELD_RUNS", "here")
     with begun():
@@ -235,8 +233,8 @@ def test_a_run_for_this_environment_alone_is_open_to_nobody(tmp_path, monkeypatc
         assert (mode(tmp_path / "lfield"), mode(run.folder)) == (0o700, 0o700)
 
 
-def test_a_note_is_locked_before_a_group_may_read_it(monkeypatch, group):
-    """Whoever may read a file may lock it for reading, and no run would begin."""
+def test_a_manifest_is_locked_before_a_group_may_read_it(monkeypatch, group):
+    """A reader of a file may lock it for reading, and no run would start."""
     real, opened = runs.grant_group_read, []
 
     def let_read(path: Path, group: int) -> None:
@@ -251,7 +249,7 @@ def test_a_note_is_locked_before_a_group_may_read_it(monkeypatch, group):
         assert len(opened) == 1
 
 
-def test_who_may_not_give_files_to_the_group_is_told_and_found_all_the_same(monkeypatch, group):
+def test_a_user_who_cannot_share_files_is_told_and_the_run_is_found(monkeypatch, group):
     """As root of a user namespace."""
 
     def refused(*words: object) -> None:
@@ -271,7 +269,7 @@ def test_who_may_not_give_files_to_the_group_is_told_and_found_all_the_same(monk
 
 @as_root
 @pytest.mark.parametrize("starter", [0, ALICE])
-def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, group, starter):
+def test_only_members_find_a_run_of_root_or_a_member(shared, group, starter):
     with begun_by(starter, (GROUP,) if starter else ()) as folder:
 
         def look() -> None:
@@ -292,7 +290,7 @@ def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, gro
 
 
 @as_root
-def test_a_member_can_neither_remove_nor_replace_what_another_has_there(tmp_path, group):
+def test_a_member_can_neither_remove_nor_replace_files_of_another(tmp_path, group):
     with begun_by(ALICE, (GROUP,)) as folder:
         tries = (
             lambda: (folder / "note.json").unlink(),
@@ -308,7 +306,7 @@ def test_a_member_can_neither_remove_nor_replace_what_another_has_there(tmp_path
             for attempt in tries:
                 with pytest.raises(PermissionError):
                     attempt()
-            # Nor does a lock of a member keep the run from being found, or from being found ended.
+            # A member's lock does not hide the run, nor its end.
             held = os.open(folder / "note.json", os.O_RDONLY)
             with pytest.raises(BlockingIOError):
                 fcntl.fcntl(held, fcntl.F_OFD_SETLK, runs._LOCK.pack(fcntl.F_RDLCK, 0, 0, 0, 0))
@@ -319,10 +317,10 @@ def test_a_member_can_neither_remove_nor_replace_what_another_has_there(tmp_path
 
 
 @as_root
-def test_who_is_no_member_begins_a_run_of_their_own_and_members_take_no_notice(tmp_path, shared, group):
+def test_a_non_member_has_a_run_of_their_own_that_members_ignore(tmp_path, shared, group):
     with begun_by(MALLORY, ()) as folder:
         assert (mode(folder.parent), mode(folder)) == (0o700, 0o700)
-        # Also not when it is open to all: only the group says that it is of a member.
+        # Also when it is open to all: only the group proves that it belongs to a member.
         for path, rights in ((folder.parent, 0o755), (folder, 0o755), (folder / "note.json", 0o644)):
             path.chmod(rights)
 

@@ -1,4 +1,4 @@
-"""What people are told of a team is held against the portals of its program, as what the program is told."""
+"""Answers to users are checked against the portals of the program, as the answers to programs are."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lfield.text.source_text import Diagnostics
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
-#: A Copter that is not the one of the stock library: it can only move and circle.
+# : A Copter that is not the one of the stock library: it can only move and circle.
 PROGRAM = """
 resource Copter {
     init(string[] arg) { while (true) yield(); }
@@ -48,33 +48,33 @@ def mission(tmp_path):
 
 
 def offered(path: Path, primitive: str, capabilities: Path | None = None) -> list[str]:
-    """Who serves a primitive, as anybody is told who asks."""
+    """The providers of a primitive, as a query reports them."""
     team = open_team(path)
     asked = read_context(path, team, capabilities)
     matcher = Matcher(asked.registry, roster_from_files(asked.registry, team.deployed), asked.ways)
     return [offer.agent for offer in matcher.find(primitive).offers]
 
 
-def test_a_resource_that_only_has_the_name_of_ours_promises_nothing():
+def test_a_resource_with_only_the_name_of_a_stock_one_promises_nothing():
     assert offered(EXAMPLES / "01-first-flight/mission.dL", "Orbit") == []
 
 
 @pytest.mark.parametrize("asks", ["", "GoTo[] who = findGoTo();", "Lift[] who = findLift();"])
-def test_what_it_has_the_portals_for_it_does_whatever_the_program_asks_for(mission, asks):
+def test_a_resource_with_the_portals_serves_a_primitive_for_any_program(mission, asks):
     path = mission("flyTo", asks)
     assert offered(path, "GoTo") == ["lead"]
     assert offered(path, "Orbit") == offered(path, "Climb") == []
 
 
-def test_nor_does_it_stand_in_for_others(mission):
-    """By rules of ours what climbs lifts, and what goes to places follows paths."""
+def test_a_resource_without_the_portals_does_not_stand_in_for_others(mission):
+    """By composition rules, a climbing resource lifts, and one that goes to places follows paths."""
     assert offered(mission("flyTo"), "FollowPath") == ["lead"]
     assert offered(mission("flyTo"), "Lift") == []
     assert offered(mission("wander"), "FollowPath") == []
 
 
 @pytest.mark.parametrize("asks", ["", "Orbit[] who = findOrbit();"])
-def test_a_bundle_has_no_source_and_is_held_against_its_program_all_the_same(mission, tmp_path, asks):
+def test_a_bundle_without_source_is_checked_against_its_program(mission, tmp_path, asks):
     path = tmp_path / "mission.lfm"
     path.write_bytes(bundle.encode(load_mission(mission("flyTo", asks), simulate=True)))
     added = tmp_path / "added.yaml"
@@ -94,21 +94,21 @@ def test_a_bundle_has_no_source_and_is_held_against_its_program_all_the_same(mis
         {"asks": 'print("unfinished" + 1.5);'},
     ],
 )
-def test_what_is_wrong_elsewhere_makes_no_promise_true(mission, wrong):
+def test_errors_elsewhere_do_not_make_a_promise_valid(mission, wrong):
     path = mission("flyTo", **wrong)
     assert offered(path, "GoTo") == ["lead"]
     assert offered(path, "Orbit") == []
 
 
 @pytest.mark.parametrize("asks", ["", "Lift[] who = findLift();", 'print("unfinished" + 1.5);'])
-def test_a_mission_that_promises_wrongly_hears_it(mission, asks):
+def test_a_wrong_promise_of_a_mission_is_reported(mission, asks):
     path = mission("wander", asks, capabilities=WRONG)
     with pytest.raises(ProgramError) as raised:
         offered(path, "Lift")
     assert {mistake.code for mistake in raised.value.diagnostics} == {"C170"}
 
 
-def test_what_the_devices_file_states_counts_where_the_program_asks_for_nothing(mission):
+def test_stated_attributes_count_where_the_program_asks_for_nothing(mission):
     path = mission("flyTo", devices="agents: {lead: {attributes: {mass: 7 kg}}}\n")
     asked = read_context(path, open_team(path))
     assert asked.stated == {"lead": {"mass": 7.0}}

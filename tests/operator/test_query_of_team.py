@@ -1,4 +1,4 @@
-"""The team as files and running hosts tell it to somebody outside."""
+"""The team as files and running hosts describe it to a query."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def hosts(registry, answers, at=""):
     ).candidates("Hoist")
 
 
-def test_from_the_files_only_what_is_written_is_known(registry):
+def test_from_files_only_stated_attributes_are_known(registry):
     first, second = roster_from_files(registry, AGENTS).candidates("Hoist")
     assert (first.agent, first.host, dict(first.stated)) == ("first", "alpha", {})
     assert second.stated == {"payload": Fact(1.2), "battery": Fact(0.5)}
@@ -83,7 +83,7 @@ def test_from_the_files_only_what_is_written_is_known(registry):
     assert roster_from_files(registry, AGENTS).candidates("Boss") == ()
 
 
-def test_a_condition_on_what_only_devices_know(registry):
+def test_a_condition_on_a_live_attribute_is_not_met_from_files(registry):
     team = roster_from_files(registry, AGENTS)
     assert refusals(registry, team, "battery >= 0.6") == [
         "first: battery is not known: the team is not running",
@@ -91,7 +91,7 @@ def test_a_condition_on_what_only_devices_know(registry):
     ]
 
 
-def test_hops_are_counted_from_where_the_question_is_asked(registry):
+def test_hops_are_counted_from_the_host_of_the_query(registry):
     assert [c.hops for c in roster_from_files(registry, AGENTS).candidates("Hoist")] == [1, 1]
     assert [c.hops for c in roster_from_files(registry, AGENTS, "bravo").candidates("Hoist")] == [1, 0]
 
@@ -107,19 +107,19 @@ def test_live_values_come_with_their_age(registry):
     assert first.unknown == {"fix": "fix is unknown: no host reports it"}
 
 
-def test_why_a_value_is_not_known_is_what_the_host_says(registry):
+def test_the_host_names_the_reason_of_an_unknown_value(registry):
     answers = {"alpha": status(first=told(unknown={"battery": "motor has not reported battery"}))}
     first, _ = hosts(registry, answers)
     assert first.unknown["battery"] == "motor has not reported battery"
 
 
-def test_what_a_mission_states_counts_before_what_is_told(registry):
+def test_stated_values_of_a_mission_override_live_ones(registry):
     answers = {"bravo": status(second=told(battery=[0.9, 1.0]))}
     second = hosts(registry, answers)[1]
     assert (second.fact("battery"), dict(second.facts)) == (Fact(0.5), {})
 
 
-def test_an_agents_own_host_counts_before_others_and_the_asked_one_before_all(registry):
+def test_an_agents_own_host_counts_before_others_and_the_asked_host_first(registry):
     answers = {
         "alpha": status(first=told(battery=[0.8, 0.0]), second=told("unreachable for 3 s")),
         "bravo": status(first=told(battery=[0.7, 4.0]), second=told()),
@@ -132,7 +132,7 @@ def test_an_agents_own_host_counts_before_others_and_the_asked_one_before_all(re
     assert (first.facts["battery"].value, second.refusal) == (0.7, "")
 
 
-def test_of_a_silent_host_the_others_tell_else_nobody_can_be_called(registry):
+def test_agents_of_a_silent_host_are_reported_by_others_or_refused(registry):
     gone = AddressError("10.0.0.1:1", "nobody listens there")
     heard = {"alpha": status(second=told("unreachable for 9 s")), "bravo": gone}
     assert hosts(registry, heard)[1].refusal == "unreachable for 9 s"
@@ -151,12 +151,12 @@ def test_of_a_silent_host_the_others_tell_else_nobody_can_be_called(registry):
         {"nonsense": [9.0, 1.0]},
     ],
 )
-def test_values_that_cannot_be_are_left_out(registry, facts):
+def test_invalid_live_values_are_left_out(registry, facts):
     first, _ = hosts(registry, {"alpha": status(first=told(**facts))})
     assert first.facts == {}
 
 
-def test_a_host_that_tells_nonsense_counts_as_silent(registry):
+def test_a_host_with_an_invalid_answer_counts_as_silent(registry):
     answers = {"alpha": WireError("a message cannot be read: Expected `array`, got `int`"), "bravo": status()}
     assert directory_views(states_of(answers)) == {"bravo": {}}
     assert unanswered(answers) == {"alpha": answers["alpha"]}

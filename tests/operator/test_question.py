@@ -1,4 +1,4 @@
-"""Questions to the registry: what they ask for, and whatever else somebody may type."""
+"""Queries of the registry: their primitives and condition, and any other input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def registry() -> Registry:
 
 
 def asked(text: str) -> tuple[list[str], str | None]:
-    """The primitives and the condition of a question."""
+    """The primitives and the condition of a query."""
     question = parse_query(text, registry())
     constraint = question.constraint.text.strip() if question.constraint is not None else None
     return [primitive.name for primitive in question.primitives], constraint
@@ -40,17 +40,17 @@ def asked(text: str) -> tuple[list[str], str | None]:
         ("maneuverability.directional_force", ["Move", "Climb"], None),
     ],
 )
-def test_what_is_asked_for(text, primitives, constraint):
+def test_a_query_has_its_primitives_and_condition(text, primitives, constraint):
     assert asked(text) == (primitives, constraint)
 
 
 @pytest.mark.parametrize("text", ["", " ", "Lift payload >= 2.0", "Lift wherever", "Lift " * 2000])
-def test_what_is_no_question(text):
+def test_an_invalid_query_is_refused(text):
     with pytest.raises(UsageError):
         asked(text)
 
 
-def test_mistakes_stand_where_they_are_in_the_question():
+def test_mistakes_are_reported_at_their_place_in_the_query():
     with pytest.raises(ProgramError) as refused:
         asked("Lfit where paylod >= 2.0")
     assert [d.span.text for d in refused.value.diagnostics] == ["Lfit", "paylod"]
@@ -62,7 +62,7 @@ WORDS = st.sampled_from(
 
 
 @given(st.text(max_size=200) | st.lists(WORDS, max_size=12).map(" ".join))
-def test_anything_is_answered_or_refused(text):
+def test_any_text_is_answered_or_refused(text):
     try:
         primitives, _ = asked(text)
     except (UsageError, ProgramError) as refused:

@@ -1,4 +1,4 @@
-"""The folders of runs: who finds them, what is not believed, and what is left of runs that were killed."""
+"""The folders of runs: who may find them, manifests that are not trusted, and remains of killed runs."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ NOTE = RunManifest("/m/tour.dL", DEPLOYMENT.hex(), 7, 10.5, 120.0, ADDRESSES, {"
 
 @pytest.fixture
 def tmp_path():
-    """Not pytest's folder: the path of a socket may have 107 bytes."""
+    """Not pytest's folder: the path of a socket has at most 107 bytes."""
     with tempfile.TemporaryDirectory(prefix="lf-") as path:
         yield Path(path)
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """Where this user's runs are."""
+    """The folder of this user's runs."""
     for name in ("shared", "run"):
         (tmp_path / name).mkdir(mode=0o700)
     monkeypatch.setattr(run_dirs, "SERVICE", tmp_path / "run" / "lfield")
     monkeypatch.setattr(run_dirs, "SESSIONS", tmp_path / "run" / "user")
     monkeypatch.setattr(user_dirs, "SHARED", tmp_path / "shared")
-    # What is open to the group is in test_places.
+    # Runs open to the group are in test_places.
     monkeypatch.setattr(run_dirs, "shared_group_id", lambda: None)
     monkeypatch.delenv("LFIELD_RUNS", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -72,7 +72,7 @@ def changed(**fields) -> RunManifest:
     return msgspec.structs.replace(NOTE, **fields)
 
 
-def test_a_run_is_found_for_as_long_as_it_lives():
+def test_a_run_is_found_while_it_is_alive():
     assert runs_here() == []
     with begun() as doors:
         (run,) = runs_here()
@@ -83,7 +83,7 @@ def test_a_run_is_found_for_as_long_as_it_lives():
     assert runs_here() == []
 
 
-def test_only_its_user_can_read_it_and_nothing_is_left_behind(folder):
+def test_only_its_user_can_read_a_run_and_nothing_remains_of_it(folder):
     with begun():
         (run,) = folder.iterdir()
         (note,) = run.iterdir()
@@ -92,7 +92,7 @@ def test_only_its_user_can_read_it_and_nothing_is_left_behind(folder):
     assert list(folder.iterdir()) == []
 
 
-def test_two_runs_of_one_mission_do_not_touch_each_other():
+def test_two_runs_of_one_mission_are_independent():
     with begun() as first:
         with begun(changed(started=11.0)) as second:
             assert [run.manifest.started for run in runs_here()] == [10.5, 11.0]
@@ -100,8 +100,8 @@ def test_two_runs_of_one_mission_do_not_touch_each_other():
         assert [run.manifest.started for run in runs_here()] == [10.5]
 
 
-def test_what_no_command_could_find_does_not_begin(folder):
-    """Nobody could stop it, whatever keys there are."""
+def test_a_run_that_no_command_could_find_does_not_start(folder):
+    """No command could stop it, with any keys."""
     folder.write_text("a file, not a folder")
     with pytest.raises(OutputFileError) as error, begun():
         pytest.fail("it runs")
@@ -111,7 +111,7 @@ def test_what_no_command_could_find_does_not_begin(folder):
     )
 
 
-def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
+def test_a_folder_prepared_by_another_user_is_not_used(folder, tmp_path):
     """Neither a link nor a directory that others may write to."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
@@ -127,7 +127,7 @@ def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
         assert len(runs_here()) == 1
 
 
-def test_what_others_could_have_changed_is_not_believed(folder):
+def test_a_run_that_others_could_have_changed_is_not_trusted(folder):
     with begun():
         (run,) = folder.iterdir()
         for path in (folder, run, run / "note.json"):
@@ -138,7 +138,7 @@ def test_what_others_could_have_changed_is_not_believed(folder):
         assert len(runs_here()) == 1
 
 
-def test_a_link_in_the_place_of_a_note_or_run_is_not_believed(folder, tmp_path):
+def test_a_link_in_place_of_a_manifest_or_run_is_not_trusted(folder, tmp_path):
     with begun():
         (run,) = folder.iterdir()
         (run / "note.json").rename(tmp_path / "note.json")
@@ -150,8 +150,8 @@ def test_a_link_in_the_place_of_a_note_or_run_is_not_believed(folder, tmp_path):
         assert [found.folder for found in runs_here()] == [run]
 
 
-def test_what_is_left_of_a_killed_run_is_tidied_up(folder):
-    """A socket and note are left, the lock is not."""
+def test_remains_of_a_killed_run_are_removed(folder):
+    """A socket and manifest remain, the lock does not."""
     left = folder / "tour-0123abcd"
     left.mkdir(mode=0o700, parents=True)
     folder.chmod(0o700)
@@ -166,7 +166,7 @@ def test_what_is_left_of_a_killed_run_is_tidied_up(folder):
     assert {path.name for path in folder.iterdir()} == {beginning.name, "of-somebody-else"}
 
 
-def test_a_run_lives_while_a_process_that_inherited_its_lock_does(folder):
+def test_a_run_is_alive_while_a_process_that_inherited_its_lock_is(folder):
     """As hosts of `up --all` whose parent was killed: they land their vehicles and answer."""
     run, lock = runs._create(NOTE, pytest.fail)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock])
@@ -187,7 +187,7 @@ def test_a_run_lives_while_a_process_that_inherited_its_lock_does(folder):
         ("....dL", "run"),
     ],
 )
-def test_names_of_missions_that_are_no_names_of_folders(file, name):
+def test_mission_names_become_valid_folder_names(file, name):
     with begun(changed(mission=file)):
         (run,) = runs_here()
         assert run.id.rpartition("-")[0] == name
@@ -196,7 +196,7 @@ def test_names_of_missions_that_are_no_names_of_folders(file, name):
 
 @dataclass
 class Mission:
-    """What of a mission a run tells."""
+    """The part of a mission that a run publishes."""
 
     hosts: dict[str, str]
     bindings: object = field(default_factory=lambda: type("Bindings", (), {"all": []}))
@@ -206,7 +206,7 @@ class Mission:
         return type("Team", (), {"deployment": DEPLOYMENT, "addresses_by_host": self.hosts})
 
 
-def test_odd_hosts_have_odd_doors():
+def test_unusual_host_names_have_safe_socket_names():
     hosts = ["alpha", "10.0.0.7", "a/../b", "fe80::1", "x" * 64, "-"]
     note = runs.run_manifest(Mission(dict.fromkeys(hosts, "h:1")), Path("tour.dL"), hosts)
     assert Path(note.mission).is_absolute()
@@ -223,7 +223,7 @@ def test_odd_hosts_have_odd_doors():
         assert run.manifest.control_sockets == note.control_sockets
 
 
-def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
+def test_a_folder_too_deep_for_sockets_is_refused(tmp_path, monkeypatch):
     deep = tmp_path / ("x" * 90)
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
@@ -232,7 +232,7 @@ def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
     assert list(deep.iterdir()) == []
 
 
-def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monkeypatch):
+def test_the_runtime_folder_of_another_user_is_not_used(folder, tmp_path, monkeypatch):
     """XDG_RUNTIME_DIR may be left from before `su`."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc/1" if os.geteuid() else str(tmp_path / "gone"))
     with begun():
@@ -274,7 +274,7 @@ def owned(folder: Path, user: int) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
 @pytest.mark.parametrize("place", ["run/user/4242/lfield", "shared/lfield-4242"])
-def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, monkeypatch, place):
+def test_root_finds_runs_of_other_users_only_under_their_own_name(tmp_path, monkeypatch, place):
     base = tmp_path / place
     base.parent.mkdir(parents=True, exist_ok=True)
     with monkeypatch.context() as login:
@@ -320,8 +320,8 @@ def of_others(tmp_path, monkeypatch):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
-def test_whose_a_run_is_says_its_file_and_not_its_note(of_others):
-    """And what another user claims comes last, however long it says that it has run."""
+def test_the_owner_of_a_run_is_that_of_its_file_and_not_of_its_manifest(of_others):
+    """Claims of another user come last, whatever start time they name."""
     of_others(started=1.0)
     with begun():
         own, other = runs_here()
@@ -330,7 +330,7 @@ def test_whose_a_run_is_says_its_file_and_not_its_note(of_others):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
-def test_notes_of_another_user_take_no_more_than_one_note_may(of_others, monkeypatch):
+def test_manifests_of_another_user_are_limited_to_the_size_of_one(of_others, monkeypatch):
     for _ in range(5):
         size = len(msgspec.json.encode(of_others().manifest))
     with begun():
@@ -341,7 +341,7 @@ def test_notes_of_another_user_take_no_more_than_one_note_may(of_others, monkeyp
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
-def test_a_fifo_in_the_place_of_a_note_keeps_nobody(of_others):
+def test_a_fifo_in_place_of_a_manifest_does_not_block(of_others):
     note = of_others().folder / "note.json"
     note.unlink()
     os.mkfifo(note)
@@ -349,7 +349,7 @@ def test_a_fifo_in_the_place_of_a_note_keeps_nobody(of_others):
     assert runs_here() == []
 
 
-def test_who_finds_nothing_hears_where_was_looked(tmp_path, monkeypatch):
+def test_the_hint_without_a_run_names_the_searched_folders(tmp_path, monkeypatch):
     said = no_runs_hint()
     for place in (
         tmp_path / "lfield",
@@ -370,8 +370,8 @@ def test_a_service_shows_its_runs_to_its_group(service, folder):
     assert list(service.iterdir()) == []
 
 
-def test_who_may_only_read_the_note_of_a_killed_run_cannot_keep_it_listed(service):
-    """A member of the group may open folder and note, and lock both for reading."""
+def test_a_lock_on_the_manifest_of_a_killed_run_does_not_keep_it_listed(service):
+    """A member of the group may open folder and manifest, and lock both for reading."""
     run, lock = runs._create(NOTE, pytest.fail)
     held = [os.open(path, os.O_RDONLY) for path in (run.folder, run.folder / "note.json")]
     for opened in held:
@@ -389,8 +389,8 @@ def test_who_may_only_read_the_note_of_a_killed_run_cannot_keep_it_listed(servic
         os.close(opened)
 
 
-def test_what_cannot_be_looked_at_is_not_tidied_up(folder, monkeypatch):
-    """A command without descriptors must not take the doors away from what runs."""
+def test_a_run_that_cannot_be_examined_is_not_removed(folder, monkeypatch):
+    """A command without descriptors must not remove the sockets of a running mission."""
     with begun():
         (run,) = folder.iterdir()
         real = os.open
@@ -415,7 +415,7 @@ def test_a_command_finds_the_runs_of_the_service_and_its_own(service, monkeypatc
         assert runs_here() == []
 
 
-def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
+def test_an_unreadable_service_folder_is_reported(service, monkeypatch):
     assert unreadable_hint() == ""
     monkeypatch.setattr(os, "access", lambda path, how: False)
     assert unreadable_hint().startswith(f"what runs in {service} this user may not see: use sudo")
@@ -456,7 +456,7 @@ def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
         ),
     ],
 )
-def test_what_is_no_note_is_not_believed(folder, note):
+def test_an_invalid_manifest_is_not_trusted(folder, note):
     with begun():
         (run,) = folder.iterdir()
         (run / "note.json").write_text(note, encoding="latin-1")

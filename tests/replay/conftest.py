@@ -26,7 +26,8 @@ from lfield.recording.folders import SUFFIX, guard_folder
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import TeamRecording, load_team
 
-#: Seconds after the start at which the guard's recording has positions (north), and where its device latches.
+# : Seconds after the start at which the guard's recording has positions (north), and at which its device
+# latches.
 NORTH = {1.0: 0.0, 2.0: 4.0, 3.0: 8.0}
 LATCHED_AT = 4.0
 

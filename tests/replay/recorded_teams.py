@@ -106,7 +106,7 @@ def run_recorded(mission: Mission, seconds: float, seed: int = 1) -> RecordedTea
 
 
 def recorded(mission: Mission, memory: RecordingMemory) -> RecordedTeam:
-    """What was recorded in memory."""
+    """The contents of the memory."""
     bundles = tuple(memory.bundles) if isinstance(memory, MemoryWithBundles) else ()
     hosts = ((host, tuple(contents_of(sink.frames))) for host, _, sink in memory.sinks)
     return RecordedTeam(mission, tuple(hosts), bundles)

@@ -1,4 +1,4 @@
-"""Snapshots of cores: what is written can be restored, and everything else is refused when it is written."""
+"""Snapshots of cores: a written value can be restored, and any other value is refused when it is written."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Colour(Flag):
 
 
 def copy_of(value: object) -> Any:
-    """What a snapshot restores of a value."""
+    """The value that a snapshot restores."""
     writer = GraphWriter({}, lambda reading: -1)
     encoded = writer.encode(value)
     reader = GraphReader(lambda reference: None, [], HeapAllocator())
@@ -162,7 +162,7 @@ def local_object() -> object:
         OSError("x"),
     ],
 )
-def test_what_cannot_be_restored_is_refused_when_it_is_written(value: object) -> None:
+def test_a_value_that_cannot_be_restored_is_refused_when_it_is_written(value: object) -> None:
     with pytest.raises(RecordingError):
         copy_of(value)
 

@@ -1,4 +1,4 @@
-"""A replay finds a core that is not determined by its inputs, and another hash seed changes nothing."""
+"""A replay detects a core that is not determined by its inputs, and another hash seed changes nothing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.replay.host_replay import HostReplay
 from lfield.text import log_messages
 from lfield.vm.turns.run_limit import RunCuts
 
-#: A replay in a process with other hashes of texts, so with another order of sets.
+# : A replay in a process with other hashes of strings, so with another order of sets.
 OTHER_SEED = "4711"
 
 
@@ -26,7 +26,7 @@ def walked(tmp_path) -> RecordedTeam:
     return run_recorded(walk_mission(tmp_path), 6.0)
 
 
-def test_a_core_that_reads_the_real_time_is_found(walked, monkeypatch):
+def test_a_core_that_reads_the_real_time_is_detected(walked, monkeypatch):
     assert compare(walked, at_checkpoints=False).first is None
     run = HostCore.run
 

@@ -1,4 +1,4 @@
-"""Events and log lines of devices, which only the recordings of guards have, in exports."""
+"""Events and log lines of devices, which exist only in the recordings of guards, in exports."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_damaged_decisions_have_no_events(decisions, records, tmp_path):
     assert {type(each.what) for each in device_events([copy])} == {LineLogged}
 
 
-def test_the_log_of_an_mcap_file_has_what_guards_and_drivers_logged(recording):
+def test_the_log_of_an_mcap_file_has_lines_of_guards_and_drivers(recording):
     items, _ = items_of(recording)
     out = io.BytesIO()
     export_mcap(items, mission_info("", recording.mission), out=out)

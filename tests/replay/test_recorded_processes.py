@@ -1,4 +1,4 @@
-"""Recordings of real processes: a killed host, a folder that cannot be used, modes of files."""
+"""Recordings of real processes: a killed host, an unusable folder, file modes."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_a_killed_host_loses_at_most_a_second(tmp_path: Path) -> None:
 
 
 @pytest.mark.few(0)
-def test_a_mission_goes_on_without_the_folder_of_its_recording(tmp_path: Path) -> None:
+def test_a_mission_continues_without_the_folder_of_its_recording(tmp_path: Path) -> None:
     (tmp_path / "records").write_text("no folder")
     running = start(tmp_path, 20, "--record", "records", "--until-done")
     output, _ = running.communicate(timeout=60)
@@ -135,7 +135,7 @@ def test_a_mission_goes_on_without_the_folder_of_its_recording(tmp_path: Path) -
     assert len(re.findall(r"the recording of (north|south) ended: ", output)) == 2
 
 
-def test_a_recording_stays_within_its_limit_and_what_is_left_is_replayed(tmp_path: Path) -> None:
+def test_a_recording_stays_within_its_limit_and_the_rest_is_replayed(tmp_path: Path) -> None:
     running = start(
         tmp_path, 0, "--record", "records", "--record-limit", "1", "--until-done", program=CARRIER
     )
@@ -156,7 +156,7 @@ def test_a_recording_stays_within_its_limit_and_what_is_left_is_replayed(tmp_pat
 @pytest.mark.few(1)
 @pytest.mark.parametrize("options", [(), ("--no-record",)])
 def test_on_hardware_a_recording_is_the_default(tmp_path: Path, options: tuple[str, ...]) -> None:
-    """The device is simulated, but lfield does not know: the driver reaches it over a real wire."""
+    """The device is simulated, but lfield does not detect it: the driver reaches it over a real bus."""
     (tmp_path / "mission.L").write_text(AXIS)
     (tmp_path / "mission.dL").write_text("//Winch:winch@here\n//Boss:boss@here\n")
     words = ("up", "mission.dL", "--all", "--state", "state", "--until-done", *options)

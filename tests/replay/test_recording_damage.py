@@ -53,8 +53,8 @@ def test_a_file_cut_at_any_byte_has_the_turns_of_its_complete_frames(team, tmp_p
     assert 0 < last < all_turns
 
 
-def test_zeros_behind_the_last_frame_are_a_cut(team, tmp_path):
-    """As after a power failure. The file is much larger than its frames, and is not read at once."""
+def test_zeros_after_the_last_frame_are_a_cut(team, tmp_path):
+    """As after a power failure. The file is much larger than its frames, and is not read completely."""
     path = tmp_path / "core-000001.lfrec"
     path.write_bytes(MAGIC + b"".join(map(frame, team.hosts[0][1][:4])))
     turns = read_all(path)
@@ -68,7 +68,7 @@ def test_zeros_behind_the_last_frame_are_a_cut(team, tmp_path):
     assert len(load_incarnation(tmp_path).losses) == 1
 
 
-def test_a_huge_file_that_is_no_recording_is_refused_at_once(tmp_path):
+def test_a_huge_invalid_file_is_refused_at_once(tmp_path):
     for name in ("core-000001.lfrec", "guard-000001.lfrec"):
         (tmp_path / name).touch()
         os.truncate(tmp_path / name, 1 << 40)
@@ -95,8 +95,8 @@ def test_a_flipped_byte_ends_the_file_or_is_refused(team, tmp_path):
         assert loaded.problems
 
 
-def test_a_flipped_byte_below_a_valid_checksum_causes_a_recording_error_or_a_difference(team):
-    """What reads files is not the only protection: someone may compute the checksum again."""
+def test_a_flipped_byte_with_a_valid_checksum_causes_an_error_or_a_difference(team):
+    """The checksum is not the only protection: an attacker may compute it again."""
     frames = list(team.hosts[0][1])
     for number in range(3):
         data = frames[number]
@@ -203,7 +203,7 @@ def test_a_snapshot_with_a_hostile_object_is_refused(team, checkpoint, name):
 
 
 def test_a_failure_of_the_core_is_a_difference(team):
-    """As of an input that no host could have had."""
+    """As of an input that no host could have received."""
     entry = DeviceAnswered(7, None, ("arm",))
     turns = [TurnRecord(9.0, BatchDurable(1 << 40)), TurnRecord(9.0, entry)]
     frames = [*team.hosts[0][1][:2], content(turns, b"T", 2)]
@@ -216,7 +216,7 @@ def test_a_failure_of_the_core_is_a_difference(team):
     b"", b"\xc1", b"\x90", msgspec.msgpack.encode({}), pickle.dumps(OSError()), b"\xdd\xff\xff\xff\xff",
     b"\x91" * 100_000, b"\x91" * 1000 + b"\xc0",
 ], ids=lambda data: f"{len(data)} bytes {data[:4].hex()}")  # fmt: skip
-def test_a_snapshot_that_is_none_is_refused(team, checkpoint, snapshot):
+def test_an_invalid_snapshot_is_refused(team, checkpoint, snapshot):
     assert replay_hostile(with_snapshot(checkpoint, snapshot), team)
 
 
@@ -224,7 +224,7 @@ def test_a_snapshot_that_is_none_is_refused(team, checkpoint, snapshot):
 def test_a_deep_snapshot_is_refused(team, checkpoint, depth):
     try:
         snapshot = changed_state(checkpoint, nested(depth))
-    except RecursionError:  # the encoder refuses it: written by hand
+    except RecursionError:  # the encoder refuses it: encoded by hand
         snapshot = b"\x94" + b"\x93\xa5tuple\xa5tuple\x91" * depth + b"\xc0"
     replay_hostile(with_snapshot(checkpoint, snapshot), team)
 
@@ -239,7 +239,7 @@ def test_a_frame_that_decompresses_to_more_than_the_limit_is_refused(team, monke
         content([IdleTurn(1.0)] * 200_000, b"T", 200_000)
 
 
-def test_a_header_that_counts_other_turns_than_the_frame_has(team):
+def test_a_header_with_a_wrong_turn_count_is_handled(team):
     frames = list(team.hosts[0][1][:2])
     for turns in (0, 1 << 31):
         replay_hostile([*frames, content([IdleTurn(9.0)], b"T", turns)], team)
@@ -247,7 +247,7 @@ def test_a_header_that_counts_other_turns_than_the_frame_has(team):
 
 @pytest.mark.parametrize("records", [[], [1], [[3]], [[99, 1.0]], [[3, "soon"]], [[1]], {"a": 1}], ids=str)
 @pytest.mark.parametrize("kind", [b"S", b"C", b"T", b"X"])
-def test_a_frame_of_other_records_is_refused_or_has_no_turns(team, records, kind):
+def test_a_frame_of_invalid_records_is_refused_or_has_no_turns(team, records, kind):
     import zlib
 
     data = content([], kind)[:13] + zlib.compress(msgspec.msgpack.encode(records))

@@ -1,4 +1,4 @@
-"""Recordings in directories: which belong together, what is missing, and what cannot be used."""
+"""Recordings in directories: which belong together, which parts are missing, and which cannot be used."""
 
 from __future__ import annotations
 
@@ -99,14 +99,14 @@ def test_the_directories_of_several_robots_are_searched(team, tmp_path):
     assert load_team([tmp_path / "north", tmp_path / "south"]).others == ()
 
 
-def test_the_missing_hosts_are_named(team, tmp_path, capsys):
+def test_missing_hosts_are_named(team, tmp_path, capsys):
     folder = write_folder(tmp_path, team, 0)
     found = result_of(capsys, folder)
     assert found["missing"] == ["south"]
     assert found["differences"] == 0
 
 
-def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path, capsys):
+def test_without_its_first_file_a_replay_starts_at_the_checkpoint(team, tmp_path, capsys):
     places = checkpoints_of(team)
     folder = write_folder(tmp_path, team, 0, cuts=places[:2])
     whole = result_of(capsys, folder)
@@ -117,7 +117,7 @@ def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
 
 
-def test_a_file_that_the_recorder_deletes_meanwhile_is_missing(team, tmp_path, monkeypatch):
+def test_a_file_deleted_by_the_recorder_meanwhile_is_missing(team, tmp_path, monkeypatch):
     folder = write_folder(tmp_path, team, 0, cuts=checkpoints_of(team)[:2])
     files = segments_of(folder, "core")
     files[0].unlink()
@@ -127,7 +127,7 @@ def test_a_file_that_the_recorder_deletes_meanwhile_is_missing(team, tmp_path, m
     assert not found.parts[0].is_from_start
 
 
-def test_hosts_without_their_first_files_are_still_of_one_run(teams, tmp_path, capsys):
+def test_hosts_without_their_first_files_belong_to_one_run(teams, tmp_path, capsys):
     for number in range(2):
         for at, team in enumerate(teams):
             cuts = checkpoints_of(team, number)[1:3]
@@ -147,13 +147,13 @@ def sized_folder(parent, number, wall, size, limit=1000):
     return folder
 
 
-def test_a_host_that_restarts_again_and_again_does_not_replace_its_flight(tmp_path):
+def test_a_host_that_restarts_repeatedly_does_not_replace_its_flight(tmp_path):
     flight = sized_folder(tmp_path, 1, 1.8e9, 1000)
     starts = [sized_folder(tmp_path, 2 + number, 1.8e9 + 1 + number, 10) for number in range(100)]
     assert [each.path for each in folders_in(tmp_path)] == [flight, *starts]
 
 
-def test_the_recordings_of_a_host_have_a_limit(tmp_path, monkeypatch):
+def test_recordings_of_a_host_have_a_limit(tmp_path, monkeypatch):
     starts = [sized_folder(tmp_path, 1 + number, 1.8e9 + number, 900) for number in range(20)]
     assert [each.path for each in folders_in(tmp_path)] == starts[-INCARNATIONS:]
     monkeypatch.setattr(folders, "MAX_INCARNATIONS", 3)
@@ -161,7 +161,7 @@ def test_the_recordings_of_a_host_have_a_limit(tmp_path, monkeypatch):
     assert [each.path for each in folders_in(tmp_path)] == [*starts[-2:], newest]
 
 
-def test_a_lower_limit_does_not_delete_the_flights_before(tmp_path):
+def test_a_lower_limit_does_not_delete_earlier_flights(tmp_path):
     starts = [sized_folder(tmp_path, 1 + number, 1.8e9 + number, 900) for number in range(3)]
     newest = sized_folder(tmp_path, 4, 1.8e9 + 3, 0, limit=10)
     assert [each.path for each in folders_in(tmp_path)] == [*starts, newest]
@@ -185,7 +185,7 @@ def test_a_missing_file_in_the_middle_leaves_two_parts(team, tmp_path, capsys):
     assert any("missing" in problem for problem in found["problems"])
 
 
-def test_a_damaged_file_in_the_middle_leaves_the_turns_before_and_after_it(team, tmp_path, capsys):
+def test_a_damaged_file_in_the_middle_leaves_the_other_turns(team, tmp_path, capsys):
     places = checkpoints_of(team)
     folder = write_folder(tmp_path, team, 0, cuts=places[:2])
     path = folder / "core-000002.lfrec"
@@ -198,7 +198,7 @@ def test_a_damaged_file_in_the_middle_leaves_the_turns_before_and_after_it(team,
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
 
 
-def test_of_several_runs_the_newest_is_used(teams, tmp_path, capsys):
+def test_the_newest_of_several_runs_is_used(teams, tmp_path, capsys):
     old, new = teams
     both(tmp_path, old)
     newer = both(tmp_path, new, 1.9e9)
@@ -216,7 +216,7 @@ def test_a_recording_of_another_bundle_is_refused(team, tmp_path, capsys):
     assert "--bundle" in refused(capsys, folder)
 
 
-def test_another_bundle_that_is_named_differs_or_is_refused(team, tmp_path, capsys):
+def test_another_named_bundle_differs_or_is_refused(team, tmp_path, capsys):
     folder = write_folder(tmp_path, team)
     (folder / "mission.lfm").unlink()
     assert "--bundle" in refused(capsys, folder)
@@ -239,7 +239,7 @@ def test_a_file_of_another_format_is_refused(change, text, team, tmp_path, capsy
 
 
 @pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text", "a pipe", "a folder"])
-def test_what_is_no_recording_is_refused(name, tmp_path, capsys):
+def test_an_input_that_is_not_a_recording_is_refused(name, tmp_path, capsys):
     path = tmp_path / "place"
     if name != "nothing":
         path.mkdir()
@@ -265,7 +265,7 @@ def test_one_unusable_folder_does_not_hide_the_others(team, tmp_path, capsys):
     refused(capsys, tmp_path)
 
 
-def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
+def test_a_wall_clock_jump_of_years_changes_nothing(tmp_path):
     memory = RecordingMemory()
     fleet = Fleet(walk_mission(tmp_path), 3, options=FleetOptions(record=memory))
     fleet.run(1.0)
@@ -286,7 +286,7 @@ def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
         assert max(own) - min(own) < 3.0
 
 
-def test_the_recorded_bundle_is_signed_if_it_is_the_one_that_was_signed(tmp_path):
+def test_the_recorded_bundle_is_signed_only_if_it_was_the_signed_one(tmp_path):
     mission = walk_mission(tmp_path)
     (unsigned, *_) = run_recorded(mission, 0.5).bundles
     digest = bundle.contents(unsigned).digest
@@ -322,7 +322,7 @@ def started(tmp_path, monkeypatch):
     return start
 
 
-def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay(started):
+def test_a_host_process_runs_a_mission_from_files_in_the_form_of_a_replay(started):
     """Otherwise no checkpoint of `lfield up --deploy` can be restored: its objects have other numbers."""
     memory = RecordingMemory()
     (plain, _, _), (run, record, log) = started(None), started(memory)
@@ -334,7 +334,7 @@ def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay
     assert log == []
 
 
-def test_a_mission_whose_bundle_cannot_be_read_again_starts_without_a_recording(started, monkeypatch):
+def test_a_mission_with_an_unreadable_bundle_starts_without_a_recording(started, monkeypatch):
     def fail(data):
         raise BundleError("it is damaged")
 
@@ -358,7 +358,7 @@ def test_a_simulated_recording_is_replayed_from_its_checkpoints(tmp_path, monkey
     assert not any(each.differences for each in found)
 
 
-def test_a_checkpoint_has_no_function_that_was_set_later_except_for_a_method(tmp_path):
+def test_a_checkpoint_accepts_replaced_methods_but_no_new_functions(tmp_path):
     fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=RecordingMemory()))
     core = fleet.lives["north"].host.core
     snapshots = CoreSnapshots(core)
@@ -371,7 +371,7 @@ def test_a_checkpoint_has_no_function_that_was_set_later_except_for_a_method(tmp
     fleet.close()
 
 
-def test_what_a_host_did_is_written_although_no_turn_follows(tmp_path, monkeypatch):
+def test_turns_are_written_although_no_turn_follows(tmp_path, monkeypatch):
     """A killed host must not lose more than a second, also if it was idle."""
     (tmp_path / "mission.L").write_text("resource Post { init(string[] arg) { } }")
     (tmp_path / "mission.dL").write_text("//Post:one@north\n")

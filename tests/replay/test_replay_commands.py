@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 PLAIN = {"debug flight": ("-c", "where")}
 
 
-#: Instructions without a call or a pause that another program may execute in these tests.
+# : Instructions without a call or a pause that another program may execute in these tests.
 MOST = 20_000
 
 
@@ -92,7 +92,7 @@ def test_a_program_that_does_not_compile_is_reported_with_its_line(recorded: Pat
 
 
 @pytest.mark.process
-def test_the_missing_hosts_of_a_team_are_named(recorded: Path, tmp_path: Path) -> None:
+def test_missing_hosts_of_a_team_are_named(recorded: Path, tmp_path: Path) -> None:
     (alpha,) = (recorded / "records").glob("alpha-*")
     shutil.copytree(alpha, tmp_path / alpha.name)
     ran = lfield("replay", tmp_path, "--json", cwd=tmp_path)
@@ -229,7 +229,7 @@ def test_other_calls_of_an_incomplete_recording_are_a_difference(recorded: Path,
 
 
 @pytest.mark.process
-def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path) -> None:
+def test_a_recording_is_exported_to_mcap_and_csv(recorded: Path, tmp_path: Path) -> None:
     file, tables = tmp_path / "flight.mcap", tmp_path / "tables"
     ran = lfield("export", recorded / "records", "--mcap", file, "--csv", tables, cwd=tmp_path)
     assert (ran.returncode, ran.stderr) == (0, "")
@@ -249,7 +249,7 @@ def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path)
 
 
 @pytest.mark.process
-def test_an_export_that_fails_leaves_no_part_of_it(recorded: Path, tmp_path: Path) -> None:
+def test_a_failed_export_leaves_no_partial_file(recorded: Path, tmp_path: Path) -> None:
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000));"
         "from lfield.__main__ import main; sys.exit(main())"
@@ -266,7 +266,7 @@ def test_an_export_that_fails_leaves_no_part_of_it(recorded: Path, tmp_path: Pat
 
 
 @pytest.mark.process
-def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -> None:
+def test_an_export_without_the_mcap_package_is_reported(recorded: Path, tmp_path: Path) -> None:
     code = "import sys; sys.modules['mcap'] = None; from lfield.__main__ import main; sys.exit(main())"
     command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--mcap", "x.mcap"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
@@ -275,7 +275,7 @@ def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -
 
 
 @pytest.mark.process
-def test_a_debugger_at_a_port_in_use_says_so(recorded: Path) -> None:
+def test_a_debugger_at_a_port_in_use_is_reported(recorded: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         ran = lfield("debug", recorded / "records", "--dap", "--port", port, cwd=recorded)
@@ -284,8 +284,8 @@ def test_a_debugger_at_a_port_in_use_says_so(recorded: Path) -> None:
 
 
 @pytest.mark.process
-def test_the_commands_of_the_page_about_a_bad_flight_run(recorded: Path, tmp_path: Path) -> None:
-    """All of them but the copies from robots and the web page, on this recording."""
+def test_commands_of_the_page_after_a_bad_flight_run(recorded: Path, tmp_path: Path) -> None:
+    """All commands of the page but the copies from robots and the web page, on this recording."""
     text = (ROOT / "lfield/docs/after-a-bad-flight.md").read_text(encoding="utf-8")
     shutil.copytree(recorded / "records", tmp_path / "flight")
     write_mission(tmp_path, PROGRAM)
@@ -339,7 +339,9 @@ def test_an_endless_loop_is_a_difference_at_its_line(
     assert not now.may_follow(before)
 
 
-def test_a_long_computation_that_ends_is_none(recorded: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_long_computation_that_ends_is_not_a_difference(
+    recorded: Path, tmp_path: Path, monkeypatch
+) -> None:
     monkeypatch.setattr(computation_limit, "MAX_INSTRUCTIONS", MOST)
     loop = "int n = 0; while (n < 2000) n = n + 1; fc.takeoff(height);"
     before, now = calls_of(recorded, tmp_path, PROGRAM.replace("fc.takeoff(height);", loop))

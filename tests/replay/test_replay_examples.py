@@ -62,7 +62,7 @@ def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_program_of_an_example_makes_all_recorded_calls(name):
-    """What `lfield test --from` compares is the whole flight."""
+    """`lfield test --from` compares the whole flight."""
     parts, mission = record_mission(EXAMPLES / name, 30.0)
     recording = TeamRecording(mission, (), (), ())
     made: Counter[str] = Counter()

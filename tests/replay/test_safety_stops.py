@@ -1,4 +1,4 @@
-"""Safety stops in replays, debuggers and exports: who has stopped which device, when and why."""
+"""Safety stops in replays, debuggers and exports: the operator, the device, the time and the reason."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lfield.replay.recording_files import load_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.text import log_messages
 
-#: When the operator stops alpha, in seconds.
+# : The time at which the operator stops alpha (s).
 STOPPED_AT = 3.0
 
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory) -> Path:
-    """A recording of two hosts, one of which an operator has stopped, and then of their ends."""
+    """A recording of two hosts, one of which an operator has stopped, until they end."""
     folder = tmp_path_factory.mktemp("stopped")
     mission = load_mission(write_mission(folder), simulate=True)
     target = RecordingDirectory(folder / "records", 64 << 20)
@@ -46,7 +46,7 @@ def stopped(tmp_path_factory) -> Path:
     return folder / "records"
 
 
-def test_a_replay_names_who_has_stopped_which_host(stopped, capsys):
+def test_a_replay_names_the_operator_and_the_host_of_a_stop(stopped, capsys):
     assert main(["replay", "--json", str(stopped)]) == 0
     stop, device = json.loads(capsys.readouterr().out)["stops"]
     assert (stop["host"], stop["by"], stop["reason"]) == ("alpha", "anna", "smoke")
@@ -67,7 +67,7 @@ def test_the_debugger_finds_the_stop_in_both_directions(stopped, capsys):
     assert "by=anna" in capsys.readouterr().out
 
 
-def test_the_export_has_the_stop_and_the_line_of_the_log_once(stopped, tmp_path, capsys):
+def test_the_export_has_the_stop_and_its_log_line_once(stopped, tmp_path, capsys):
     assert main(["export", str(stopped), "--csv", str(tmp_path / "tables")]) == 0
     rows = list(csv.DictReader(io.StringIO((tmp_path / "tables" / "events.csv").read_text())))
     kinds = [row["kind"] for row in rows if "anna" in json.dumps(row)]
@@ -76,7 +76,7 @@ def test_the_export_has_the_stop_and_the_line_of_the_log_once(stopped, tmp_path,
     assert times == sorted(times)
 
 
-def test_the_stop_of_a_device_by_its_guard_is_found(recording, records, capsys):
+def test_a_stop_by_a_guard_is_found(recording, records, capsys):
     """The guard of this recording has made one.fc safe since its battery is empty."""
     assert [stop.device for stop in safety_stops(recording)] == []
     assert main(["debug", str(records), "--plain", "-c", "event confirmed", "-c", "events"]) == 0

@@ -1,4 +1,4 @@
-"""A desk on virtual time: fakes on cables, drivers behind guards, and what goes wrong with them."""
+"""A desk on virtual time: fakes on cables, drivers behind guards, and their faults."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ async def moves(servo):
     return servo.now
 
 
-def test_a_story_has_devices_behind_guards_and_gives_what_it_returns(desk, servo):
+def test_a_story_has_guarded_devices_and_returns_its_result(desk, servo):
     began = desk.clock.monotonic()
     ended = desk.run(moves, servo)
     assert 1.0 < ended - began < 3.0
     assert 1.0 < desk.now < 5.0
 
 
-def test_it_is_the_same_each_time_and_another_with_another_seed():
+def test_the_same_seed_gives_the_same_story():
     def ends(seed):
         desk = Desk(seed=seed)
         endpoint = desk.fake("dynamixel", *SERVO).endpoint
@@ -56,7 +56,7 @@ def test_it_is_the_same_each_time_and_another_with_another_seed():
     assert len(clocks) == 2
 
 
-def test_faults_are_set_in_a_story_and_at_a_moment(desk, fake, servo):
+def test_faults_are_set_in_a_story_and_at_a_time(desk, fake, servo):
     async def story(servo):
         await servo.call("torque", True)
         fake.fault("stuck=true")
@@ -69,7 +69,7 @@ def test_faults_are_set_in_a_story_and_at_a_moment(desk, fake, servo):
     assert fake.facts("1")["torque"] in (True, False)
 
 
-def test_what_a_story_raises_and_what_it_waits_for_in_vain(desk, servo):
+def test_an_exception_and_a_timeout_of_a_story_are_raised(desk, servo):
     async def wrong(servo):
         return servo.query("wings")
 
@@ -81,11 +81,11 @@ def test_what_a_story_raises_and_what_it_waits_for_in_vain(desk, servo):
 
     with pytest.raises(Stuck, match="the scenario has not ended after 30 s of virtual time"):
         desk.run(waits, servo, within=30.0)
-    # Its guard is gone with it, and the next one finds the port free.
+    # Its guard has ended with it, and the next one finds the port free.
     assert desk.run(moves, servo) > 0.0
 
 
-def test_a_device_that_is_not_there_is_told_as_by_lfield_kit(desk, servo):
+def test_a_missing_device_is_reported_as_by_lfield_kit(desk, servo):
     nobody = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
     with pytest.raises(DevicesError, match="No such file or directory"):
         desk.try_kit(nobody)
@@ -98,7 +98,7 @@ def test_two_fakes_cannot_have_one_port(desk, fake):
     assert (fake.endpoint, other.endpoint) == ("serial:/dev/ttyDXL:1000000", "serial:/dev/other:1000000")
 
 
-def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo):
+def test_a_kit_runs_its_silences_and_dead_guards_on_virtual_time(desk, servo):
     found = {finding.check: finding for finding in desk.try_kit(servo)}
     unlimited = "a profile above its speed limit is refused"
     assert [check for check, finding in found.items() if finding.outcome != "passed"] == [unlimited]
@@ -107,7 +107,7 @@ def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo
     assert len(found) == 21
 
 
-def test_who_left_a_device_unsafe_is_told(desk, fake, servo):
+def test_a_device_left_unsafe_is_reported(desk, fake, servo):
     async def act(bench):
         await bench.call("torque", True)
         fake.fault("dead=true")
@@ -132,12 +132,12 @@ def test_who_left_a_device_unsafe_is_told(desk, fake, servo):
         ("can", ("--fault", "wings=2"), MissionTestError, "there is no fault 'wings'"),
     ],
 )
-def test_a_fake_that_does_not_start_says_why(desk, sim, options, error, words):
+def test_a_fake_that_does_not_start_is_reported_with_the_reason(desk, sim, options, error, words):
     with pytest.raises(error, match=words):
         desk.fake(sim, *options)
 
 
-def test_a_fault_that_there_is_not_is_refused_where_it_is_set(desk, fake, servo):
+def test_an_unknown_fault_is_refused_where_it_is_set(desk, fake, servo):
     with pytest.raises(MissionTestError, match="the simulated device 'dynamixel': there is no fault 'wings'"):
         fake.fault("wings=true")
 
@@ -148,7 +148,7 @@ def test_a_fault_that_there_is_not_is_refused_where_it_is_set(desk, fake, servo)
     desk.run(story, servo)
 
 
-def test_a_fake_without_serve_and_one_that_breaks(desk):
+def test_a_fake_without_serve_and_a_failing_fake_are_reported(desk):
     class Old:
         name, help = "old", "it has its own loop"
 
@@ -176,7 +176,7 @@ def test_a_fake_without_serve_and_one_that_breaks(desk):
         desk.fake(Broken())
 
 
-def test_nothing_real_is_touched(desk):
+def test_a_real_endpoint_is_refused(desk):
     async def story():
         with socket.socket() as door:
             door.connect(("127.0.0.1", 9))

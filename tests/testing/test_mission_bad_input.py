@@ -1,4 +1,4 @@
-"""What a test may not ask of a team is one sentence, whatever it is; and so is what foreign code breaks."""
+"""An invalid request of a test to a team is one sentence; so is a failure of foreign code."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def pumps(tmp_path):
         (lambda team: team.stop("nobody"), "there is no host 'nobody'; there are: alpha, bravo"),
     ],
 )
-def test_what_cannot_be_asked_of_a_team_is_told(pumps, ask, told):
+def test_an_invalid_request_to_a_team_is_reported(pumps, ask, told):
     team = pumps()
     with pytest.raises(MissionTestError) as caught:
         ask(team)
@@ -90,20 +90,20 @@ def test_what_cannot_be_asked_of_a_team_is_told(pumps, ask, told):
         ({"fakes": {"pump.m": [5]}}, "fakes: the faults of pump.m are [5]; give a list of texts"),
     ],
 )
-def test_a_team_that_cannot_be_made_is_told(pumps, options, told):
+def test_a_team_that_cannot_be_made_is_reported(pumps, options, told):
     with pytest.raises(MissionTestError) as caught:
         pumps(**options)
     assert str(caught.value).startswith(told)
 
 
-def test_a_fault_is_a_text(lfield_mission):
+def test_a_fault_must_be_a_text(lfield_mission):
     team = lfield_mission(FLIGHT)
     for faults in ((5,), (), (["battery=0.2"],)):
         with pytest.raises(MissionTestError, match=r"lead\.fc: set\(\.\.\.\): give faults as texts"):
             team.fake("lead.fc").set(*faults)
 
 
-def test_no_fault_is_set_in_a_team_that_is_closed(lfield_mission):
+def test_no_fault_is_set_in_a_closed_team(lfield_mission):
     team = lfield_mission(FLIGHT)
     device = team.fake("lead.fc")
     team.close()
@@ -111,7 +111,7 @@ def test_no_fault_is_set_in_a_team_that_is_closed(lfield_mission):
         device.set("battery=0.2")
 
 
-def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
+def test_a_host_that_has_ended_can_be_killed_and_stopped(pumps):
     team = pumps()
     team.crash("alpha")
     team.crash("alpha")
@@ -139,7 +139,7 @@ def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
         lambda team: team.resume(),
     ],
 )
-def test_a_team_that_is_closed_refuses_everything(pumps, ask):
+def test_a_closed_team_refuses_every_request(pumps, ask):
     team = pumps()
     team.close()
     with pytest.raises(MissionTestError, match=r"^this team is closed; only its recorded data is available"):
@@ -147,7 +147,7 @@ def test_a_team_that_is_closed_refuses_everything(pumps, ask):
     assert not team._fleet.lives
 
 
-def test_what_a_team_has_recorded_is_there_when_it_is_closed(pumps):
+def test_recorded_data_is_available_after_the_team_is_closed(pumps):
     team = pumps()
     team.run(70.0)
     team.close()
@@ -158,7 +158,7 @@ def test_what_a_team_has_recorded_is_there_when_it_is_closed(pumps):
 
 
 @pytest.mark.parametrize("ways", ["double", "at", "until"])
-def test_nobody_runs_the_team_within_a_run(pumps, ways):
+def test_a_team_cannot_be_run_within_a_run(pumps, ways):
     def again(litres: int = 0) -> int:
         team.run(1.0)
         return litres
@@ -172,7 +172,7 @@ def test_nobody_runs_the_team_within_a_run(pumps, ways):
         team.run(until=again if ways == "until" else "got 3")
 
 
-def test_a_mock_is_a_double_as_any_other(pumps):
+def test_a_mock_is_a_valid_double(pumps):
     pump = Mock(spec=["flow"])
     pump.flow.return_value = 8
     pumps(doubles={"pump": pump}).run(until="got 8")
@@ -181,7 +181,7 @@ def test_a_mock_is_a_double_as_any_other(pumps):
         pumps(doubles={"pump": Mock(spec=["flwo"])})
 
 
-def test_who_wants_to_end_python_ends_the_test_with_a_sentence(pumps, lfield_mission, monkeypatch):
+def test_a_call_of_sys_exit_fails_the_test_with_a_sentence(pumps, lfield_mission, monkeypatch):
     team = pumps()
     team.at(0.1, lambda: sys.exit(3))
     with pytest.raises(MissionTestError, match=r"called sys.exit\(3\)"):
@@ -197,7 +197,7 @@ def test_who_wants_to_end_python_ends_the_test_with_a_sentence(pumps, lfield_mis
 
 @pytest.mark.parametrize("early", [True, False])
 @pytest.mark.parametrize("cause", [RuntimeError("no water"), ValueError("no water")])
-def test_a_fake_that_fails_says_of_what(lfield_mission, monkeypatch, cause, early):
+def test_a_failing_fake_is_named(lfield_mission, monkeypatch, cause, early):
     kind = type(lfield_sim.mavlink.SIM)
     serve = kind.serve
 

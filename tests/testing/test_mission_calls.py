@@ -1,4 +1,4 @@
-"""What is recorded of the portal calls of a simulated team."""
+"""The record of the portal calls of a simulated team."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def team_of(folder: Path, body: str) -> SmallTeam:
     return SmallTeam(folder, PROGRAM.replace("//body", body), DEPLOYMENT)
 
 
-def test_every_value_of_l_is_one_of_python(tmp_path: Path) -> None:
+def test_every_value_of_l_has_a_python_value(tmp_path: Path) -> None:
     team = team_of(
         tmp_path,
         """
@@ -76,7 +76,7 @@ def test_every_value_of_l_is_one_of_python(tmp_path: Path) -> None:
     assert "Place(...)" in repr(place)
 
 
-def test_a_call_is_told_when_it_begins_and_when_it_ends(tmp_path: Path) -> None:
+def test_a_call_is_recorded_at_its_start_and_end(tmp_path: Path) -> None:
     team = team_of(tmp_path, "two.wait(2.0); one.wait(0.0);")
     team.run(1.5)
     call = team.call("wait")
@@ -91,7 +91,7 @@ def test_a_call_is_told_when_it_begins_and_when_it_ends(tmp_path: Path) -> None:
     assert team.now >= second.at
 
 
-def test_calls_of_a_together_are_told_as_others(tmp_path: Path) -> None:
+def test_calls_of_a_together_statement_are_recorded(tmp_path: Path) -> None:
     body = """
         int[] got = new int[2];
         together { got[0] = one.wait(1.0); got[1] = two.wait(1.5); }
@@ -106,7 +106,7 @@ def test_calls_of_a_together_are_told_as_others(tmp_path: Path) -> None:
     assert {one.caller, two.caller} == {"boss"}
 
 
-def test_what_a_portal_throws_is_told(tmp_path: Path) -> None:
+def test_an_exception_of_a_portal_is_recorded(tmp_path: Path) -> None:
     team = team_of(tmp_path, 'try { two.fail("x"); } catch (IndexException e) { }')
     team.until("the end")
     call = team.call("fail")
@@ -115,7 +115,7 @@ def test_what_a_portal_throws_is_told(tmp_path: Path) -> None:
     assert call.ended is not None
 
 
-def test_a_portal_that_is_left_or_cancelled_is_told_to_its_end(tmp_path: Path) -> None:
+def test_a_cancelled_portal_is_recorded_to_its_end(tmp_path: Path) -> None:
     body = """
         try { within (0.5) { together { two.die(); } } } catch (TimeLimitException e) { }
     """
@@ -127,7 +127,7 @@ def test_a_portal_that_is_left_or_cancelled_is_told_to_its_end(tmp_path: Path) -
     assert call.ended - call.at < 1.0
 
 
-def test_the_portals_of_a_resource_that_dies_end_then(tmp_path: Path) -> None:
+def test_portals_of_a_dead_resource_end_with_it(tmp_path: Path) -> None:
     body = 'Sick s = findSick("sick"); try { s.rest(); } catch (UnreachableResourceException e) { }'
     team = team_of(tmp_path, body)
     team.until("the end")
@@ -137,7 +137,7 @@ def test_the_portals_of_a_resource_that_dies_end_then(tmp_path: Path) -> None:
     assert call.ended is not None
 
 
-def test_what_a_host_had_begun_when_it_went_down_never_ends(tmp_path: Path) -> None:
+def test_a_call_on_a_host_that_went_down_never_ends(tmp_path: Path) -> None:
     team = team_of(tmp_path, "try { two.wait(30.0); } catch (RestartException e) { two.wait(0.0); }")
     team.run(1.5)
     assert team.call("wait").ended is None
@@ -149,7 +149,7 @@ def test_what_a_host_had_begun_when_it_went_down_never_ends(tmp_path: Path) -> N
     assert again.result == 1
 
 
-def test_objects_are_equal_by_what_they_hold_however_deep() -> None:
+def test_objects_are_compared_by_value_at_any_depth() -> None:
     def chain(length: int, last: float) -> LObject:
         found = LObject("Place", x=last)
         for _ in range(length):

@@ -1,4 +1,4 @@
-"""Arrays that grow, maps and enums between L and the doubles of a test: lists, dicts and names."""
+"""Dynamic arrays, maps and enums between L and the doubles of a test: lists, dicts and names."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ coordinator Boss {
 ENUM_DEPLOYMENT = "//Arm:arm@bravo //Boss:boss@alpha"
 
 
-def test_members_are_names(tmp_path: Path) -> None:
+def test_enum_members_are_names(tmp_path: Path) -> None:
     observed: list[object] = []
 
     def go(to: str, others: list[str]) -> str:
@@ -136,7 +136,7 @@ def test_members_are_names(tmp_path: Path) -> None:
     assert team.said("step LIFT 7")
 
 
-def test_a_call_of_a_test_has_names(tmp_path: Path) -> None:
+def test_recorded_calls_have_names_of_enum_members(tmp_path: Path) -> None:
     team = SmallTeam(tmp_path, ENUM_PROGRAM, ENUM_DEPLOYMENT)
     team.until("got LIFT")
     assert team.call("go").arguments == ("LIFT", ["SEARCH", "HOME"])

@@ -59,13 +59,13 @@ DEPLOYMENT = "//Pump:pump@bravo //Pump:other@alpha //Boss:boss@alpha"
 def team_of(
     folder: Path, body: str, doubles: Mapping[str, object] | None = None, **pump: object
 ) -> SmallTeam:
-    """A team whose pump is doubled by functions, or whoever else is by objects."""
+    """A team whose pump is doubled by functions, or other resources by objects."""
     chosen = doubles or {"pump": SimpleNamespace(**pump)}
     return SmallTeam(folder, PROGRAM.replace("//body", body), DEPLOYMENT, chosen)
 
 
 class Pump:
-    """A double with a life of its own: what has no underscore is a portal."""
+    """A double with state: methods without an underscore are portals."""
 
     def __init__(self) -> None:
         self.total = 0
@@ -82,7 +82,7 @@ class Pump:
         raise AssertionError("nobody asks for it")
 
 
-def test_a_double_answers_and_neither_init_nor_devices_are_there(tmp_path: Path) -> None:
+def test_a_double_answers_without_init_and_devices(tmp_path: Path) -> None:
     pump = Pump()
     body = 'print("got " + i2s(pump.flow(3, 0.5)) + " " + i2s(pump.flow(4)));'
     team = team_of(tmp_path, body, {"pump": pump})
@@ -99,7 +99,7 @@ def test_a_double_answers_and_neither_init_nor_devices_are_there(tmp_path: Path)
     assert (second.arguments, second.result) == ((4,), 7)
 
 
-def test_values_go_both_ways(tmp_path: Path) -> None:
+def test_values_are_converted_in_both_directions(tmp_path: Path) -> None:
     seen: list[object] = []
 
     def go(there: LObject, grid: list[object]) -> LObject:
@@ -133,7 +133,7 @@ def test_values_go_both_ways(tmp_path: Path) -> None:
     assert team.said("it is")
 
 
-def test_aliases_circles_and_depth_outlive_the_way(tmp_path: Path) -> None:
+def test_aliases_cycles_and_depth_are_preserved(tmp_path: Path) -> None:
     def go(there: LObject, grid: object) -> LObject:
         chain = LObject("Place", x=7.0, more=None, next=None)
         for _ in range(5000):
@@ -156,7 +156,7 @@ def test_aliases_circles_and_depth_outlive_the_way(tmp_path: Path) -> None:
     assert team.said("5000 to 7.0")
 
 
-def test_what_a_double_throws_is_thrown_in_l(tmp_path: Path) -> None:
+def test_an_exception_of_a_double_is_thrown_in_l(tmp_path: Path) -> None:
     def flow(litres: int, seconds: float = 0.0) -> int:
         raise Throws("DeviceTimeoutException", "no water")
 
@@ -167,12 +167,12 @@ def test_what_a_double_throws_is_thrown_in_l(tmp_path: Path) -> None:
     team = team_of(tmp_path, body, flow=flow)
     team.until("the end")
     assert team.said("caught no water")
-    # Nothing of the portal itself is done, its own catch included.
+    # Nothing of the portal itself is executed, its own catch included.
     assert team.said("thrown: no water of pump")
     assert [call.thrown for call in team.calls.record] == ["DeviceTimeoutException: no water"] * 2
 
 
-def test_an_answer_may_take_its_time(tmp_path: Path) -> None:
+def test_a_double_may_answer_later(tmp_path: Path) -> None:
     answers = {1: After(2.0, 5), 2: After(0.5, Throws("DeviceException", "it leaks"))}
     body = "pump.flow(1); pump.flow(2);"
     team = team_of(tmp_path, body, flow=lambda litres, seconds=0.0: answers[litres])
@@ -185,7 +185,7 @@ def test_an_answer_may_take_its_time(tmp_path: Path) -> None:
     assert (first.result, second.thrown) == (5, "DeviceException: it leaks")
 
 
-def test_a_double_answers_calls_of_a_together(tmp_path: Path) -> None:
+def test_a_double_answers_calls_of_a_together_statement(tmp_path: Path) -> None:
     body = """
         int[] got = new int[3];
         together {
@@ -208,7 +208,7 @@ def test_a_double_answers_calls_of_a_together(tmp_path: Path) -> None:
     assert fast.ended < slow.ended
 
 
-def test_what_a_double_throws_is_thrown_at_the_end_of_a_together(tmp_path: Path) -> None:
+def test_an_exception_of_a_double_is_thrown_at_the_end_of_a_together(tmp_path: Path) -> None:
     def flow(litres: int, seconds: float = 0.0) -> object:
         if litres == 1:
             raise Throws("DeviceException", "no water")
@@ -224,7 +224,7 @@ def test_what_a_double_throws_is_thrown_at_the_end_of_a_together(tmp_path: Path)
     ]
 
 
-def test_a_call_that_waits_for_its_answer_can_be_cancelled(tmp_path: Path) -> None:
+def test_a_call_that_waits_for_a_double_can_be_cancelled(tmp_path: Path) -> None:
     doubles = {
         name: SimpleNamespace(flow=lambda litres, seconds=0.0: After(20.0, 3)) for name in ("pump", "other")
     }
@@ -234,13 +234,13 @@ def test_a_call_that_waits_for_its_answer_can_be_cancelled(tmp_path: Path) -> No
     assert team.now < 5.0
     thrown = [call.thrown.partition(":")[0] for call in team.calls.record]
     assert thrown == ["CancelledException"] * 3
-    # What would have been given then is dropped.
+    # The late answer is dropped.
     team.run(30.0)
     assert team.call_results("flow") == [None, None, None]
     assert team.lives.keys() == {"alpha", "bravo"}
 
 
-def test_what_is_too_large_for_its_resource_is_a_limit_as_ever(tmp_path: Path) -> None:
+def test_an_answer_too_large_for_its_resource_is_a_limit_exception(tmp_path: Path) -> None:
     body = 'real[] parts = pump.split(null); print("got " + i2s(parts.length()));'
     team = team_of(tmp_path, body, split=lambda parts: [0.5] * 200_000)
     team.until("the end")
@@ -250,7 +250,7 @@ def test_what_is_too_large_for_its_resource_is_a_limit_as_ever(tmp_path: Path) -
     assert team.said("got 100000")
 
 
-def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
+def test_a_late_answer_is_dropped(tmp_path: Path) -> None:
     body = (
         'try { within (1.0) { pump.flow(1); } } catch (TimeLimitException e) { print("late"); } pump.flow(1);'
     )
@@ -263,7 +263,7 @@ def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
     assert team.lives.keys() == {"alpha", "bravo"}
 
 
-def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
+def test_a_host_that_dies_loses_the_answer(tmp_path: Path) -> None:
     answers = [After(5.0, 1), 2]
     body = 'try { pump.flow(1); } catch (RestartException e) { print("again " + i2s(pump.flow(1))); }'
     team = team_of(tmp_path, body, flow=lambda litres, seconds=0.0: answers.pop(0))
@@ -306,7 +306,7 @@ def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
     assert len(digests) == 1
 
 
-# --- what a double has instead of devices ---------------------------------------------------------------
+# --- a double in place of devices ----------------------------------------------------------------
 
 NO_DRIVER = """
 resource Welder {
@@ -343,7 +343,7 @@ class Welder:
         return True
 
 
-def test_the_driver_of_a_doubled_resource_need_not_be_there(tmp_path: Path) -> None:
+def test_the_driver_of_a_doubled_resource_need_not_be_installed(tmp_path: Path) -> None:
     hosts = "//Welder:welder@alpha //Pump:pump@alpha //Boss:boss@bravo"
     (tmp_path / "mission.devices.yaml").write_text(ITS_DEVICES)
     team = SmallTeam(tmp_path, NO_DRIVER, hosts, {"welder": Welder()})
@@ -352,7 +352,7 @@ def test_the_driver_of_a_doubled_resource_need_not_be_there(tmp_path: Path) -> N
     assert team.mission.bindings.limits("welder").heap == 64 << 10
     assert team.mission.bindings.devices.get("welder", {}) == {}
     assert team.mission.bindings.devices["pump"].keys() == {"fc"}
-    # Of one that does run, it must.
+    # The driver of a running resource must be.
     with pytest.raises(ProgramError) as caught:
         SmallTeam(tmp_path, NO_DRIVER, f"{hosts} //Welder:other@alpha", {"welder": Welder()})
     assert "Xyzzy" in caught.value.diagnostics[0].render()
@@ -368,7 +368,7 @@ def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
     assert mission.bindings.all == []
 
 
-# --- what goes wrong ----------------------------------------------------------------------------------
+# --- errors --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -383,7 +383,7 @@ def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
         ("x" * 200, f"has returned str 'xxx{75 * 'x'}…: return"),
     ],
 )
-def test_a_value_of_another_type_is_told(tmp_path: Path, returned: object, told: str) -> None:
+def test_a_returned_value_of_another_type_is_reported(tmp_path: Path, returned: object, told: str) -> None:
     team = team_of(tmp_path, "pump.flow(1, 2.0);", flow=lambda litres, seconds=0.0: returned)
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
@@ -417,7 +417,7 @@ def test_a_value_of_another_type_is_told(tmp_path: Path, returned: object, told:
         ("pump.go(null, null);", {"x": 1.0}, "returns Place, but its double has returned dict {'x': 1.0}"),
     ],
 )
-def test_a_part_of_another_type_is_told(tmp_path: Path, body: str, returned: object, told: str) -> None:
+def test_a_field_of_another_type_is_reported(tmp_path: Path, body: str, returned: object, told: str) -> None:
     answer = {name: lambda *given: returned for name in ("stop", "split", "go")}
     team = team_of(tmp_path, body, **answer)
     with pytest.raises(DoubleError) as caught:
@@ -425,7 +425,7 @@ def test_a_part_of_another_type_is_told(tmp_path: Path, body: str, returned: obj
     assert told in str(caught.value)
 
 
-def test_a_portal_that_the_double_lacks_is_told_when_it_is_called(tmp_path: Path) -> None:
+def test_a_missing_portal_of_a_double_is_reported_at_its_call(tmp_path: Path) -> None:
     team = team_of(tmp_path, "pump.flow(1); pump.stop();", flow=lambda litres, seconds=0.0: 1)
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
@@ -441,7 +441,7 @@ def broken(litres: int, seconds: float = 0.0) -> int:
 
 
 @pytest.mark.parametrize(("litres", "kind"), [(1, AssertionError), (0, KeyError)])
-def test_an_exception_of_the_double_is_one_of_the_test(
+def test_an_exception_of_the_double_is_raised_in_the_test(
     tmp_path: Path, litres: int, kind: type[Exception]
 ) -> None:
     team = team_of(tmp_path, f"pump.flow({litres});", flow=broken)
@@ -453,7 +453,7 @@ def test_an_exception_of_the_double_is_one_of_the_test(
     assert not team.said("the end")
 
 
-def test_who_waits_for_a_double_is_told_so(tmp_path: Path) -> None:
+def test_an_agent_that_waits_for_a_double_is_named(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM.replace("//body", "pump.flow(1);"))
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     double = SimpleNamespace(flow=lambda litres, seconds=0.0: After(1e6, 1))
@@ -463,7 +463,7 @@ def test_who_waits_for_a_double_is_told_so(tmp_path: Path) -> None:
     assert "pump on bravo: its double has not returned yet at Pump.flow (mission.L:" in str(caught.value)
 
 
-def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None:
+def test_pytest_fail_in_a_double_fails_the_test(tmp_path: Path) -> None:
     team = team_of(tmp_path, "pump.flow(1);", flow=lambda litres, seconds=0.0: pytest.fail("enough"))
     with pytest.raises(pytest.fail.Exception, match="enough"):
         team.until("the end")
@@ -507,9 +507,7 @@ def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None
         ({"pump": Pump}, "the double of pump is the class Pump: give an instance, Pump()"),
     ],
 )
-def test_a_double_that_does_not_fit_is_refused(
-    tmp_path: Path, doubles: Mapping[str, object], told: str
-) -> None:
+def test_an_invalid_double_is_refused(tmp_path: Path, doubles: Mapping[str, object], told: str) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     mission = load_mission(tmp_path / "mission.dL", simulate=True)
@@ -518,7 +516,7 @@ def test_a_double_that_does_not_fit_is_refused(
     assert str(caught.value) == told
 
 
-def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused() -> None:
+def test_an_unknown_l_exception_and_an_invalid_delay_are_refused() -> None:
     with pytest.raises(DoubleError, match=r"'DeviceExeption'.*did you mean 'DeviceException'"):
         Throws("DeviceExeption", "x")
     with pytest.raises(DoubleError, match="use one of Exception, Unreach"):
@@ -551,7 +549,7 @@ coordinator Porter {
 
 
 class Depot:
-    """Notes who is inside when somebody else is let in."""
+    """Records the calls that are inside when another is admitted."""
 
     def __init__(self, *seconds: float) -> None:
         self._seconds = list(seconds)
@@ -568,13 +566,13 @@ class Depot:
 
 
 def porters(folder: Path, depot: Depot, *patience: float, after: float = 0.0) -> SmallTeam:
-    """Some who take as many as their number, and wait so long for it; the last one begins later."""
+    """Coordinators that take as many as their number, with that time limit; the last one starts later."""
     agents = [f"//Porter:p{n}@alpha?{n}&{seconds}&0" for n, seconds in enumerate(patience, 1)]
     agents[-1] = f"{agents[-1][:-1]}{after}"
     return SmallTeam(folder, LOCKED, " ".join(["//Depot:depot@bravo", *agents]), {"depot": depot})
 
 
-def test_synchronized_portals_of_a_double_are_asked_one_at_a_time(tmp_path: Path) -> None:
+def test_synchronized_portals_of_a_double_run_one_at_a_time(tmp_path: Path) -> None:
     depot = Depot(2.0, 1.0, 0.0)
     team = porters(tmp_path, depot, 60.0, 60.0, 60.0)
     team.run(1.0)
@@ -589,7 +587,7 @@ def test_synchronized_portals_of_a_double_are_asked_one_at_a_time(tmp_path: Path
     assert [b - a for a, b in itertools.pairwise(calls)] == pytest.approx([1.0, 0.0], abs=0.01)
 
 
-def test_who_is_cancelled_lets_the_next_one_in_and_who_waited_is_not_asked(tmp_path: Path) -> None:
+def test_a_cancelled_call_admits_the_next_and_an_expired_one_is_skipped(tmp_path: Path) -> None:
     depot = Depot(60.0, 0.5)
     team = porters(tmp_path, depot, 3.0, 1.0, 60.0)
     team.run(2.0)
@@ -601,7 +599,7 @@ def test_who_is_cancelled_lets_the_next_one_in_and_who_waited_is_not_asked(tmp_p
     assert 3.0 < team.now < 4.0
 
 
-def test_a_host_that_is_started_again_has_nobody_inside(tmp_path: Path) -> None:
+def test_a_restarted_host_has_no_call_inside(tmp_path: Path) -> None:
     depot = Depot(60.0, 0.5)
     team = porters(tmp_path, depot, 100.0, 100.0, after=5.0)
     team.run(1.0)
@@ -612,7 +610,7 @@ def test_a_host_that_is_started_again_has_nobody_inside(tmp_path: Path) -> None:
 
 
 class Climbs:
-    """It climbs by saying so, and may say what its battery has."""
+    """It climbs by returning, and may report its battery."""
 
     def climb(self, metres: float) -> float:
         return metres
@@ -622,7 +620,7 @@ class Climbs:
 
 
 class Broken:
-    """A crane that lifts nothing."""
+    """A crane without lifts."""
 
     def home(self) -> None:
         pass
@@ -635,7 +633,7 @@ class Broken:
 
 
 @pytest.mark.parametrize("battery", [0.9, 0.2, lambda: 0.9])
-def test_live_attributes_are_what_the_double_says(tmp_path: Path, battery: object) -> None:
+def test_live_attributes_are_those_of_the_double(tmp_path: Path, battery: object) -> None:
     """The examples' copter can Lift while its battery lasts."""
     shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
     sky = Climbs()
@@ -658,7 +656,7 @@ def test_live_attributes_are_what_the_double_says(tmp_path: Path, battery: objec
         (0.9, "the live_attributes of the double of sky are 0.9: give a dict"),
     ],
 )
-def test_live_attributes_that_are_none_are_refused(tmp_path: Path, told: object, words: str) -> None:
+def test_invalid_live_attributes_are_refused(tmp_path: Path, told: object, words: str) -> None:
     shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
     sky = Climbs()
     sky.live_attributes = told
@@ -669,8 +667,8 @@ def test_live_attributes_that_are_none_are_refused(tmp_path: Path, told: object,
         SmallTeam(tmp_path, doubles={"sky": sky}).run(5.0)
 
 
-def test_a_double_is_offered_as_what_it_stands_for(tmp_path: Path) -> None:
-    """It has no devices that could be in trouble. The examples' crane can Lift by itself, and is the best."""
+def test_a_double_is_offered_as_its_resource(tmp_path: Path) -> None:
+    """It has no devices that could fail. The examples' crane can Lift by itself, and is the best."""
     lifted: list[float] = []
 
     class Crane:

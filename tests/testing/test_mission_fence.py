@@ -1,4 +1,4 @@
-"""A test of a mission touches nothing of this computer, whoever tries and by whichever way."""
+"""A test of a mission has no access to this computer's devices, network and processes, on any path."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PROGRAM = "coordinator Boss { init(string[] arg) { while (true) sleep(1.0); } }"
 
 @pytest.fixture
 def still(tmp_path, lfield_mission) -> MissionTeam:
-    """A team that does nothing."""
+    """A team without actions."""
     (tmp_path / "still.L").write_text(PROGRAM)
     (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
     team: MissionTeam = lfield_mission(tmp_path / "still.dL")
@@ -142,7 +142,7 @@ DEEDS: dict[str, tuple[Callable[[], object], str]] = {
 
 @pytest.mark.few(10)
 @pytest.mark.parametrize("name", DEEDS)
-def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp_path, monkeypatch):
+def test_real_access_is_refused_also_if_the_code_suppresses_the_error(still, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deed, said = DEEDS[name]
     came = []
@@ -159,7 +159,7 @@ def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp
     assert not came
 
 
-def test_what_was_connected_before_is_real_too(connected, still):
+def test_a_socket_connected_before_is_refused(connected, still):
     for deed in (
         lambda: connected.send(b"x"),
         lambda: connected.sendall(b"x"),
@@ -177,7 +177,7 @@ def test_what_was_connected_before_is_real_too(connected, still):
             still.run(1.0)
 
 
-def test_so_is_what_was_accepted_before(accepted, still):
+def test_a_socket_accepted_before_is_refused(accepted, still):
     for deed in (lambda: accepted.send(b"x"), lambda: accepted.recv(1), lambda: accepted.recvmsg(1)):
         still.at(still.now + 0.5, deed)
         with pytest.raises(RealEndpoint, match="it tried to use a socket"):
@@ -187,7 +187,7 @@ def test_so_is_what_was_accepted_before(accepted, still):
         still.run(1.0)
 
 
-def test_no_process_is_ended_that_was_there_before(sleeper, still):
+def test_a_process_started_before_cannot_be_ended(sleeper, still):
     descriptor = os.pidfd_open(sleeper.pid)
     for deed in (
         sleeper.terminate,
@@ -223,7 +223,7 @@ def test_no_process_is_ended_that_was_there_before(sleeper, still):
         ),
     ],
 )
-def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
+def test_real_access_by_a_drivers_event_loop_is_refused(still, deed, said):
     async def silently() -> None:
         try:
             await deed()
@@ -238,7 +238,7 @@ def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
 
 @pytest.fixture
 def door():
-    """A door at which somebody listened before there was a team; who has knocked is accepted at once."""
+    """A socket with a listener from before there was a team; connections are accepted at once."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         one.listen()
@@ -263,7 +263,7 @@ except Exception:
 """
 
 
-def test_nor_while_a_mission_is_loaded_by_the_package_of_a_driver(
+def test_real_access_while_a_driver_package_is_imported_is_refused(
     door, tmp_path, monkeypatch, lfield_mission
 ):
     (tmp_path / "eager_driver.py").write_text(REACHES_OUT.format(port=door.getsockname()[1]))
@@ -279,7 +279,7 @@ def test_nor_while_a_mission_is_loaded_by_the_package_of_a_driver(
     assert not has_been_knocked_at(door)
 
 
-def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
+def test_real_access_while_a_double_is_inspected_is_refused(door, tmp_path, lfield_mission):
     class Eager:
         @property
         def live_attributes(self) -> dict[str, object]:
@@ -294,7 +294,7 @@ def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
     bound()
 
 
-def test_nor_by_a_team_that_is_closed_meanwhile(still):
+def test_real_access_by_a_team_closed_meanwhile_is_refused(still):
     still.at(0.5, still.close)
     with pytest.raises(MissionTestError, match="cannot close it"):
         still.run(1.0)
@@ -302,10 +302,10 @@ def test_nor_by_a_team_that_is_closed_meanwhile(still):
         bound()
 
 
-def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
+def test_real_access_by_the_test_its_conditions_and_threads_is_refused(still):
     with pytest.raises(RealEndpoint, match="it tried to listen at"):
         bound()
-    # It has been told, and goes on.
+    # It was reported once, and the test continues.
     still.run(1.0)
     with pytest.raises(RealEndpoint, match="it tried to reach"):
         still.run(until=lambda: bool(socket.gethostbyname("localhost")))
@@ -326,7 +326,7 @@ def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
     assert len(told) == 2
 
 
-def test_a_thread_of_somebody_else_is_none_of_its_business(tmp_path, lfield_mission):
+def test_a_thread_of_another_owner_is_not_restricted(tmp_path, lfield_mission):
     begin, done = threading.Event(), threading.Event()
     names = []
 
@@ -345,7 +345,7 @@ def test_a_thread_of_somebody_else_is_none_of_its_business(tmp_path, lfield_miss
     assert names
 
 
-def test_what_leads_nowhere_is_free_and_so_is_a_pair_of_sockets(still):
+def test_harmless_paths_and_socket_pairs_are_allowed(still):
     for path in ("/dev/null", "/dev/urandom", "/dev/zero"):
         Path(path).open("rb").close()
     one, other = socket.socketpair()
@@ -358,7 +358,7 @@ def test_what_leads_nowhere_is_free_and_so_is_a_pair_of_sockets(still):
     asyncio.run(asyncio.sleep(0))
 
 
-def test_without_a_team_a_test_may_do_what_it_likes(connected, still):
+def test_without_a_team_a_test_is_not_restricted(connected, still):
     send, opened = socket.socket.send, os.open
     still.close()
     assert socket.socket.send is not send

@@ -32,7 +32,7 @@ def team(tmp_path, lfield_mission):
     return lfield_mission(tmp_path / "ask.dL")
 
 
-def test_lines_are_prepared_or_entered_when_it_is_time(team):
+def test_input_lines_are_prepared_or_entered_at_a_time(team):
     team.type_line("alpha", "before the start")
     team.run(until="said before the start")
     team.at(team.now + 10.0, lambda: team.type_line("alpha", "later"))
@@ -43,7 +43,7 @@ def test_lines_are_prepared_or_entered_when_it_is_time(team):
     assert team.now - came == pytest.approx(30.0, rel=0.05)
 
 
-def test_a_restart_of_the_host_ends_the_wait_and_forgets_kept_lines(team):
+def test_a_restart_of_the_host_ends_the_wait_and_discards_stored_lines(team):
     team.run(until="waits for a line")
     team.crash("alpha")
     team.type_line("alpha", "no process")
@@ -57,6 +57,6 @@ def test_a_restart_of_the_host_ends_the_wait_and_forgets_kept_lines(team):
 
 
 @pytest.mark.parametrize(("host", "text"), [("alpha", "a\nb"), ("alpha", 7), ("bravo", "x"), ("carol", "x")])
-def test_wrong_lines(team, host, text):
+def test_invalid_input_lines_are_refused(team, host, text):
     with pytest.raises(MissionTestError):
         team.type_line(host, text)

@@ -59,7 +59,7 @@ agents:
 
 @pytest.fixture
 def rover(tmp_path, lfield_mission):
-    """Makes a team of a rover and a boss, who does `body`, and `end` in any case."""
+    """Makes a team of a rover and a coordinator that executes `body`, and `end` in any case."""
 
     def made(body: str, end: str = "", witness: str = "", **options: object) -> MissionTeam:
         (tmp_path / "rover.L").write_text(PROGRAM.replace("//body", body).replace("//end", end))
@@ -71,7 +71,7 @@ def rover(tmp_path, lfield_mission):
 
 
 def moved(team: MissionTeam) -> float:
-    """How far from its start the rover is, in metres."""
+    """The distance of the rover from its start, in metres."""
     track = team.tracks["rover.fc"]
     return math.dist((track[-1].north, track[-1].east), (track[0].north, track[0].east))
 
@@ -90,7 +90,7 @@ def test_an_upper_loop_cancels_the_motion_of_a_lower_one(rover):
     team.run(until="finished")
     # The portal is refused while the upper body runs.
     assert team.said("DeviceException fc: the loop stay controls the devices now") == 1
-    # Its condition has ended, and the lower loop drives on.
+    # Its condition has ended, and the lower loop continues to drive.
     team.run(3.0)
     assert not stands(team)
 
@@ -102,7 +102,7 @@ def test_loops_do_not_keep_a_mission_alive(rover):
     assert team.said("tick 2") == 1
 
 
-def test_a_mistake_in_a_loop_stops_the_devices(rover):
+def test_an_error_in_a_loop_stops_the_devices(rover):
     team = rover("sleep(6); rover.breakDown(); sleep(9); rover.move();", "sleep(20);")
     team.run(until="rover died of an uncaught IndexException")
     assert moved(team) > 3.0
@@ -112,7 +112,7 @@ def test_a_mistake_in_a_loop_stops_the_devices(rover):
     assert team.said("UnreachableResourceException rover is not available: it died of IndexException") == 1
 
 
-def test_a_pause_stops_the_ticks_and_skips_what_was_missed(rover):
+def test_a_pause_stops_the_ticks_and_skips_missed_ones(rover):
     team = rover("sleep(30);")
     team.run(until="tick 12")
     team.pause()
@@ -133,7 +133,7 @@ def test_a_stop_ends_the_ticks_before_the_devices_are_safe(rover):
     assert team.said("loop-failed") == team.said("loop drive of rover failed") == 0
 
 
-def test_loops_run_without_network_and_start_again_with_their_host(rover):
+def test_loops_run_without_network_and_restart_with_their_host(rover):
     team = rover("sleep(60);")
     team.run(until="tick 12")
     team.cut("field", "desk")
@@ -147,7 +147,7 @@ def test_loops_run_without_network_and_start_again_with_their_host(rover):
     assert sum(line.text == "rover: tick 1" for line in team.log) == 2
 
 
-def test_a_lost_lease_stops_the_devices_of_its_coordinator_and_not_the_loops(rover):
+def test_a_lost_lease_stops_the_devices_of_its_coordinator_but_not_the_loops(rover):
     """The coordinator has used the device, so a loop cannot move it either, until a release."""
     team = rover("heartbeatInterval(2.0); rover.start(); sleep(60);", witness="//@base\n")
     team.run(until="tick 12")

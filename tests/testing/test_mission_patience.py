@@ -1,4 +1,4 @@
-"""A test whose double, action, condition or fake blocks ends, and says who has held it."""
+"""A test whose double, action, condition or fake blocks ends, and names the blocking code."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ coordinator Boss {
 
 @pytest.fixture
 def posted(tmp_path, lfield_mission, monkeypatch):
-    """Makes a team with a double for its resource, and so many seconds of patience once it is made."""
+    """Makes a team with a double for its resource, and a time limit (s) after its creation."""
 
     def made(double: object = None, making: float = 120.0, patience: float = 0.5) -> MissionTeam:
         monkeypatch.setattr("lfield.testing.mission.mission_team.PATIENCE", making)
@@ -51,7 +51,7 @@ class Swallows:
 
 
 @pytest.mark.parametrize("double", [Blocks(), Swallows()], ids=["blocks", "swallows"])
-def test_a_double_that_blocks_is_interrupted_and_named(posted, double):
+def test_a_blocking_double_is_interrupted_and_named(posted, double):
     team = posted(double)
     with pytest.raises(Stuck, match=r"at 0\.\d+ s of the mission time has not advanced for 0.5 s") as stuck:
         team.run(10.0)
@@ -62,14 +62,14 @@ def nap() -> None:
     time.sleep(1e6)
 
 
-def test_an_action_that_takes_too_long_is_the_one_that_is_named(posted):
+def test_a_slow_action_is_named(posted):
     team = posted()
     team.at(3.0, lambda: nap())
     with pytest.raises(Stuck, match=r"at 3.000 s .*held by nap \(test_mission_patience.py:\d+\)"):
         team.run(10.0)
 
 
-def test_so_is_a_condition_and_what_runs_in_a_thread(posted):
+def test_a_slow_condition_or_thread_is_named(posted):
     with pytest.raises(Stuck, match=r"held by .*<lambda> \(test_mission_patience"):
         posted().run(until=lambda: threading.Lock().acquire() and threading.Event().wait())
     team = posted()
@@ -79,7 +79,7 @@ def test_so_is_a_condition_and_what_runs_in_a_thread(posted):
         team.run(10.0)
 
 
-def test_who_spins_at_one_instant_is_interrupted(posted):
+def test_a_busy_loop_at_one_instant_is_interrupted(posted):
     team = posted()
 
     def again() -> None:
@@ -92,7 +92,7 @@ def test_who_spins_at_one_instant_is_interrupted(posted):
         team.run(10.0)
 
 
-def test_who_is_only_slow_is_let_go_on(posted):
+def test_slow_code_that_advances_is_not_interrupted(posted):
     team, began = posted(patience=1.0), time.monotonic()
     for moment in range(1, 9):
         team.at(moment, lambda: time.sleep(0.15))
@@ -100,7 +100,7 @@ def test_who_is_only_slow_is_let_go_on(posted):
     assert time.monotonic() - began > 1.0
 
 
-def test_the_making_of_a_team_has_an_end_too(posted):
+def test_the_creation_of_a_team_has_a_time_limit(posted):
     class Shy:
         @property
         def live_attributes(self) -> dict[str, object]:
@@ -113,7 +113,7 @@ def test_the_making_of_a_team_has_an_end_too(posted):
         posted(Shy(), making=2.0)
 
 
-def test_an_alarm_of_somebody_else_is_there_again_and_rings_first_where_it_is_sooner(posted, monkeypatch):
+def test_an_alarm_of_another_owner_is_restored_and_fires_in_time(posted, monkeypatch):
     rung = []
     before = signal.signal(signal.SIGALRM, lambda *_: rung.append(time.monotonic()))
     left, _ = signal.setitimer(signal.ITIMER_REAL, 230.0)
@@ -125,7 +125,7 @@ def test_an_alarm_of_somebody_else_is_there_again_and_rings_first_where_it_is_so
         team.run(1.0)
         assert len(rung) == 1
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
-        # It is rung also where it comes later than any look, and where time goes on.
+        # It also fires where it is later than the check interval, and where time advances.
         signal.setitimer(signal.ITIMER_REAL, 0.7)
         for moment in range(2, 10):
             team.at(moment, lambda: time.sleep(0.15))

@@ -1,4 +1,4 @@
-"""Where every agent stands and what it waits for, when a mission does not end."""
+"""The position of every agent and the event it waits for, when a mission does not end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ AGENTS = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 
 @pytest.fixture
 def stuck_in(tmp_path: Path):
-    """What is told of a mission whose boss does this, and of more agents, after some seconds."""
+    """The report on a mission with this coordinator, and further agents, after some seconds."""
     teams = []
 
     def told(body: str, *, more: str = "", disturb=lambda team: None) -> list[str]:
@@ -55,7 +55,7 @@ def of(agent: str, lines: list[str]) -> str:
     return line
 
 
-def test_the_calls_of_a_together_are_named(stuck_in):
+def test_calls_of_a_together_statement_are_named(stuck_in):
     lines = stuck_in("together { one.slow(); two.slow(); }")
     assert "one.slow()" in of("boss", lines)
     assert "two.slow()" in of("boss", lines)
@@ -63,14 +63,14 @@ def test_the_calls_of_a_together_are_named(stuck_in):
     assert of("boss", lines) == "boss on alpha: waits for one.slow() at Boss.init (post.L:12)"
 
 
-def test_the_calls_of_futures_and_what_a_monitor_waits_for_are_named(stuck_in):
+def test_calls_of_futures_and_conditions_of_monitors_are_named(stuck_in):
     lines = stuck_in("future<void>[] all = {async one.slow(), async two.waits()}; print(all.race());")
     assert of("boss", lines).startswith("boss on bravo: waits for one.slow() and two.waits() at ")
     (waits,) = (line for line in lines if line.startswith("two on"))
     assert waits.startswith("two on bravo: waits until its condition holds, at Post.waits (post.L:6)")
 
 
-def test_who_holds_the_lock_that_is_waited_for_is_named(stuck_in):
+def test_the_holder_of_an_awaited_lock_is_named(stuck_in):
     lines = stuck_in("one.locked();", more="//Other:other@bravo\n")
     assert "other on alpha: waits for one.locked() at Other.init (post.L:16)" in lines
     assert (
@@ -79,7 +79,7 @@ def test_who_holds_the_lock_that_is_waited_for_is_named(stuck_in):
     )
 
 
-def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
+def test_a_missing_coordinator_is_named(stuck_in):
     lines = stuck_in("two.work();", disturb=lambda team: team.when("post.L:12", lambda: team.crash("alpha")))
     assert of("boss", lines) == "boss is missing: it starts on alpha, which is not running"
     lines = stuck_in("two.slow();", disturb=lambda team: team.at(3.0, lambda: team.crash("bravo")))
@@ -93,17 +93,17 @@ def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
     assert of("boss", lines).startswith("boss on alpha: sleeping")
 
 
-def test_a_coordinator_that_has_ended_is_told_as_that(stuck_in):
+def test_an_ended_coordinator_is_reported_as_ended(stuck_in):
     lines = stuck_in("one.work();", more="//Other:other@bravo\n")
     assert of("boss", lines) == "boss: done"
 
 
-def test_a_paused_team_says_so(stuck_in):
+def test_a_paused_host_is_reported(stuck_in):
     lines = stuck_in("sleep(100.0);", disturb=lambda team: team.at(3.0, team.pause))
     assert "alpha is paused" in lines
 
 
-def test_who_waits_for_a_majority_to_begin_is_told_so(stuck_in):
+def test_a_coordinator_that_waits_for_a_majority_is_reported(stuck_in):
     def crash(team: MissionTeam) -> None:
         team.crash("bravo")
         team.crash("charlie")
@@ -113,7 +113,7 @@ def test_who_waits_for_a_majority_to_begin_is_told_so(stuck_in):
     assert of("boss", lines).startswith(told)
 
 
-def test_a_coordinator_on_its_way_is_told_once(stuck_in):
+def test_a_coordinator_in_transit_is_reported_once(stuck_in):
     body = "while (true) { one.quick(); two.quick(); }"
     lines = stuck_in(body.replace("quick", "work"))
     assert of("boss", lines)

@@ -35,7 +35,7 @@ coordinator Boss {
 }
 """
 TEAM = "//Rover:car@ground\n//Copter:low@alpha\n//Copter:high@bravo\n//Boss:boss@ground\n"
-#: A team on the Earth, whose vehicles find themselves there; and a hall, where each has a pose, some turned.
+# : A team on the Earth, whose vehicles know their positions; and a hall, where each has a pose, some turned.
 EARTH = """\
 frame: {origin: {latitude: -35.363262, longitude: 149.165237, altitude: 584.0}}
 agents:
@@ -59,7 +59,7 @@ DRIVER = "driver: mavlink, waivers: [device_watchdog], limits: {speed: 10.0}"
 
 @pytest.fixture
 def team(tmp_path, lfield_mission):
-    """The team of some bindings, when all have met."""
+    """The team of some bindings, after all have met."""
 
     def run(devices):
         (tmp_path / "m.L").write_text(MISSION)
@@ -74,7 +74,7 @@ def team(tmp_path, lfield_mission):
 
 
 def told(team, who):
-    """What a vehicle has told of itself, and when."""
+    """The reported position of a vehicle, and its time."""
     (line,) = [line for line in team.log if line.text.startswith(f"boss: {who} ")]
     return line.at, [float(word) for word in line.text.split()[2:]]
 
@@ -86,7 +86,7 @@ def truth(team, who, moment):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("devices", [EARTH, HALL], ids=["earth", "hall"])
-def test_who_is_sent_to_anothers_place_comes_there(team, devices):
+def test_a_vehicle_sent_to_anothers_position_arrives_there(team, devices):
     team = team(devices)
     starts = [points[0][1:3] for points in team.tracks.values()]
     assert min(math.dist(a, b) for a in starts for b in starts if a is not b) > 4.0
@@ -104,7 +104,7 @@ def test_who_is_sent_to_anothers_place_comes_there(team, devices):
     assert math.remainder(heading, math.tau) == pytest.approx(0.0, abs=0.1)
     began = told(team, "heading")[0]
     (met,) = [line.at for line in team.log if line.text == "boss: met"]
-    # In the first second it still slows down from its flight.
+    # In the first second it still decelerates.
     before, then = truth(team, "high", began + 1.0), truth(team, "high", met)
     assert then[0] - before[0] > 0.5
     assert then[1] == pytest.approx(before[1], abs=0.4)
@@ -137,8 +137,8 @@ coordinator Boss {
     ],
     ids=["home", "frame"],
 )
-def test_a_climb_from_where_it_has_landed_goes_up_there(tmp_path, lfield_mission, frame, to):
-    """Home moves to where it is armed: the place from before is another one about that."""
+def test_a_climb_after_a_landing_is_vertical(tmp_path, lfield_mission, frame, to):
+    """Home moves to the place of arming: an earlier position is another one in that frame."""
     (tmp_path / "m.L").write_text(CLIMB.replace("TO", to))
     (tmp_path / "m.dL").write_text("//Copter:low@alpha\n//Boss:boss@alpha\n")
     bound = f"low: {{{frame}devices: {{fc: {{{DRIVER}, endpoint: 'udp:h:1'}}}}}}"

@@ -32,7 +32,7 @@ HOSTS = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 
 @pytest.fixture
 def walk(tmp_path, lfield_mission):
-    """Makes a team of two hosts without devices; `more` is what its boss does in the end."""
+    """Makes a team of two hosts without devices; `more` is the end of its coordinator's program."""
 
     def made(more: str = "", **options: object) -> MissionTeam:
         (tmp_path / "walk.L").write_text(WALK.replace("//more", more))
@@ -42,7 +42,7 @@ def walk(tmp_path, lfield_mission):
     return made
 
 
-def test_two_copters_fly_with_their_own_driver_and_fake(lfield_mission):
+def test_two_copters_fly_with_the_real_driver_and_fake(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(until="taking off")
     team.run(9.0)
@@ -57,7 +57,7 @@ def test_two_copters_fly_with_their_own_driver_and_fake(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_same_seed_is_the_same_flight_and_another_is_not(lfield_mission):
+def test_the_same_seed_gives_the_same_flight_and_another_does_not(lfield_mission):
     seen = []
     for seed in (3, 3, 4):
         team = lfield_mission(FLIGHT, seed=seed)
@@ -67,7 +67,7 @@ def test_the_same_seed_is_the_same_flight_and_another_is_not(lfield_mission):
     assert seen[0][0] != seen[2][0]
 
 
-def test_a_dead_motor_and_an_empty_battery_are_what_the_driver_tells_of(lfield_mission):
+def test_a_failed_motor_and_an_empty_battery_are_reported_by_the_driver(lfield_mission):
     team = lfield_mission(FLIGHT, fakes={"wing.fc": ["battery=0.5"]})
     team.at(15.0, lambda: team.fake("lead.fc").set("motor_failure=true"))
     team.run(until_done=True)
@@ -77,15 +77,15 @@ def test_a_dead_motor_and_an_empty_battery_are_what_the_driver_tells_of(lfield_m
     assert [mark.device for mark in team.marks] == ["lead.fc"]
 
 
-def test_the_computers_know_the_time_of_day_from_the_start(walk):
+def test_simulated_computers_know_the_time_of_day_from_the_start(walk):
     team = walk()
     team.run(until_done=True)
     assert team.said("works") == 2
-    # Otherwise the events of the hosts could not be put in one order.
+    # Otherwise the events of the hosts could not be ordered.
     assert team.said("system clock set") == team.said("event timestamps") == 0
 
 
-def test_links_and_hosts_are_cut_and_killed_when_the_test_says(walk):
+def test_links_are_cut_and_hosts_killed_at_the_times_of_the_test(walk):
     team = walk()
     team.at(0.5, lambda: team.cut("alpha", "bravo"))
     team.at(8.0, lambda: team.heal("alpha", "bravo"))
@@ -102,10 +102,10 @@ def test_links_and_hosts_are_cut_and_killed_when_the_test_says(walk):
     assert team.said("works") == 2
 
 
-def test_something_happens_at_a_line_of_l_once(walk):
+def test_an_action_at_a_line_of_l_runs_once(walk):
     team = walk('for (int n = 0; n < 3; n = n + 1) findPost("one").work(0.1);')
     times = []
-    # The call of two, from one's host, and later the beginning of each round.
+    # The call of two, from one's host, and later the start of each round.
     team.when("walk.L:10", lambda: times.append(team.now))
     team.when("walk.L:11", lambda: team.crash("bravo"))
     team.run(until=lambda: "bravo" not in team._fleet.lives)
@@ -114,7 +114,7 @@ def test_something_happens_at_a_line_of_l_once(walk):
     assert team.hops[-1].target == "bravo"
 
 
-def test_what_is_to_happen_at_a_line_happens_before_it(walk):
+def test_an_action_at_a_line_runs_before_the_line(walk):
     """Also at lines that never wait: a field's, an init's, the middle of a method, a catch."""
     for line, last in (("walk.L:11", "works"), ("walk.L:12", "before")):
         team = walk('print("before"); int[] none = null;\nprint("after");')
@@ -150,7 +150,7 @@ coordinator Boss {
     ("line", "said"),
     [(3, []), (5, []), (9, ["begins"]), (10, ["begins", "4"]), (16, ["begins", "4", "finally"])],
 )
-def test_a_line_of_a_field_an_init_or_a_finally_is_one_too(tmp_path, lfield_mission, line, said):
+def test_lines_of_fields_init_and_finally_are_valid(tmp_path, lfield_mission, line, said):
     (tmp_path / "fields.L").write_text(FIELDS)
     (tmp_path / "fields.dL").write_text("//Post:one@alpha\n//Boss:boss@alpha\n")
     team = lfield_mission(tmp_path / "fields.dL")
@@ -161,13 +161,13 @@ def test_a_line_of_a_field_an_init_or_a_finally_is_one_too(tmp_path, lfield_miss
 
 
 @pytest.mark.parametrize("line", ["walk.L:1", "walk.L:900", "other.L:10", "walk.L", "10"])
-def test_a_line_without_code_is_none(walk, line):
+def test_a_line_without_code_is_refused(walk, line):
     team = walk()
     with pytest.raises(MissionTestError, match="is not a line of the mission with code"):
         team.when(line, lambda: None)
 
 
-def test_a_mission_that_does_not_end_says_where_everybody_stands(walk):
+def test_a_mission_that_does_not_end_reports_the_position_of_every_agent(walk):
     team = walk('findPost("two").never();')
     with pytest.raises(Stuck) as stuck:
         team.run(until_done=True, at_most=20.0)
@@ -179,7 +179,7 @@ def test_a_mission_that_does_not_end_says_where_everybody_stands(walk):
     assert any("Post.never (walk.L:5)" in line for line in stuck.value.standing)
 
 
-def test_who_waits_for_a_host_that_is_cut_off_says_for_which_call(walk):
+def test_a_wait_for_a_disconnected_host_names_its_call(walk):
     team = walk()
     team.run(until="works")
     team.cut("alpha", "bravo")
@@ -187,7 +187,7 @@ def test_who_waits_for_a_host_that_is_cut_off_says_for_which_call(walk):
         team.run(until_done=True, at_most=5.0)
 
 
-def test_a_host_that_ends_by_itself_ends_the_test_with_its_words(lfield_mission, tmp_path):
+def test_a_host_that_ends_by_itself_fails_the_test_with_its_log(lfield_mission, tmp_path):
     # A drive whose bus is dead cannot be opened.
     team = lfield_mission(FLIGHT, fakes={"lead.fc": ["silence=true"]})
     with pytest.raises(Stuck, match="alpha has ended by itself") as stuck:
@@ -195,7 +195,7 @@ def test_a_host_that_ends_by_itself_ends_the_test_with_its_words(lfield_mission,
     assert any("alpha logged:" in line and "lead.fc" in line for line in stuck.value.standing)
 
 
-def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
+def test_an_unknown_name_is_refused_with_the_known_ones(lfield_mission, walk):
     team = lfield_mission(FLIGHT)
     with pytest.raises(MissionTestError, match=r"there is no simulated device 'lead' .*lead.fc, wing.fc"):
         team.fake("lead")
@@ -209,7 +209,7 @@ def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
         lfield_mission(FLIGHT, fakes={"lead.fc": ["battery"]})
 
 
-def test_a_wrong_program_is_shown_as_lfield_check_shows_it(walk):
+def test_an_invalid_program_is_shown_as_by_lfield_check(walk):
     with pytest.raises(pytest.fail.Exception, match=r"walk\.L:11:\d+: error") as failed:
         walk("int n = true;")
     assert "^" in str(failed.value)
@@ -224,7 +224,7 @@ def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     assert team.fake("wing.fc").facts["airborne"] is False
 
 
-def test_a_person_pauses_a_mission_and_lets_it_go_on(walk):
+def test_an_operator_pauses_and_resumes_a_mission(walk):
     team = walk("sleep(5.0);")
     team.run(5.0)
     team.pause()
@@ -245,7 +245,7 @@ def test_devices_come_to_rest_in_a_pause(lfield_mission):
     assert team.fake("lead.fc").facts["airborne"] is False
 
 
-def test_computing_takes_time(walk):
+def test_computation_takes_time(walk):
     team = walk(
         "int n = 0;"
         "try { within (0.5) { while (true) n = n + 1; } } catch (TimeLimitException e) { print(n); }"
@@ -257,14 +257,14 @@ def test_computing_takes_time(walk):
     assert team.calls[-1].ended + 0.5 < team.now
 
 
-def test_a_loop_of_l_that_never_waits_ends_by_time(walk):
+def test_a_busy_loop_of_l_ends_at_the_time_limit(walk):
     team = walk("while (true) { }")
     with pytest.raises(Stuck, match="the coordinators have not ended after 10 s") as stuck:
         team.run(until_done=True, at_most=10.0)
     assert any("boss on bravo: ready at Boss.init (walk.L:11)" in line for line in stuck.value.standing)
 
 
-def test_calls_without_end_at_a_double_that_takes_no_time_end_by_time(walk):
+def test_endless_calls_to_an_instant_double_end_at_the_time_limit(walk):
     class Quick:
         def work(self, seconds: float) -> None:
             return None
@@ -274,7 +274,7 @@ def test_calls_without_end_at_a_double_that_takes_no_time_end_by_time(walk):
         team.run(until_done=True, at_most=1.0)
 
 
-def test_the_longest_line_of_the_demo_is_no_waiver_of_its_own_fakes(lfield_mission):
+def test_waiver_lines_of_the_demo_are_shorter_than_its_other_lines(lfield_mission):
     team = lfield_mission(FLIGHT)
     team.run(12.0)
     waivers = [line.text for line in team.log if "watchdog" in line.text]

@@ -1,4 +1,4 @@
-"""The pytest plugin in projects of others: who asks has it, who does not never sees it; `lfield test`."""
+"""The pytest plugin in other projects: opt-in only, and `lfield test`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_it_does_not(lfield_mission):
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A mission with a test that passes and one that does not."""
+    """A mission with a test that passes and one that fails."""
     (tmp_path / "walk.L").write_text(MISSION)
     (tmp_path / "walk.dL").write_text("//Boss:boss@alpha\n")
     (tmp_path / "test_walk.py").write_text(TEST)
@@ -41,7 +41,7 @@ def project(tmp_path: Path) -> Path:
 
 
 def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int, str]:
-    """A command of Python in a project; its status, and what it says."""
+    """A command of Python in a project; its status and output."""
     kept = ("PYTEST_ADDOPTS",) if pytest_variables else ()
     environment = {
         name: value for name, value in os.environ.items() if name in kept or not name.startswith("PYTEST")
@@ -52,7 +52,7 @@ def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int,
     return done.returncode, done.stdout + done.stderr
 
 
-def test_a_run_that_does_not_ask_has_no_fixture_and_loads_nothing_of_ours(project):
+def test_a_run_without_the_plugin_has_no_fixture_and_imports_no_lfield(project):
     (project / "test_walk.py").write_text(
         "import sys\ndef test_a():\n    assert 'lfield' not in sys.modules\n"
     )
@@ -63,7 +63,7 @@ def test_a_run_that_does_not_ask_has_no_fixture_and_loads_nothing_of_ours(projec
     assert "fixture 'lfield_mission' not found" in said
 
 
-def test_a_conftest_that_asks_has_it(project):
+def test_a_conftest_with_the_plugin_has_the_fixture(project):
     (project / "conftest.py").write_text('pytest_plugins = ["lfield.testing.plugin"]\n')
     status, said = run(project, "-m", "pytest", "-q", "-k", "it_ends")
     assert status == 0, said
@@ -71,7 +71,7 @@ def test_a_conftest_that_asks_has_it(project):
 
 
 @pytest.mark.few(0)
-def test_lfield_test_tells_how_it_went_by_its_status(project):
+def test_lfield_test_reports_the_result_by_its_status(project):
     status, said = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
     assert (status, "1 passed" in said) == (exit_status.DONE, True), said
     status, said = run(project, "-m", "lfield", "test")
@@ -82,7 +82,7 @@ def test_lfield_test_tells_how_it_went_by_its_status(project):
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
-def test_the_words_of_lfield_test_may_stand_in_any_order(project):
+def test_arguments_of_lfield_test_may_be_in_any_order(project):
     (project / "test_other.py").write_text("def test_it_ends_too():\n    pass\n")
     words = ("-k", "it_ends", "test_walk.py", "-x", "test_other.py", "-q")
     status, said = run(project, "-m", "lfield", "test", *words)
@@ -176,7 +176,7 @@ def test_two_teams(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_each_team_of_each_test_has_a_picture_of_its_own(tmp_path):
+def test_each_team_of_each_test_has_its_own_picture(tmp_path):
     test = MOVES.format(flight=str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL"))
     for folder in ("near", "far"):
         (tmp_path / folder).mkdir()
@@ -229,7 +229,7 @@ def test_the_same_seed_is_the_same_flight_in_every_process(tmp_path, monkeypatch
     assert len(seen) == 1
 
 
-def test_without_pytest_it_says_what_to_install(project):
+def test_without_pytest_the_error_names_the_package(project):
     (project / "pytest.py").write_text("raise ImportError\n")
     status, said = run(project, "-m", "lfield", "test")
     assert (status, said) == (
@@ -238,7 +238,7 @@ def test_without_pytest_it_says_what_to_install(project):
     )
 
 
-def test_a_picture_shows_every_device_and_what_was_done_to_it():
+def test_a_picture_shows_every_device_and_its_faults():
     from lfield.testing.mission.recorders import Point
     from lfield.testing.mission.track_picture import Mark, draw
 
@@ -260,7 +260,7 @@ def test_a_picture_shows_every_device_and_what_was_done_to_it():
         draw({"nowhere": []}, "empty")
 
 
-def test_names_of_devices_that_end_at_one_place_do_not_lie_on_each_other():
+def test_names_of_devices_at_one_place_do_not_overlap():
     from lfield.testing.mission.recorders import Point
     from lfield.testing.mission.track_picture import LINE, draw
 
@@ -275,5 +275,5 @@ def test_names_of_devices_that_end_at_one_place_do_not_lie_on_each_other():
     heights = sorted(places[name][1] for name in names[:3])
     assert heights[1] - heights[0] >= LINE
     assert heights[2] - heights[1] >= LINE
-    # Where nobody else is, a name is beside its disc.
+    # Without neighbours, a name is beside its disc.
     assert places["far.fc"][1] == places["a.fc"][1]

@@ -104,7 +104,7 @@ def test_a_cancelled_task_cancels_the_portal(team) -> None:
 
 
 @pytest.mark.few(0)
-def test_a_thousand_clients_at_once_are_answered_or_refused_and_the_mission_runs(team) -> None:
+def test_a_thousand_clients_are_answered_or_refused_and_the_mission_runs(team) -> None:
     async def one(found) -> str:
         try:
             await found.call("arm1", "grab", 1.0, timeout=5.0)

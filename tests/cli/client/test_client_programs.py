@@ -49,7 +49,7 @@ def run_program(lfield, name: str, *words: object, env: dict[str, str]) -> subpr
     )
 
 
-def test_a_query_prints_offers_and_reasons(lfield, alone) -> None:
+def test_the_query_program_prints_offers_and_reasons(lfield, alone) -> None:
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     mission = lfield.mission(PROGRAM.replace("PAUSE", "600.0"), DEPLOYMENT)
     team = lfield.start("up", "--all", "--sim", mission, env=alone)
@@ -65,7 +65,7 @@ def test_a_query_prints_offers_and_reasons(lfield, alone) -> None:
     assert [line.partition(":")[0] for line in ended.stdout.splitlines()] == ["near", "far"]
 
 
-def test_events_are_written_until_the_mission_is_done(lfield, alone) -> None:
+def test_the_event_program_writes_events_until_the_mission_ends(lfield, alone) -> None:
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     mission = lfield.mission(PROGRAM.replace("PAUSE", "5.0"), DEPLOYMENT)
     team = lfield.start("up", "--all", "--sim", mission, env=alone)

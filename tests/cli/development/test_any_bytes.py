@@ -1,4 +1,4 @@
-"""Whatever the bytes of a file are, a command ends with a status of its table and a sentence."""
+"""For any bytes in a file, a command ends with a status of its table and a sentence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lfield.journal.records import CoordinatorRecord, StartCounter
 
 FORMATS = Path(__file__).parents[2] / "formats"
 
-#: Files as they must be: a mission of every part, as small as can be, and what earlier releases have written.
+# : Valid files: a small mission with every part, and files of earlier releases.
 GOOD = {
     "mission.L": b"""include <mavlink/copter.L>;
 resource Sky {
@@ -56,8 +56,8 @@ agents:
 "changes": [{"name": "FS_GCS_ENABLE", "was": 0.0, "now": 5.0}], "binding": {"agent": "sky", "field": "fc",
 "type": "Mavlink", "driver": "mavlink", "endpoint": "udp:127.0.0.1:9"}}]}""",
 }
-#: Command lines, and the file whose bytes are others. A host that is in no deployment ends those that a good
-#: file would let go on: nothing is started and nothing opened. What `up` runs it has built first, by `build`.
+# : Command lines, and the file with changed bytes. An unknown host ends those that a valid file would let
+# continue: nothing is started and nothing opened. `build` first builds what `up` runs.
 COMMANDS = {
     "check mission.L": "mission.L",
     "check mission.dL": "mission.dL",
@@ -85,10 +85,10 @@ COMMANDS = {
     "setup --apply kept/setup-1.json": "kept/setup-1.json",
     "kit mavlink --devices mission.devices.yaml --endpoint nowhere": "mission.devices.yaml",
 }
-#: What such a command may end with: all is well, no offers, and what the table says of files.
+# : The statuses of such a command: done, no offers, and those of the table for files.
 ENDS = {exit_status.DONE, exit_status.USAGE, exit_status.DATA, exit_status.NO_INPUT}
 
-#: Bytes that mean something in one of the formats.
+# : Bytes with a meaning in one of the formats.
 TEXTS = [
     "",
     "\0",
@@ -114,7 +114,7 @@ TEXTS += ["-1", "1e999", ".nan", "null", "é\u202e\ud7ff", "!!python/name:os.sys
 PIECES = [*(text.encode() for text in TEXTS), b"\xff", b"\xed\xa0\x80"]
 cuts = st.tuples(st.floats(0, 1), st.integers(0, 40), st.sampled_from(PIECES) | st.binary(max_size=4))
 
-#: Further statuses of files that a mutation has left as they were.
+# : Further statuses for files that a mutation has left unchanged.
 ALSO = {"query": {exit_status.FAILED}, "setup": {exit_status.UNAVAILABLE}, "kit": {exit_status.UNAVAILABLE}}
 
 
@@ -128,7 +128,7 @@ def mutated(good: bytes, edits: list[tuple[float, int, bytes]]) -> bytes:
 
 @pytest.fixture(scope="module")
 def mission(tmp_path_factory: pytest.TempPathFactory):
-    """A folder of good files, and this process in it; a bug of lfield is raised here."""
+    """A folder of valid files, and this process in it; an internal error is raised here."""
     folder = tmp_path_factory.mktemp("any")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -154,7 +154,7 @@ def keep_pages(folder: Path) -> None:
 
 
 def said(line: str) -> tuple[int, str]:
-    """The status of a command in this process, and what it says to people."""
+    """The status of a command in this process, and its messages."""
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         status = main(line.split())
@@ -165,7 +165,7 @@ def said(line: str) -> tuple[int, str]:
 @pytest.mark.parametrize("line", COMMANDS)
 @settings(max_examples=3, suppress_health_check=list(HealthCheck))
 @given(data=st.one_of(st.binary(max_size=200), st.lists(cuts, min_size=1, max_size=4)))
-def test_no_bytes_are_a_traceback(
+def test_no_bytes_cause_a_traceback(
     mission: Path, line: str, data: bytes | list[tuple[float, int, bytes]]
 ) -> None:
     path = mission / COMMANDS[line]

@@ -1,4 +1,4 @@
-"""A mission in one file, from the desk to its hosts, and what the commands make of it."""
+"""A mission in one file, from the build to its hosts, and the commands that read it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ agents:
 
 @pytest.fixture
 def bundled(lfield, here):
-    """`bundled()` builds and signs the mission of a test's folder, and takes away what it was built from."""
+    """`bundled()` builds and signs the mission of a test's folder, and removes its sources."""
 
     def build() -> None:
         made = here("build", "mission.dL")
@@ -62,7 +62,7 @@ def bundled(lfield, here):
     return build
 
 
-def test_a_bundle_is_all_that_hosts_need(lfield, bundled) -> None:
+def test_hosts_run_from_a_bundle_without_sources(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     bundled()
     maps = lfield.maps(["alpha", "bravo"])
@@ -74,7 +74,7 @@ def test_a_bundle_is_all_that_hosts_need(lfield, bundled) -> None:
     assert hosts[1].out == ["here"]
 
 
-def test_all_hosts_of_a_bundle_at_once(lfield, bundled) -> None:
+def test_all_hosts_of_a_bundle_run_at_once(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     bundled()
     ran = lfield("up", "mission.lfm", "--all", "--until-done")
@@ -82,7 +82,7 @@ def test_all_hosts_of_a_bundle_at_once(lfield, bundled) -> None:
     assert "bravo | here" in ran.out
 
 
-def test_what_is_said_of_a_build(lfield, here) -> None:
+def test_a_build_reports_its_bundle(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     made = lfield("build", "mission.dL", "-o", "other.lfm")
     assert lfield.status(made) == 0
@@ -120,7 +120,7 @@ def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alo
     assert team.wait() == 130
 
 
-def test_a_query_to_a_bundle(lfield, here, bundled) -> None:
+def test_a_query_reads_a_bundle(lfield, here, bundled) -> None:
     lfield.mission(LIFTING, "//Crane:crane@yard\n//Boss:boss@yard\n")
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     bundled()
@@ -138,7 +138,7 @@ def test_a_bundle_whose_program_names_no_capability_has_no_registry(lfield, here
 
 
 @pytest.mark.few(0)
-def test_other_bindings_on_one_robot(lfield, bundled) -> None:
+def test_a_robot_may_have_other_bindings(lfield, bundled) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n", ARM_DEVICES)
     bundled()
     lfield.write("robot.yaml", ARM_DEVICES.replace("NOBODY", "OTHER"))
@@ -151,24 +151,24 @@ def test_other_bindings_on_one_robot(lfield, bundled) -> None:
     simulated.wait_for("here listening ")
 
 
-def test_a_deployment_is_listed_and_explained_as_its_bundle_is(lfield, here) -> None:
+def test_a_deployment_is_listed_and_explained_like_its_bundle(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     assert here("build", "mission.dL").status == 0
     for command in ("disasm", "inspect"):
         of_bundle, of_deployment = here(command, "mission.lfm"), here(command, "mission.dL")
         assert (of_bundle.status, of_deployment.status) == (0, 0)
-        # Who has signed it is said of a bundle alone.
+        # Only a bundle has a signer.
         assert [line for line in of_bundle.out if not line.startswith("signed ")] == of_deployment.out
 
 
-def test_a_program_is_no_mission(lfield, here) -> None:
+def test_a_program_is_refused_as_mission(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     refused = here("up", "mission.L", "--all")
     assert refused.status == 64
     assert refused.err == ["lfield: mission.L is a program: name its deployment, mission.dL"]
 
 
-def test_a_device_that_is_not_bound_is_no_bundle(lfield, here) -> None:
+def test_an_unbound_device_is_refused_in_a_build(lfield, here) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n")
     made = here("build", "mission.dL")
     assert made.status == 65
@@ -177,7 +177,7 @@ def test_a_device_that_is_not_bound_is_no_bundle(lfield, here) -> None:
     assert here("build", "mission.dL", "--sim").status == 0
 
 
-def test_files_that_devices_need_travel_beside_the_bundle(lfield, here) -> None:
+def test_files_of_devices_are_copied_beside_the_bundle(lfield, here) -> None:
     program = "resource Car { Mavlink fc; init(string[] arg) { while (true) yield(); } portal here() { } }"
     devices = """
 agents:
@@ -195,8 +195,8 @@ agents:
     assert ("00" * 32).encode() not in (lfield.folder / "sent" / "mission.lfm").read_bytes()
 
 
-def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
-    """The manifest of the desk has one more limit than that of the robot."""
+def test_a_driver_different_from_that_of_the_build_is_refused(lfield) -> None:
+    """The manifest of the build has one more limit than that of the robot."""
     lfield.mission(ARM, "//Arm:arm@here\n", ARM_DEVICES)
     code = (
         "from pathlib import Path; from dataclasses import replace; from lfield.mission import bundle;"
@@ -233,7 +233,7 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         (["up", "mission.lfm"], 64, "name one with --host, or run all of them here with --all"),
     ],
 )
-def test_a_bundle_that_cannot_be_run(lfield, here, command, status, words) -> None:
+def test_an_invalid_bundle_or_command_line_is_refused(lfield, here, command, status, words) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     here("build", "mission.dL")
     data = (lfield.folder / "mission.lfm").read_bytes()
@@ -244,7 +244,7 @@ def test_a_bundle_that_cannot_be_run(lfield, here, command, status, words) -> No
     assert words in "\n".join(said.err)
 
 
-#: Runs a command and shows what is loaded in the process of the host when it is up.
+# : Runs a command and shows the modules of the host's process when it is up.
 SHOWING = """
 import sys
 from lfield.cli.main import main
@@ -274,8 +274,8 @@ NOT_ON_ROBOTS += ("lfield.capability.program_types", "lfield.mission.loader", "r
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("example", ["01-first-flight", "02-equivalent-lift", "10-client-server"])
-def test_neither_a_host_nor_its_guards_know_l_or_yaml(lfield, example) -> None:
-    """Every import of every process is listed by Python itself; fakes are no part of a robot, and as lean."""
+def test_neither_a_host_nor_its_guards_load_the_compiler_or_yaml(lfield, example) -> None:
+    """Python itself lists every import of every process; fakes are not on a robot, and load as little."""
     deployment = EXAMPLES / example / "mission.dL"
     assert lfield.status(lfield("build", deployment, "--sim", "-o", "mission.lfm")) == 0
     lfield.keys.sign(lfield.folder / "mission.lfm")
@@ -303,7 +303,7 @@ def test_neither_a_host_nor_its_guards_know_l_or_yaml(lfield, example) -> None:
         assert not [name for name in names for no in NOT_ON_ROBOTS if name == no or name.startswith(f"{no}.")]
 
 
-def test_a_bundle_and_a_deployment_as_json(lfield, here) -> None:
+def test_a_bundle_and_a_deployment_are_shown_as_json(lfield, here) -> None:
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     assert here("build", deployment, "--sim", "-o", "mission.lfm").status == 0
     bundle, unbuilt = (

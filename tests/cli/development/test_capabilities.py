@@ -70,7 +70,7 @@ resource Clown {
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """`run(*words)`: the status and what was printed and told, in a folder with a mission."""
+    """`run(*words)`: the status, output and errors, in a folder with a mission."""
     (tmp_path / "mission.capabilities.yaml").write_text(MISSION)
     monkeypatch.chdir(tmp_path)
 
@@ -90,7 +90,7 @@ ADDED = ("--capabilities", "mission.capabilities.yaml")
 # tree
 
 
-def test_the_tree_of_a_term(run):
+def test_tree_shows_a_term_and_its_children(run):
     assert run("tree", "skill.juggling", *ADDED) == (
         0,
         ["skill.juggling: keeps things in the air [Juggle]", "  clubs: with clubs"],
@@ -98,7 +98,7 @@ def test_the_tree_of_a_term(run):
     )
 
 
-def test_the_whole_tree_has_every_term_once(run):
+def test_tree_shows_every_term_once(run):
     status, out, _ = run("tree")
     assert status == 0
     assert len(out) == 1 + len(read_registry().terms)
@@ -107,23 +107,23 @@ def test_the_whole_tree_has_every_term_once(run):
     assert out[1].startswith("descriptive: ")
 
 
-def test_what_is_out_of_use_says_what_to_write(run):
+def test_tree_names_the_replacement_of_a_deprecated_term(run):
     _, out, _ = run("tree", "skill", *ADDED)
     assert "  throwing: out of use, write skill.juggling" in out
 
 
 @pytest.mark.parametrize("id", ["skill.tossing", "skill.throwing"])
-def test_aliases_lead_to_the_term(run, id):
+def test_tree_resolves_aliases(run, id):
     assert run("tree", id, *ADDED)[1][0].startswith("skill.juggling: ")
 
 
-def test_a_term_that_is_none(run):
+def test_tree_refuses_an_unknown_term(run):
     status, out, err = run("tree", "skill.jugling", *ADDED)
     assert (status, out) == (64, [])
     assert err == ["lfield: the registry has no 'skill.jugling': did you mean 'skill.juggling'?"]
 
 
-def test_in_a_terminal_the_tree_is_drawn(run):
+def test_tree_is_drawn_on_a_terminal(run):
     parent, child = pty.openpty()
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100", "NO_COLOR": "1", "LC_ALL": "C.UTF-8"}
     command = [sys.executable, "-m", "lfield", "capabilities", "tree", "skill.material_handling"]
@@ -141,7 +141,7 @@ def test_in_a_terminal_the_tree_is_drawn(run):
 # show
 
 
-def test_a_capability_with_its_term(run):
+def test_show_prints_a_capability_with_its_term(run):
     status, out, _ = run("show", "Juggle", *ADDED)
     assert status == 0
     assert out == [
@@ -168,7 +168,7 @@ def test_a_capability_with_its_term(run):
     assert run("show", "juggling", *ADDED)[1] == out
 
 
-def test_a_provider(run):
+def test_show_prints_a_provider(run):
     assert run("show", "Clown", *ADDED)[1] == [
         "provider Clown",
         "  meaning  two arms and a nose",
@@ -181,7 +181,7 @@ def test_a_provider(run):
     ]
 
 
-def test_an_attribute(run):
+def test_show_prints_an_attribute(run):
     assert run("show", "balls", *ADDED)[1] == [
         "attribute balls",
         "  meaning    how many",
@@ -197,7 +197,7 @@ def test_an_attribute(run):
     ]
 
 
-def test_rules(run):
+def test_show_prints_rules(run):
     assert run("show", "climb-juggles", *ADDED)[1] == [
         "one-to-one rule climb-juggles",
         "  meaning  hardly",
@@ -223,13 +223,13 @@ def test_everything_in_the_registry_can_be_shown():
         assert all(sheet.rows for sheet in sheets), name
 
 
-def test_a_name_that_nothing_has(run):
+def test_show_refuses_an_unknown_name(run):
     status, out, err = run("show", "Juggel", *ADDED)
     assert (status, out) == (64, [])
     assert err == ["lfield: the registry has no 'Juggel': did you mean 'Juggle'?"]
 
 
-def test_the_class_that_a_program_gets(run):
+def test_show_prints_the_class_that_a_program_gets(run):
     (run.folder / "mission.L").write_text(PROGRAM)
     status, out, _ = run("show", "Juggle", "--L", "--program", "mission.L", *ADDED)
     assert status == 0
@@ -241,7 +241,7 @@ def test_the_class_that_a_program_gets(run):
     assert "    private Climb as_climb_juggles;" in everything
 
 
-def test_the_class_of_what_is_no_capability(run):
+def test_show_prints_no_class_without_a_capability(run):
     assert run("show", "payload", "--L")[0] == 64
     assert run("show", "Juggle", "--program", "mission.L", *ADDED)[0] == 64
     (run.folder / "mission.L").write_text("resource Juggle { init(string[] arg) { } }\n")
@@ -255,12 +255,12 @@ def test_the_class_of_what_is_no_capability(run):
 # check
 
 
-def test_ours_and_a_mission_without_mistakes(run):
+def test_check_accepts_the_shipped_registry_and_a_valid_mission(run):
     assert run("check") == (0, ["no errors"], [])
     assert run("check", "mission.capabilities.yaml") == (0, ["no errors"], [])
 
 
-def test_all_mistakes_of_all_files(run):
+def test_check_reports_all_mistakes_of_all_files(run):
     (run.folder / "one.yaml").write_text("registry: 1\nproviders: {Crane: {serves: {Lfit: {}}}}\n")
     (run.folder / "two.yaml").write_text("registry: 2\nattributes: {weight: {type: real, unit: stone}}\n")
     (run.folder / "bad.capabilities.yaml").write_text("registry: 1\nagents: {x: {paylod: 1}}\n")
@@ -278,7 +278,7 @@ def test_all_mistakes_of_all_files(run):
     assert err[-1] == "lfield: 4 errors"
 
 
-def test_warnings_are_no_mistakes(run):
+def test_check_does_not_fail_on_warnings(run):
     text = MISSION.replace("    id: skill.juggling\n", "    id: skill.throwing\n")
     (run.folder / "mission.capabilities.yaml").write_text(text)
     status, out, err = run("check", "mission.capabilities.yaml")
@@ -286,21 +286,21 @@ def test_warnings_are_no_mistakes(run):
     assert "warning[C190]" in err[0]
 
 
-def test_a_missions_agents_are_those_of_its_deployment(run):
+def test_check_reads_the_agents_of_a_mission_from_its_deployment(run):
     (run.folder / "mission.dL").write_text("//Clown:pippo@tent\n")
     status, _, err = run("check", "mission.capabilities.yaml")
     assert status == 65
     assert "error[C160]: the deployment has no agent 'beppo'" in err[0]
 
 
-def test_alone(run):
+def test_check_reads_a_registry_alone(run):
     (run.folder / "mine.yaml").write_text("registry: 1\ntaxonomy: {skill: {meaning: mine}}\n")
     assert run("check", "mine.yaml")[0] == 65
     assert run("check", "mine.yaml", "--alone")[0] == 0
     assert run("check", "--alone")[0] == 64
 
 
-def test_against_a_program(run):
+def test_check_compares_a_registry_with_a_program(run):
     (run.folder / "mission.L").write_text(PROGRAM.replace("toss(real", "toss(string"))
     status, _, err = run("check", "mission.capabilities.yaml", "--program", "mission.L")
     assert status == 65
@@ -318,7 +318,7 @@ resource Copter {
 """
 
 
-def test_a_resource_that_only_has_the_name_of_ours_is_no_mistake(run):
+def test_a_resource_with_only_the_name_of_a_stock_one_is_a_note(run):
     (run.folder / "own.L").write_text(OWN_COPTER)
     status, out, err = run("check", "--program", "own.L")
     assert (status, out) == (0, ["no errors"])
@@ -329,7 +329,7 @@ def test_a_resource_that_only_has_the_name_of_ours_is_no_mistake(run):
     assert "Hold" not in err[0]
 
 
-def test_what_a_mission_says_of_it_is_one(run):
+def test_a_wrong_promise_of_the_mission_for_it_is_an_error(run):
     (run.folder / "own.L").write_text(OWN_COPTER)
     (run.folder / "own.capabilities.yaml").write_text(
         "registry: 1\nproviders: {Copter: {serves: {Orbit: {portals: {orbit: circle}}}}}\n"
@@ -344,7 +344,7 @@ def test_what_a_mission_says_of_it_is_one(run):
         assert err[-1] == "lfield: 1 error"
 
 
-def test_a_file_that_is_named_is_looked_at_whosever_it_is(run):
+def test_a_named_file_is_checked_against_the_program(run):
     """The author of a driver has its `capabilities.yaml` checked against the sources beside it."""
     (run.folder / "own.L").write_text(OWN_COPTER)
     (run.folder / "capabilities.yaml").write_text(
@@ -358,7 +358,7 @@ def test_a_file_that_is_named_is_looked_at_whosever_it_is(run):
     assert sum("error[C170]" in line for line in err) > 3
 
 
-def test_files_that_cannot_be_read(run):
+def test_unreadable_files_have_their_statuses(run):
     status, _, err = run("check", "missing.yaml")
     assert status == 66
     assert err == ["lfield: cannot read missing.yaml: No such file or directory"]
@@ -366,13 +366,13 @@ def test_files_that_cannot_be_read(run):
     assert run("check", "bytes.yaml")[0] == 65
 
 
-def test_what_the_importer_of_0_3_made_still_reads(run):
+def test_files_of_the_0_3_importer_are_still_read(run):
     """`capabilities import` is gone: files that it wrote are registries like any other."""
     shutil.copy(IMPORTED, run.folder / "imported.yaml")
     assert run("check", "imported.yaml") == (0, ["no errors"], [])
     assert run("import", "mule.json")[0] == 64
 
 
-def test_usage(run):
+def test_usage_errors_of_capabilities(run):
     assert run()[0] == 64
     assert run("juggle")[0] == 64

@@ -51,20 +51,20 @@ def test_a_finding_has_its_range(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ]
 
 
-def test_what_is_sound_gives_an_empty_array(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_valid_files_give_an_empty_array(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = tmp_path / "m.L"
     program.write_text("resource Arm { init(string[] arg) { } }\n")
     assert findings(capsys, program) == (0, [])
 
 
-def test_a_warning_is_no_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_warning_is_not_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = tmp_path / "m.L"
     program.write_text(PROGRAM.replace("x > 0", "f() > 0"))
     status, (found,) = findings(capsys, program)
     assert (status, found["severity"], found["code"]) == (0, "warning", "L901")
 
 
-def test_devices_have_their_range_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_findings_in_devices_files_have_a_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "m.L").write_text("resource Arm { init(string[] arg) { } }\n")
     (tmp_path / "m.dL").write_text("//Arm:arm@here\n")
     (tmp_path / "m.devices.yaml").write_text("agents:\n  arm:\n    heep: 3\n")
@@ -75,7 +75,9 @@ def test_devices_have_their_range_too(tmp_path: Path, capsys: pytest.CaptureFixt
     assert found["range"]["start"]["line"] == 3
 
 
-def test_a_terminal_obeys_nothing_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_of_a_finding_are_escaped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     deployment = tmp_path / "m.dL"
     deployment.write_text("//Arm:a\x1b[31mb@here\n")
     assert main(["check", str(deployment)]) == 65
@@ -124,7 +126,7 @@ def test_a_yaml_file_is_checked_with_its_deployment(
     assert json.loads(capsys.readouterr().out)["code"] == "usage"
 
 
-def test_a_driver_that_cannot_be_used_is_named_where_a_type_is_missing(
+def test_an_unusable_driver_is_named_where_a_type_is_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package, metadata = tmp_path / "unit_of_fruit", tmp_path / "unit_of_fruit-1.0.dist-info"

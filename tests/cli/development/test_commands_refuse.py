@@ -1,4 +1,4 @@
-"""Files and command lines that are wrong: a sentence and a status of sysexits, never a traceback."""
+"""Invalid files and command lines: a sentence and a status of sysexits, never a traceback."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def good(lfield):
 
 @pytest.fixture
 def refused(here):
-    """`refused(status, words, *command)`: what a command line comes to."""
+    """`refused(status, words, *command)`: the refusal of a command line."""
 
     def check(status: int, words: str, *command) -> None:
         said = here(*command)
@@ -72,11 +72,11 @@ def refused(here):
         (["check"], "required: FILE"),
     ],
 )
-def test_a_command_line_that_makes_no_sense(lfield, refused, good, command, words):
+def test_an_invalid_command_line_is_refused(lfield, refused, good, command, words):
     refused(64, words, *command)
 
 
-def test_help_and_version_are_answers(lfield):
+def test_help_and_version_succeed(lfield):
     shown = lfield("--help")
     assert lfield.status(shown) == 0
     assert "130  interrupted" in "\n".join(shown.out)
@@ -85,7 +85,7 @@ def test_help_and_version_are_answers(lfield):
 
 
 @pytest.mark.parametrize("command", ["up", "ps", "estop"])
-def test_nothing_is_the_same_as_what_comes_later(here, command):
+def test_help_describes_the_mission_before_its_alternative(here, command):
     text = "\n".join(here(command, "--help").out)
     assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("another way to give MISSION")
 
@@ -114,13 +114,13 @@ COMMANDS = [
     ("name", "status"),
     [("missing", 66), ("folder", 66), ("garbage", 65), ("loop", 66)],
 )
-def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, name, status):
+def test_an_invalid_file_is_refused_with_its_status(lfield, refused, good, command, name, status):
     for ending in ("L", "dL", "lb", "block", "yaml"):
         path = lfield.folder / f"{name}.{ending}"
         if name == "folder":
             path.mkdir()
         elif name == "loop":
-            # What nobody can open, not even root.
+            # A file that no user can open, not even root.
             path.symlink_to(path.name)
         elif name == "garbage":
             path.write_bytes(GARBAGE)
@@ -138,7 +138,7 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
         ("doctor --deploy", "is a directory"),
     ],
 )
-def test_a_name_from_which_no_other_can_be_made(here, command, why):
+def test_a_directory_in_place_of_a_mission_is_refused(here, command, why):
     for name in (".", "/"):
         done = here(*command.split(), name)
         assert done.status == 66, done.err
@@ -160,7 +160,7 @@ def test_a_name_from_which_no_other_can_be_made(here, command, why):
         (["sim", "mavlink", "--log", ""], "the value of --log"),
     ],
 )
-def test_an_empty_name_is_no_name(lfield, refused, good, command, what):
+def test_an_empty_argument_is_refused(lfield, refused, good, command, what):
     refused(64, f"lfield: {what} is empty; is a shell variable not set?", *command)
 
 
@@ -168,12 +168,12 @@ def test_an_emergency_stop_needs_no_reason(refused, here):
     assert here("estop", "--reason", "").status == 69
 
 
-def test_what_is_no_mission_is_told_by_its_own_name(refused):
+def test_a_file_that_is_not_a_mission_is_reported_by_its_own_name(refused):
     refused(65, "cannot read /dev/null: neither a deployment", "setup", "--deploy", "/dev/null")
     refused(66, "cannot read none.dL: no such file", "up", "none.dL", "--all")
 
 
-def test_an_endless_file_in_place_of_the_program(lfield, refused, good):
+def test_an_endless_file_in_place_of_a_program_is_refused(lfield, refused, good):
     refused(65, "not a valid L program", "disasm", "/dev/zero")
 
 
@@ -186,7 +186,7 @@ def test_an_endless_file_is_not_read_to_its_end(lfield, refused, good, command):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(("program", "cut"), [("whole", 0), ("cut", 1), ("cut", 100), ("flipped", 0)])
-def test_a_program_file_that_was_damaged(lfield, here, refused, good, program, cut):
+def test_a_damaged_program_file_is_refused(lfield, here, refused, good, program, cut):
     assert here("build", "mission.L").status == 0
     path = lfield.folder / "mission.lb"
     data = bytearray(path.read_bytes())
@@ -201,7 +201,7 @@ def test_a_program_file_that_was_damaged(lfield, here, refused, good, program, c
     refused(65, "mission.lb", "up", "--deploy", good, "--host", "alpha", "--program", path)
 
 
-def test_a_deployment_that_does_not_fit_the_program(lfield, good):
+def test_a_deployment_that_does_not_fit_the_program_is_refused(lfield, good):
     lfield.write("mission.dL", "//Bel:bell@alpha\n//Ringer:tom@alpha?bell\n//Ringer:tom@alpha?bell\n")
     done = lfield("up", "--deploy", good, "--all", "--until-done")
     assert lfield.status(done) == 65
@@ -211,7 +211,7 @@ def test_a_deployment_that_does_not_fit_the_program(lfield, good):
     assert "mission.dL:3:" in said, "all errors in one run"
 
 
-def test_devices_that_are_wrong_are_told_all_at_once(lfield, here, good):
+def test_all_mistakes_of_a_devices_file_are_reported_at_once(lfield, here, good):
     lfield.write("mission.devices.yaml", "agents:\n  belle: {heap: 1 MiB}\n  bell: {heap: much, wings: 2}\n")
     done = here("up", "--deploy", good, "--all", "--until-done")
     assert done.status == 65
@@ -224,7 +224,7 @@ def test_devices_that_are_wrong_are_told_all_at_once(lfield, here, good):
 # check, build, disasm
 
 
-def test_check_tells_every_error_of_a_file_in_one_run(lfield):
+def test_check_reports_every_error_of_a_file_in_one_run(lfield):
     lfield.write(
         "bad.L", "coordinator C {\n  init(string[] arg) {\n    int a = tru;\n    b = 1;\n    a.f();\n  }\n}\n"
     )
@@ -236,12 +236,12 @@ def test_check_tells_every_error_of_a_file_in_one_run(lfield):
     assert sum(line.strip().startswith("^") for line in done.err) == 3
 
 
-def test_check_is_silent_about_good_files(lfield, good):
+def test_check_prints_nothing_for_valid_files(lfield, good):
     done = lfield("check", "mission.L", "mission.dL")
     assert (lfield.status(done), done.out, done.err) == (0, [], [])
 
 
-def test_what_was_built_flies(lfield, good):
+def test_a_built_program_runs(lfield, good):
     built = lfield("build", "mission.L", "-o", "elsewhere.lb")
     assert lfield.status(built) == 0
     assert "elsewhere.lb: " in built.err[0]
@@ -251,13 +251,13 @@ def test_what_was_built_flies(lfield, good):
 
 
 @pytest.mark.parametrize("target", ["/dev/full", "/proc/nowhere/out.lb", "no/such/folder.lb", "mission.d"])
-def test_a_program_file_that_cannot_be_written(lfield, refused, good, target):
+def test_a_program_file_that_cannot_be_written_is_reported(lfield, refused, good, target):
     (lfield.folder / "mission.d").mkdir()
     refused(73, f"cannot write {target}: ", "build", "mission.L", "-o", target)
     assert not [path.name for path in lfield.folder.iterdir() if path.name.startswith("tmp")]
 
 
-def test_a_listing_whose_reader_leaves(lfield, good):
+def test_a_listing_whose_reader_closes_ends_quietly(lfield, good):
     listing = f"{sys.executable} -m lfield disasm mission.L"
     command = f"unset PYTHONUNBUFFERED; {listing} | head -1; echo ${{PIPESTATUS[0]}}"
     many = "".join(f"class C{n} {{ public int f() {{ return {n}; }} }}\n" for n in range(1000))
@@ -271,7 +271,7 @@ def test_a_listing_whose_reader_leaves(lfield, good):
 
 
 @pytest.mark.parametrize("command", ["disasm mission.L", "--help", "--version"])
-def test_a_full_disk_under_the_output_of_a_command(lfield, good, command):
+def test_a_full_disk_under_the_output_of_a_command_is_reported(lfield, good, command):
     with open("/dev/full", "wb") as full:
         done = lfield(*command.split(), stdout=full)
     assert lfield.status(done) == 74
@@ -281,14 +281,14 @@ def test_a_full_disk_under_the_output_of_a_command(lfield, good, command):
 # up
 
 
-def test_a_machine_that_is_in_the_deployment_needs_no_host_option(lfield):
+def test_a_computer_in_the_deployment_needs_no_host_option(lfield):
     deployment = lfield.mission(GOOD, DEPLOYMENT.replace("alpha", socket.gethostname()))
     maps = lfield.maps([socket.gethostname()])
     done = lfield("up", "--deploy", deployment, *maps, "--until-done")
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
 
 
-def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
+def test_a_host_named_by_a_loopback_address_is_this_computer(lfield):
     deployment = lfield.mission(
         GOOD,
         "//Bell:bell@127.0.0.1\n//Bell:other@192.0.2.7\n//Ringer:tom@127.0.0.1?bell\n",
@@ -299,7 +299,7 @@ def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
 
 
-def test_a_host_of_several_does_not_begin_without_keys(lfield, refused):
+def test_a_host_of_several_does_not_start_without_keys(lfield, refused):
     deployment = lfield.mission(GOOD, "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n")
     refused(
         64,
@@ -314,14 +314,14 @@ def test_a_host_of_several_does_not_begin_without_keys(lfield, refused):
     )
 
 
-def test_a_host_that_is_alone_listens_nowhere_without_keys(lfield, good):
+def test_a_single_host_without_keys_listens_only_locally(lfield, good):
     words = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
     done = lfield(*words, "--until-done")
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
     assert "alpha listening for commands of this computer" in done.err
 
 
-def test_keys_that_are_not_those_of_the_host(lfield, refused, good):
+def test_keys_of_another_host_are_refused(lfield, refused, good):
     up = ("up", "--deploy", good, "--host", "alpha", *lfield.maps(["alpha"]), "--keys")
     folder = lfield.keys.give("alpha", "bravo")
     refused(65, "these are the keys of host bravo, not of host alpha", *up, folder / "bravo")
@@ -334,7 +334,7 @@ def test_keys_that_are_not_those_of_the_host(lfield, refused, good):
     refused(65, "host.key cannot be used", *up, folder)
 
 
-def test_a_revoked_host_does_not_begin(lfield, refused, good):
+def test_a_revoked_host_does_not_start(lfield, refused, good):
     maps, folder = lfield.maps(["alpha"]), lfield.keys.folder / "alpha"
     keys = lfield.keys.made("host", "alpha")
     lfield.keys.put(
@@ -345,7 +345,7 @@ def test_a_revoked_host_does_not_begin(lfield, refused, good):
     refused(65, words, "up", "--deploy", good, "--host", "alpha", *maps, "--keys", folder)
 
 
-def test_an_address_must_be_ours(lfield, refused, good):
+def test_an_address_of_another_computer_is_refused(lfield, refused, good):
     lfield.keys.give("alpha")
     up = ("up", "--deploy", good, "--host", "alpha", "--map")
     refused(69, "the address is not one of this machine", *up, "alpha=192.0.2.1:8181")

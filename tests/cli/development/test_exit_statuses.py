@@ -1,4 +1,6 @@
-"""The table of exit statuses is true: each command ends with those that it has there, and says a sentence."""
+"""The table of exit statuses is correct: each command ends with its documented statuses, and prints a
+sentence.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ GOOD = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
 DEPLOYMENT = "//Bell:bell@alpha\n"
 FLIES = "resource Sky { Mavlink fc; init(string[] arg) { } }\n"
 
-#: Command lines by command and status, with words of what is said.
+# : Command lines by command and status, with words of the message.
 REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("check", 65): ("check latin.L", "latin.L:1:4: error["),
     ("check", 66): ("check none.L", "cannot read none.L"),
@@ -132,7 +134,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("sim", 69): ("sim mavlink --listen udp:192.0.2.1:14550", "cannot use"),
     ("sim", 73): ("sim mavlink --listen udp:127.0.0.1:0 --log none/x", "cannot write none/x"),
 }
-#: Where the others are tried.
+# : The test files of the other statuses.
 ELSEWHERE: dict[tuple[str, int], str] = {
     ("fmt", 73): "development/test_fmt_and_new.py",
     ("lsp", 69): "../editor/test_lsp_session.py",
@@ -174,19 +176,19 @@ ELSEWHERE: dict[tuple[str, int], str] = {
 
 
 def documented() -> set[tuple[str, int]]:
-    """Commands and statuses as the table has them."""
+    """Commands and statuses of the table."""
     rows = re.findall(r"^\| `(\w+)` \| ([0-9 ]+) \|", TABLE, re.MULTILINE)
     return {(name, int(status)) for name, statuses in rows for status in statuses.split()}
 
 
-def test_every_command_is_in_the_table_and_every_status_of_the_table_is_tried() -> None:
+def test_every_command_and_status_of_the_table_is_tested() -> None:
     assert {name for name, _ in documented()} == set(COMMANDS)
     assert documented() == REACHED.keys() | ELSEWHERE.keys()
     for place in ELSEWHERE.values():
         assert (Path(__file__).parents[1] / place).exists(), place
 
 
-def test_the_meanings_of_the_table_are_those_of_the_code() -> None:
+def test_meanings_of_the_table_are_those_of_the_code() -> None:
     rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", TABLE, re.MULTILINE)
     assert {int(status): words for status, _, words in rows} == dict(exit_status.MEANINGS)
     assert all(getattr(exit_status, constant) == int(status) for status, constant, _ in rows)
@@ -201,8 +203,8 @@ def test_every_exception_has_a_status_of_the_table() -> None:
 
 @pytest.fixture
 def files(lfield):
-    """Good files, and files of every kind with a byte that is no UTF-8."""
-    # Only a host that has keys listens anywhere.
+    """Valid files, and files of every kind with a byte that is not UTF-8."""
+    # A host listens only if it has keys.
     lfield.keys.give("alpha")
     lfield.mission(GOOD, DEPLOYMENT)
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
@@ -220,7 +222,7 @@ def files(lfield):
 
 @pytest.mark.few(30)
 @pytest.mark.parametrize(("command", "status"), REACHED)
-def test_it_ends_with_it(files, here, command: str, status: int) -> None:
+def test_a_command_ends_with_its_documented_status(files, here, command: str, status: int) -> None:
     line, words = REACHED[command, status]
     done = here(*line.split())
     assert done.status == status, done.err
@@ -230,19 +232,21 @@ def test_it_ends_with_it(files, here, command: str, status: int) -> None:
 @pytest.mark.parametrize(
     "command", ["check mission.L", "check mission.dL", "build mission.dL", "up mission.dL --all"]
 )
-def test_a_missions_registry_is_read_also_when_its_program_asks_for_nothing(files, here, command) -> None:
+def test_the_registry_of_a_mission_is_read_also_without_capabilities_in_its_program(
+    files, here, command
+) -> None:
     files.write("mission.capabilities.yaml", b"abc\xe9")
     done = here(*command.split())
     assert (done.status, done.err[0].split(" ")[0]) == (65, "mission.capabilities.yaml:1:4:")
 
 
-def test_a_registry_that_is_named_is_not_passed_over(files, here) -> None:
+def test_a_named_registry_is_not_skipped(files, here) -> None:
     assert here("build", "mission.dL", "--capabilities", "none.yaml").status == 66
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("streams", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
+def test_a_closed_stream_is_handled(files, streams: str) -> None:
     line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 66
 
@@ -250,12 +254,12 @@ def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("command", ["--help", "disasm mission.L", "driver list"])
 @pytest.mark.parametrize("stream", [">&-", ">/dev/full"])
-def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, stream: str) -> None:
+def test_output_that_cannot_be_written_is_a_failure(files, command: str, stream: str) -> None:
     line = f"{sys.executable} -m lfield {command} {stream}"
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
 
 
-#: Presses Ctrl-C itself, while a module is being imported by a command, or by Python as it ends.
+# : Sends SIGINT to itself, while a command imports a module, or while Python ends.
 INTERRUPTED = """
 import atexit, os, signal, sys
 def press():
@@ -285,19 +289,19 @@ sys.exit(main())
         ("the end", "check mission.L"),
     ],
 )
-def test_a_ctrl_c_at_any_moment_is_no_traceback(files, module: str, command: str) -> None:
+def test_ctrl_c_at_any_moment_causes_no_traceback(files, module: str, command: str) -> None:
     done = subprocess.run(
         [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), *command.split()],
         cwd=files.folder, capture_output=True, text=True, check=False,
         env={"PYTHONPATH": ":".join(sys.path)},
     )  # fmt: skip
-    # What the system ends by the signal has no status of its own; a shell calls it 130.
+    # A process that the signal ends has no status of its own; a shell reports 130.
     assert done.returncode in (exit_status.INTERRUPTED, -signal.SIGINT)
     assert done.stderr == ""
 
 
-def test_a_ctrl_c_that_was_to_be_ignored_is(files) -> None:
-    """As a shell has it for what it runs in the background."""
+def test_an_ignored_ctrl_c_stays_ignored(files) -> None:
+    """As a shell sets it for a background process."""
     ignored = (
         f"trap '' INT; exec {sys.executable} -c '{INTERRUPTED.format(module='argparse')}' check mission.L"
     )

@@ -39,7 +39,7 @@ def test_files_are_formatted_in_place_and_keep_their_mode(folder: Path, capsys) 
     assert capsys.readouterr().out == ""
 
 
-def test_check_changes_nothing(folder: Path, capsys) -> None:
+def test_fmt_check_changes_nothing(folder: Path, capsys) -> None:
     (folder / "a.L").write_text(LOOSE)
     (folder / "b.L").write_text(GOOD)
     assert main(["fmt", "--check", "a.L", "b.L"]) == 1
@@ -48,7 +48,7 @@ def test_check_changes_nothing(folder: Path, capsys) -> None:
     assert main(["fmt", "--check", "b.L"]) == 0
 
 
-def test_a_file_with_syntax_errors_stays_and_the_other_ones_are_formatted(folder: Path, capsys) -> None:
+def test_a_file_with_syntax_errors_stays_and_others_are_formatted(folder: Path, capsys) -> None:
     (folder / "bad.L").write_text("resource Bell {\n  init( }")
     (folder / "latin.L").write_bytes("// caf\u00e9".encode("latin-1"))
     (folder / "a.L").write_text(LOOSE)
@@ -70,14 +70,14 @@ def test_a_program_on_stdin_is_printed(monkeypatch: pytest.MonkeyPatch, capsys) 
     ("name", "text", "status"),
     [("x.yaml", "a: 1", 64), ("none.L", None, 66), ("folder.L", "", 66), ("locked.L", LOOSE, 73)],
 )
-def test_what_cannot_be_formatted_is_refused(
+def test_a_file_that_cannot_be_formatted_is_refused(
     folder: Path, name: str, text: str | None, status: int, monkeypatch
 ) -> None:
     if name == "folder.L":
         (folder / name).mkdir()
     elif text is not None:
         (folder / name).write_text(text)
-    # The tests may run as root, who may write everything.
+    # The tests may run as root, which may write everything.
     monkeypatch.setattr("os.access", lambda path, mode: not str(path).endswith("locked.L"))
     assert main(["fmt", name]) == status
 
@@ -105,13 +105,13 @@ def test_an_empty_directory_may_be_used(folder: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["Survey", "1st", "a b", "a--b", "../x", "copter", "exception", "mavlink", "x" * 40]
 )
-def test_a_name_that_cannot_be_used_is_refused(folder: Path, name: str, capsys) -> None:
+def test_an_invalid_name_is_refused(folder: Path, name: str, capsys) -> None:
     assert main(["new", name]) == 64
     assert list(folder.iterdir()) == []
     assert "cannot be the name of a mission" in capsys.readouterr().err
 
 
-def test_a_directory_with_files_and_one_that_cannot_be_written_are_refused(folder: Path) -> None:
+def test_a_directory_with_files_or_without_write_access_is_refused(folder: Path) -> None:
     (folder / "survey").mkdir()
     (folder / "survey" / "x").write_text("")
     assert main(["new", "survey"]) == 64

@@ -1,4 +1,4 @@
-"""`lfield inspect` says after how long without a sign a coordinator is recovered."""
+"""`lfield inspect` prints the time without a heartbeat after which a coordinator is recovered."""
 
 from __future__ import annotations
 

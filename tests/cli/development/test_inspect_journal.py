@@ -1,4 +1,4 @@
-"""`lfield inspect` of a journal: who is in it, where each stands, and what is damaged."""
+"""`lfield inspect` of a journal: its coordinators, their states, and its damage."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def sql(folder: Path, statement: str) -> None:
         connection.execute(statement)
 
 
-def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path) -> None:
+def test_all_records_are_shown_while_a_host_has_the_journal_and_after(tmp_path: Path) -> None:
     made = kept(tmp_path)
     record, program, _ = dump_file.decode(DUMP.read_bytes())
     stack = re.search(r"thread.*?\n(?=\nfields)", inspect(DUMP).out, re.DOTALL)
@@ -144,7 +144,7 @@ def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path
     assert inspect(tmp_path / "host.journal") == Said(0, expected, "")
 
 
-def test_all_that_is_in_it_as_json(tmp_path: Path) -> None:
+def test_all_records_are_shown_as_json(tmp_path: Path) -> None:
     made = kept(tmp_path)
     made.close()
     dumped = json.loads(inspect(DUMP, "--json").out)
@@ -174,7 +174,7 @@ def test_a_damaged_journal_as_json_ends_with_the_error(tmp_path: Path) -> None:
     assert (said.status, error["exit_status"]) == (65, 65)
 
 
-def test_a_folder_without_a_journal_is_told_as_that(tmp_path: Path) -> None:
+def test_a_folder_without_a_journal_is_reported(tmp_path: Path) -> None:
     said = inspect(tmp_path)
     assert (said.status, said.out) == (66, "")
     assert said.err == f"lfield: cannot read {tmp_path}: the folder has no host.journal\n"
@@ -203,7 +203,7 @@ def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> Non
     assert "\nmoved aside: the copy of digger, start 1" in said.out
 
 
-def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path) -> None:
+def test_pending_calls_are_shown_with_their_state(tmp_path: Path) -> None:
     made = journal(tmp_path)
     under_way, ended = (
         PendingCallRecord("boss", 4, 1, "left", "lift"),
@@ -223,7 +223,7 @@ def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path
     assert "damaged: call 2 started here by start 4 of boss, stored" in damaged.out
 
 
-def test_who_has_reserved_what_is_shown(tmp_path: Path) -> None:
+def test_reservations_are_shown(tmp_path: Path) -> None:
     made = journal(tmp_path)
     asyncio.run(made.persist([ReservationRecord("arm", 41, "boss", 4), ReservationRecord("leg", 7)]))
     made.close()
@@ -236,7 +236,7 @@ def test_who_has_reserved_what_is_shown(tmp_path: Path) -> None:
     assert "damaged: the reservation of arm, stored" in damaged.out
 
 
-def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
+def test_the_rest_of_a_truncated_journal_is_shown(tmp_path: Path) -> None:
     kept(tmp_path).close()
     path = tmp_path / "host.journal"
     path.write_bytes(path.read_bytes()[:-4096])
@@ -256,7 +256,7 @@ def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
         (None, b"", "not a journal"),
     ],
 )
-def test_what_is_none_of_ours_is_one_sentence(
+def test_a_file_of_another_format_is_one_sentence(
     tmp_path: Path, statement: str | None, data: bytes | None, says: str
 ) -> None:
     kept(tmp_path).close()

@@ -1,4 +1,4 @@
-"""`lfield keys` and `lfield sign`: a team's keys from their beginning to the signature of a bundle."""
+"""`lfield keys` and `lfield sign`: a team's keys from the authority to the signature of a bundle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DEPLOYMENT = "//Bell:bell@alpha\n//Bell:other@bravo\n"
 
 @pytest.fixture(autouse=True)
 def own_settings(lfield, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where this test's user has keys."""
+    """The folder of this test user's keys."""
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
     for name in ("LFIELD_KEYS", "LFIELD_AUTHORITY"):
         monkeypatch.delenv(name, raising=False)
@@ -34,7 +34,7 @@ def own_settings(lfield, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def team(here, own_settings: Path) -> Path:
-    """An authority with keys of two hosts and of anna, who may do everything; anna is who runs the test."""
+    """An authority with keys of two hosts and of anna, who has all rights and runs the test."""
     assert here("keys", "init").status == 0
     assert here("keys", "host", "alpha", "bravo").status == 0
     assert here("keys", "person", "anna", "--may", "operate,command").status == 0
@@ -42,7 +42,7 @@ def team(here, own_settings: Path) -> Path:
     return own_settings / "authority"
 
 
-def test_what_is_made_is_told_with_where_it_goes(here, own_settings: Path) -> None:
+def test_created_keys_are_reported_with_their_destination(here, own_settings: Path) -> None:
     begun = here("keys", "init", "--days", "30")
     assert re.fullmatch(
         rf"{own_settings}/authority: the authority [0-9a-f]{{12}}, until \S+ \S+ UTC", begun.out[0]
@@ -57,7 +57,7 @@ def test_what_is_made_is_told_with_where_it_goes(here, own_settings: Path) -> No
     assert f"~/.config/lfield/keys/me, a copy of {own_settings}/authority/people/anna" in anna.out[1]
 
 
-def test_one_command_makes_an_authority_and_the_keys_of_its_operator(here, own_settings: Path) -> None:
+def test_one_command_creates_an_authority_and_the_keys_of_its_operator(here, own_settings: Path) -> None:
     assert here("keys", "init", "--person", "../x").status == 65
     assert not own_settings.exists()
     assert here("keys", "init", "--person", "anna").status == 0
@@ -70,7 +70,7 @@ def test_one_command_makes_an_authority_and_the_keys_of_its_operator(here, own_s
     assert (me / "person.key").read_bytes() == before
 
 
-def test_a_team_has_keys_renews_revokes_and_lists_them(here, team: Path) -> None:
+def test_keys_of_a_team_are_listed_renewed_and_revoked(here, team: Path) -> None:
     assert here("keys", "renew", "host", "alpha", "--days", "700").status == 0
     gone = here("keys", "revoke", "host", "bravo")
     assert re.fullmatch(r"host bravo: certificate [0-9a-f]{12} is revoked", gone.out[0])
@@ -90,7 +90,7 @@ def test_a_team_has_keys_renews_revokes_and_lists_them(here, team: Path) -> None
     assert here("keys", "renew", "authority").out[1].strip().startswith("nothing has to be copied")
 
 
-def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own_settings: Path) -> None:
+def test_keys_of_a_folder_are_shown_with_their_problems(here, team: Path, own_settings: Path) -> None:
     mine = here("keys", "show")
     assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, valid")
     alpha = team / "hosts" / "alpha"
@@ -135,7 +135,7 @@ def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own
         ("sign mission.lfm --keys none", 65, "none has no keys of a person"),
     ],
 )
-def test_command_lines_that_make_no_sense(
+def test_invalid_command_lines_of_keys_and_sign_are_refused(
     here, lfield, team: Path, line: str, status: int, words: str
 ) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
@@ -150,7 +150,7 @@ def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: 
     assert here("keys", "person", "bob", "--may", words).out[0].endswith("may observe,stop")
 
 
-def test_the_hint_for_somebody_who_lacks_a_right_gives_it(here, team: Path) -> None:
+def test_the_hint_for_a_missing_right_grants_it(here, team: Path) -> None:
     may = frozenset({Right.OBSERVE, Right.COMMAND})
     assert here("keys", "person", "oli", "--may", "observe,command").status == 0
     said = missing_permission(Identity("person", "oli", may), ALLOWED, EmergencyStop(bytes(16), "fog"))
@@ -160,14 +160,16 @@ def test_the_hint_for_somebody_who_lacks_a_right_gives_it(here, team: Path) -> N
     assert done.out[0].endswith("may observe,stop,command")
 
 
-def test_an_authority_may_be_elsewhere(here, lfield, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_authority_may_be_in_another_folder(here, lfield, monkeypatch: pytest.MonkeyPatch) -> None:
     assert here("keys", "init", "stick").status == 0
     assert here("keys", "host", "alpha", "--authority", "stick").status == 0
     monkeypatch.setenv("LFIELD_AUTHORITY", "stick")
     assert "host alpha" in here("keys", "list").out[1]
 
 
-def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path, own_settings: Path) -> None:
+def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
+    here, lfield, team: Path, own_settings: Path
+) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     assert here("build", "mission.dL").status == 0
     assert here("inspect", "mission.lfm").out[1] == "signed    no"
@@ -181,7 +183,7 @@ def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path
     assert verify_bundle(after.digest, after.signature, trusted).who.name == "anna"
     assert re.fullmatch(r"signed    by anna, 20\S+ \S+ UTC", here("inspect", "mission.lfm").out[1])
     bundle.read(path)
-    # Once more is no other bundle, and nothing grows.
+    # A second signature makes no other bundle, and nothing grows.
     assert here("sign", "mission.lfm").status == 0
     assert len(path.read_bytes()) == sum(row.size for row in after.table) + len(after.signature) + (
         path.read_bytes().index(bytes(after.parts["program"]))
@@ -191,7 +193,7 @@ def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path
     assert "there are no keys of yours here" in here("sign", "mission.lfm").err[0]
 
 
-def test_who_may_not_command_signs_nothing(here, lfield, team: Path) -> None:
+def test_a_person_without_the_command_right_cannot_sign(here, lfield, team: Path) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     here("build", "mission.dL")
     here("keys", "person", "bob", "--may", "operate")
@@ -202,7 +204,7 @@ def test_who_may_not_command_signs_nothing(here, lfield, team: Path) -> None:
 
 
 @pytest.mark.process
-def test_a_full_disk_leaves_the_bundle_as_it_was(here, lfield, team: Path) -> None:
+def test_a_full_disk_leaves_the_bundle_unchanged(here, lfield, team: Path) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     here("build", "mission.dL")
     before = (lfield.folder / "mission.lfm").read_bytes()

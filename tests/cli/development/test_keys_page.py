@@ -1,4 +1,4 @@
-"""`lfield keys page`: the keys of a page on a network, and the root that browsers must be told of."""
+"""`lfield keys page`: the keys of a page on a network, and the root that browsers must trust."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def authority(here, monkeypatch: pytest.MonkeyPatch) -> Path:
     return Path("authority").absolute()
 
 
-def test_a_page_is_made_with_a_root_that_is_made_once(here, authority: Path) -> None:
+def test_page_keys_are_created_with_a_root_that_is_created_once(here, authority: Path) -> None:
     made = here("keys", "page", "192.168.1.20", "Ground.local", "192.168.1.20")
     page = authority / "pages" / "192.168.1.20"
     assert (made.status, made.err) == (0, [])
@@ -32,14 +32,14 @@ def test_a_page_is_made_with_a_root_that_is_made_once(here, authority: Path) -> 
         (authority / "browsers.key").stat().st_mode & 0o777,
         (page / "page.key").stat().st_mode & 0o777,
     } == {0o600}
-    # Again is a new certificate, of the same root.
+    # A second call makes a new certificate of the same root.
     assert here("keys", "page", "192.168.1.20", "--days", "30").status == 0
     assert (authority / "browsers.crt").read_bytes() == root
     assert read_web_keys(page).certificate != keys.certificate
     assert 29 * 86400 < read_web_keys(page).valid_until - keys.valid_from < 31 * 86400
 
 
-def test_the_keys_of_a_page_are_shown_with_what_is_wrong(here, authority: Path) -> None:
+def test_keys_of_a_page_are_shown_with_their_problems(here, authority: Path) -> None:
     here("keys", "page", "192.168.1.20", "ground.local", "--days", "200")
     page = authority / "pages" / "192.168.1.20"
     shown = here("keys", "show", page)
@@ -66,7 +66,7 @@ def test_the_keys_of_a_page_are_shown_with_what_is_wrong(here, authority: Path) 
         ("keys page 10.0.0.1 --authority elsewhere", 65, "elsewhere has no authority"),
     ],
 )
-def test_what_can_be_no_page_is_refused_and_nothing_is_made(
+def test_an_invalid_page_is_refused_and_nothing_is_created(
     here, authority: Path, line: str, status: int, words: str
 ) -> None:
     before = sorted(authority.rglob("*"))
@@ -76,7 +76,7 @@ def test_what_can_be_no_page_is_refused_and_nothing_is_made(
     assert sorted(authority.rglob("*")) == before
 
 
-def test_a_root_of_two_halves_is_refused(here, authority: Path) -> None:
+def test_a_mismatched_root_is_refused(here, authority: Path) -> None:
     here("keys", "page", "10.0.0.1")
     (authority / "browsers.key").unlink()
     assert "browsers.key is not there" in here("keys", "page", "10.0.0.1").err[0]

@@ -1,4 +1,4 @@
-"""What the system refuses is told with what to do, and with a status that fits."""
+"""Errors of the operating system are reported with a remedy, and with a suitable status."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ from lfield.cli.os_errors import system_refusal
         (errno.ENOSPC, None, exit_status.INPUT_OUTPUT, "no space left on device"),
     ],
 )
-def test_an_error_of_the_system(number: int, file: str | None, status: int, words: str) -> None:
+def test_an_error_of_the_operating_system_has_its_status(
+    number: int, file: str | None, status: int, words: str
+) -> None:
     error = system_refusal(OSError(number, os.strerror(number), file))
     assert (error.exit_status, error.code) == (status, "operating-system")
     assert str(error).startswith(words)
 
 
-def test_a_folder_that_was_deleted(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_deleted_working_folder_is_reported(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)

@@ -1,4 +1,6 @@
-"""Every option of every command: what it does not take is a sentence, and no name of a Python function."""
+"""Every option of every command: an invalid value is refused with a sentence, without the name of a Python
+function.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ import pytest
 from lfield.cli.main import COMMANDS, MODULES
 from lfield.text.number_arguments import real_above_0, real_between, whole_between
 
-#: Words that are no numbers, or no sensible ones; Python reads no number of 5,000 digits.
+# : Words that are no numbers, or no useful ones; Python reads no number of 5,000 digits.
 JUNK = ("soon", "400d", "nan", "inf", "-1", "1e400", "0.0002", "²", "1,2", "0x", ":", "9" * 5000)
 
 
@@ -27,18 +29,18 @@ def options_of(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_what_an_option_does_not_take_is_a_sentence(name: str) -> None:
+def test_an_invalid_option_value_is_refused_with_a_sentence(name: str) -> None:
     parser = argparse.ArgumentParser()
     import_module(MODULES[name]).add_arguments(parser)
     for option in options_of(parser):
         for word in JUNK:
-            # Anything else that is raised would be told by the name of the function.
+            # Any other exception would be reported with the name of the function.
             with suppress(argparse.ArgumentTypeError):
                 option.type(word)
 
 
 @pytest.mark.parametrize("name", ["up", "keys", "kit", "query", "sim"])
-def test_there_are_options_to_be_tried(name: str) -> None:
+def test_commands_have_options_to_test(name: str) -> None:
     parser = argparse.ArgumentParser()
     import_module(MODULES[name]).add_arguments(parser)
     assert list(options_of(parser))
@@ -52,7 +54,7 @@ def test_there_are_options_to_be_tried(name: str) -> None:
         (whole_between(1, 36500, "days"), "36500", 36500, "36501", "a whole number of days from 1 to 36500"),
     ],
 )  # fmt: skip
-def test_the_sentence_has_the_bounds(reads, good: str, value: float, bad: str, sentence: str) -> None:
+def test_the_sentence_names_the_bounds(reads, good: str, value: float, bad: str, sentence: str) -> None:
     assert reads(good) == value
     with pytest.raises(argparse.ArgumentTypeError, match=f"must be {sentence}, not '{bad}'"):
         reads(bad)

@@ -1,7 +1,6 @@
-"""Every word that a command takes may hold bytes that are no UTF-8: no bug, and no text without a meaning.
-
-They come from a terminal in Latin-1, a script, a disk of long ago. Python has each of them as half of a pair
-(`\\udcff`), which nothing encodes.
+"""Every word of a command may hold bytes that are not UTF-8: no internal error, and no unreadable text. They
+come from a terminal in Latin-1, a script, an old disk. Python has each of them as half of a surrogate pair,
+which has no encoding.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ import pytest
 from lfield import exit_status
 from lfield.cli.main import COMMANDS, MODULES, main
 
-#: What is no text, alone and where a command looks into the word.
+# : Undecodable words, alone and where a command parses the word.
 WORDS = ("\udcff", "\udcff=1", "a=\udcff", "localhost=\udcff:1", "udp:\udcff:1", "Lift where a == \udcff")
 MISSION = ["--deploy", "mission.dL"]
-#: What else a command is given, so that it looks at its words and then ends: nothing is started or opened.
+# : Further words of a command, so that it parses its words and then ends: nothing is started or opened.
 BESIDE = {
     "build": ["-o", "out.lfm"],
     "up": ["--deploy", "mission.lfm", "--host", "nobody"],
@@ -37,9 +36,9 @@ BESIDE = {
     "sim mavlink": ["--listen", "nowhere"],
     "sim dynamixel": ["--servo", "none"],
 }
-#: What stands in the places of words that must be there, while others are tried.
+# : The values of required words, while others are tested.
 GOOD = {"driver": "mavlink", "query": "Lift", "files": "mission.L", "file": "mission.dL"}
-#: It is pytest that takes the words of `test`.
+# : pytest parses the words of `test`.
 LEFT_OUT = {"test"}
 
 
@@ -51,7 +50,7 @@ class Leaf(NamedTuple):
 
 
 def said(words: list[str]) -> tuple[int, str]:
-    """The status of a command in this process, and what it says to people who read ASCII alone."""
+    """The status of a command in this process, and its messages on an ASCII terminal."""
     out, err = (io.TextIOWrapper(io.BytesIO(), encoding="ascii") for _ in range(2))
     with redirect_stdout(out), redirect_stderr(err):
         status = main(words)
@@ -84,7 +83,7 @@ def cases() -> Iterator[tuple[str, str]]:
 
 
 def lines(name: str, tried: str) -> Iterator[list[str]]:
-    """Command lines with a word that is no text in one place."""
+    """Command lines with an undecodable word in one place."""
     (parser,) = (leaf.parser for leaf in all_leaves() if leaf.name == name)
     positional = [action for action in parser._actions if not action.option_strings]
     names_a_file = next(a.type is Path for a in parser._actions if tried in (a.dest, *a.option_strings))
@@ -105,7 +104,7 @@ def lines(name: str, tried: str) -> Iterator[list[str]]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with a mission, whose name is no text either; commands find nothing else on this computer."""
+    """A folder with a mission, whose name is undecodable too; commands find nothing else on this computer."""
     path = tmp_path_factory.mktemp("words") / "n\udcf6rd"
     path.mkdir()
     with pytest.MonkeyPatch.context() as patch:
@@ -122,7 +121,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize(("name", "option"), list(cases()))
-def test_a_word_that_is_no_text_is_no_bug(folder: Path, name: str, option: str) -> None:
+def test_an_undecodable_word_causes_no_internal_error(folder: Path, name: str, option: str) -> None:
     for words in lines(name, option):
         status, told = said(words)
         assert status in exit_status.MEANINGS, (words, told)
@@ -131,7 +130,7 @@ def test_a_word_that_is_no_text_is_no_bug(folder: Path, name: str, option: str) 
 
 
 @pytest.mark.parametrize("file", ["mission", "m\udcf6"])
-def test_a_file_may_have_a_name_that_is_no_text(folder: Path, file: str) -> None:
+def test_a_file_may_have_an_undecodable_name(folder: Path, file: str) -> None:
     for suffix in ("L", "dL"):
         (folder / f"{file}.{suffix}").write_bytes((folder / f"mission.{suffix}").read_bytes())
     for words in (
@@ -145,8 +144,8 @@ def test_a_file_may_have_a_name_that_is_no_text(folder: Path, file: str) -> None
         assert said(words)[0] == exit_status.DONE
 
 
-def test_what_the_encoding_of_the_output_does_not_have_is_shown_as_an_escape(folder: Path) -> None:
-    """`LC_ALL=C PYTHONUTF8=0`: a unit, a name, or what a program prints, must not end a command."""
+def test_characters_outside_the_output_encoding_are_escaped(folder: Path) -> None:
+    """`LC_ALL=C PYTHONUTF8=0`: a unit, a name, or the output of a program must not end a command."""
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     with redirect_stdout(out):
         assert main(["capabilities", "show", "Lift"]) == exit_status.DONE

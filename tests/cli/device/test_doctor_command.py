@@ -1,4 +1,4 @@
-"""`lfield doctor --deploy`: what answers at each endpoint, and what to do about what does not."""
+"""`lfield doctor --deploy`: the answer of each endpoint, and the remedy for each one without."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
 
 @pytest.fixture
 def deployment(lfield):
-    """Two copters on a link where only the first one answers."""
+    """Two copters on a link of which only the first one answers."""
     words = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
     fake = lfield.start("sim", "mavlink", *words, stdin=True)
     endpoint = fake.wait_for(r"^ready (\S+)")[1]
@@ -31,7 +31,7 @@ def deployment(lfield):
     return lfield.mission(PROGRAM, DEPLOYMENT, devices)
 
 
-def test_what_answers_and_what_does_not_with_its_cure(lfield, deployment):
+def test_endpoints_are_reported_with_their_remedy(lfield, deployment):
     doctor = lfield("doctor", "--deploy", deployment)
     assert lfield.status(doctor) == 69, doctor.said
     (found,) = [line for line in doctor.out if "lead.fc" in line]
@@ -43,7 +43,7 @@ def test_what_answers_and_what_does_not_with_its_cure(lfield, deployment):
 
 
 @pytest.mark.few(0)
-def test_one_host_has_only_its_own_devices(lfield, deployment):
+def test_a_host_option_limits_the_report_to_its_devices(lfield, deployment):
     doctor = lfield("doctor", "--deploy", deployment, "--host", "alpha")
     assert lfield.status(doctor) == 0, doctor.said
     assert any("ok      lead.fc" in line for line in doctor.out)
@@ -63,7 +63,7 @@ def test_each_finding_as_json_has_its_code(lfield, deployment):
     assert endpoints == [("ok", None), ("problem", "check power, cable, endpoint and ids")]
 
 
-def test_without_a_deployment_it_looks_at_this_computer_alone(lfield):
+def test_without_a_deployment_only_this_computer_is_examined(lfield):
     doctor = lfield("doctor")
     assert any(line.startswith("ok      Python 3.") for line in doctor.out)
     assert any(line.startswith("ok      driver mavlink: Mavlink") for line in doctor.out)

@@ -79,14 +79,14 @@ def endpoint(site):
     fake.stdout.close()
 
 
-def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
+def test_a_new_driver_passes_the_kit_on_its_own_fake(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
     said, _ = kit.communicate()
     assert kit.returncode == 0, said
     assert "13 passed, 0 failed, 0 not run" in said
 
 
-def test_the_kit_sees_what_is_wrong_with_it(site, monkeypatch):
+def test_the_kit_detects_a_fault_of_a_new_driver(site, monkeypatch):
     monkeypatch.syspath_prepend(str(site))
     plugins = Plugins()
     plugins.add("lfield_lamp:PLUGIN")
@@ -99,10 +99,10 @@ def test_the_kit_sees_what_is_wrong_with_it(site, monkeypatch):
 
 
 @pytest.mark.few(0)
-def test_a_check_that_fails_is_told_by_the_status(site, endpoint):
+def test_a_failed_check_sets_the_exit_status(site, endpoint):
     fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
     assert "stuck = true" in fault.communicate()[0]
-    # So short a way that the check's own is refused at once.
+    # The distance is shorter than that of the check, which is refused at once.
     short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
     said, _ = kit.communicate()
@@ -110,7 +110,7 @@ def test_a_check_that_fails_is_told_by_the_status(site, endpoint):
     assert "FAILED  kit.device: moves and reports its position" in said
 
 
-def test_without_agreement_nothing_moves(site, endpoint):
+def test_without_consent_nothing_moves(site, endpoint):
     kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--silence", "2", stdin=subprocess.DEVNULL)
     said, _ = kit.communicate()
     assert kit.returncode == 0, said
@@ -118,11 +118,11 @@ def test_without_agreement_nothing_moves(site, endpoint):
 
 
 def errors(plugins, program):
-    """What is wrong in a program, by the compiler with these drivers."""
+    """The errors of a program, by the compiler with these drivers."""
     return check_text(program, devices=plugins.device_types, find_include=plugins.find_source).errors
 
 
-def test_its_stock_resource_compiles(site, monkeypatch):
+def test_the_stock_resource_of_a_new_driver_compiles(site, monkeypatch):
     monkeypatch.syspath_prepend(str(site))
     plugins = Plugins()
     plugins.add("lfield_lamp:PLUGIN")
@@ -134,7 +134,7 @@ def test_its_stock_resource_compiles(site, monkeypatch):
     )
 
 
-def test_a_sensor_passes_its_tests_and_the_kit_without_anybody_having_to_agree(sensor_site, monkeypatch):
+def test_a_sensor_passes_its_tests_and_the_kit_without_consent(sensor_site, monkeypatch):
     monkeypatch.syspath_prepend(str(sensor_site))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(sensor_site), os.environ.get("PYTHONPATH", "")]))
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "tests"]
@@ -209,14 +209,14 @@ def test_a_serial_driver_moves_its_fake_on_a_pseudo_terminal(serial_site):
     bench.run_real(story)
 
 
-def test_a_serial_sensor_is_written_too(tmp_path):
+def test_a_serial_sensor_is_written(tmp_path):
     written = write("eye", tmp_path, sensor=True, serial=True)
     assert tmp_path / "lfield_eye" / "L" / "meter.L" in written
     assert "SerialLine" in (tmp_path / "lfield_eye" / "driver.py").read_text()
     assert "status" in (tmp_path / "lfield_eye" / "model.py").read_text()
 
 
-def test_what_is_there_is_not_overwritten(site, tmp_path):
+def test_existing_files_are_not_overwritten(site, tmp_path):
     (tmp_path / "mine").mkdir()
     again = lfield(site, "driver", "new", "torch", "--into", str(tmp_path / "mine"))
     assert "exists already; nothing was written" in again.communicate()[0]

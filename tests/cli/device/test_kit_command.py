@@ -1,4 +1,4 @@
-"""`lfield kit`: what it refuses in a sentence, and what it prints."""
+"""`lfield kit`: its refusals, and its output."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def bus(lfield):
         (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "wings=2"], 65, "wings"),
     ],
 )
-def test_what_is_wrong_is_a_sentence(here, words, status, sentence):
+def test_an_invalid_command_line_is_refused_with_a_sentence(here, words, status, sentence):
     kit = here("kit", *words, "--silence", "2")
     assert kit.status == status, kit
     assert sentence in "\n".join(kit.err)
     assert kit.out == []
 
 
-def test_nothing_there_is_one_sentence(here):
+def test_a_missing_endpoint_is_one_sentence(here):
     axis = ("--set", "protocol=cia402", "--set", "node=5", "--set", "counts=100")
     for words in (
         ("mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"),
@@ -53,7 +53,7 @@ def test_nothing_there_is_one_sentence(here):
         assert len(kit.err) == 1
 
 
-def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
+def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus):
     axis = f"driver: can, endpoint: '{bus}', type: CanAxis, protocol: cia402, counts: 10000"
     lfield.write(
         "crane.yaml",
@@ -79,7 +79,7 @@ def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
         ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 11),
     ],
 )
-def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fake, settings, passed):
+def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, passed):
     """tests/kits has the whole kits, on virtual time."""
     sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
     words = [word for setting in settings for word in ("--set", setting)]
@@ -92,7 +92,7 @@ def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fa
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
 
 
-def test_an_endpoint_on_the_command_line_stands_for_those_of_the_file(lfield, bus):
+def test_an_endpoint_option_replaces_those_of_the_file(lfield, bus):
     lfield.write(
         "crane.yaml",
         "agents: {crane: {devices: {hoist: {driver: can, endpoint: 'socketcan:can7', type: CanAxis, "

@@ -29,14 +29,14 @@ def plan(capsys):
     return run
 
 
-def test_a_plan_that_is_fine_is_one_line(plan):
+def test_a_valid_plan_is_one_line(plan):
     status, out, _ = plan("check", PLAN, "--kind", "copter", "--radius", "100", "--altitude", "30")
     assert status == exit_status.DONE
     assert len(out.splitlines()) == 1
     assert "12 items" in out
 
 
-def test_every_fault_is_a_line(plan):
+def test_every_fault_of_a_plan_is_a_line(plan):
     status, out, _ = plan(
         "check", PLAN, "--kind", "rover", "--firmware", "px4", "--radius", "80", "--speed", "3"
     )
@@ -44,7 +44,7 @@ def test_every_fault_is_a_line(plan):
     assert [line.partition("[")[2][:4] for line in out.splitlines()[:-1]] == ["M101", "M102", *["M104"] * 4]
 
 
-def test_json(plan):
+def test_plan_check_prints_json(plan):
     status, out, _ = plan("check", PLAN, "--json", "--altitude", "15")
     report = json.loads(out)
     assert status == exit_status.DATA
@@ -55,7 +55,7 @@ def test_json(plan):
     assert all(finding["message"] for finding in report["findings"])
 
 
-def test_an_area(plan):
+def test_plan_check_reads_an_area(plan):
     assert plan("check", KML)[0] == exit_status.DONE
     assert plan("check", KML, "--name", "north field")[0] == exit_status.DONE
     assert plan("check", KML, "--radius", "100", *HOME)[0] == exit_status.DONE
@@ -67,7 +67,7 @@ def test_an_area(plan):
     assert report["length"] == pytest.approx(280.0, rel=0.01)
 
 
-def test_a_line_and_an_area_that_crosses_itself(plan, tmp_path):
+def test_a_self_intersecting_area_is_refused_and_a_line_accepted(plan, tmp_path):
     line = tmp_path / "line.json"
     line.write_text('{"type": "LineString", "coordinates": [[8, 47], [8.001, 47]]}')
     assert plan("check", line)[0] == exit_status.DONE
@@ -96,11 +96,11 @@ def test_a_line_and_an_area_that_crosses_itself(plan, tmp_path):
         (),
     ],
 )
-def test_usage(plan, words):
+def test_usage_errors_of_plan(plan, words):
     assert plan(*words)[0] == exit_status.USAGE
 
 
-def test_files_that_are_not_readable(plan, tmp_path):
+def test_unreadable_plan_files_are_refused(plan, tmp_path):
     bad = tmp_path / "bad.plan"
     bad.write_text(
         '{"fileType": "Plan", "version": 1, "mission": {"version": 2, "items": [{"type": "SimpleItem"}]}}'
@@ -118,7 +118,7 @@ def test_files_that_are_not_readable(plan, tmp_path):
 
 
 @pytest.mark.parametrize(("file", "texts"), [(PLAN, ["1 takeoff", "R1", "H"]), (KML, ["area"])])
-def test_pictures(plan, tmp_path, file, texts):
+def test_plan_show_draws_pictures(plan, tmp_path, file, texts):
     out = tmp_path / "f.svg"
     assert plan("show", file, "--out", out)[0] == exit_status.DONE
     shown = [element.text for element in ET.parse(out).iter() if element.text and element.text.strip()]
@@ -126,14 +126,14 @@ def test_pictures(plan, tmp_path, file, texts):
     assert any(text.startswith("a square is") for text in shown)
 
 
-def test_no_picture_without_a_position(plan, tmp_path):
+def test_a_plan_without_a_position_has_no_picture(plan, tmp_path):
     empty = tmp_path / "empty.plan"
     empty.write_text('{"fileType": "Plan", "version": 1, "mission": {"version": 2}}')
     assert plan("show", empty, "--out", tmp_path / "f.svg")[0] == exit_status.DATA
     assert plan("show", PLAN, "--out", tmp_path / "no" / "f.svg")[0] == exit_status.NO_OUTPUT
 
 
-def test_the_library_of_the_driver_is_missing(plan, monkeypatch):
+def test_a_missing_driver_library_is_reported(plan, monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     status, _, err = plan("check", PLAN)
     assert status == exit_status.UNAVAILABLE

@@ -19,7 +19,7 @@ STOCK = "FS_GCS_ENABLE is 0 and must be 5"
 
 @pytest.fixture
 def endpoint(lfield):
-    """A copter as it comes out of the box."""
+    """A copter with factory settings."""
     words = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--param", "WPNAV_SPEED=1000")
     return lfield.start("sim", "mavlink", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
 
@@ -38,11 +38,11 @@ def setup(lfield, here):
 
 
 def own(lines):
-    """What `setup` says itself: an autopilot may speak too, of a ground station it missed meanwhile."""
+    """The lines of `setup` itself, without those of the autopilot."""
     return [line for line in lines if ": autopilot: " not in line]
 
 
-def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, endpoint, deployment):
+def test_missing_settings_are_reported_written_and_restored(lfield, here, setup, endpoint, deployment):
     command = f"lfield setup --deploy {deployment}"
 
     doctor = here("doctor", "--deploy", deployment)
@@ -71,7 +71,7 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
     assert STOCK in kit.err[0]
     assert kit.err[1].endswith(f"to set it up: lfield setup {' '.join(words)}")
 
-    # Nobody who could be asked: it is still as it was.
+    # Without a terminal for consent nothing is changed.
     asked = setup("--deploy", deployment)
     assert asked.status == 64
     assert own(asked.out)[1].split()[:4] == ["lead.fc", "FS_GCS_ENABLE", "0", "5"]
@@ -95,7 +95,7 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
 
 
 @pytest.mark.few(0)
-def test_a_setting_that_was_changed_since_is_left_alone(lfield, setup, endpoint):
+def test_a_setting_changed_since_is_left_unchanged(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--yes")
     assert setup("--back").status == 0, "there is no file yet"
     assert setup(*words, "--set", "safe_state=land").status == 0
@@ -109,7 +109,7 @@ def test_a_setting_that_was_changed_since_is_left_alone(lfield, setup, endpoint)
     assert "kit.device: FS_GCS_ENABLE was 5 and is 0 again" in setup("--apply", first, "--yes").out
 
 
-def test_what_cannot_be_kept_is_not_written(lfield, setup, endpoint, monkeypatch):
+def test_settings_that_cannot_be_saved_are_not_written(lfield, setup, endpoint, monkeypatch):
     lfield.write("plain", "")
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
     done = setup(*words, "--yes", state="plain/state")
@@ -122,10 +122,10 @@ def test_what_cannot_be_kept_is_not_written(lfield, setup, endpoint, monkeypatch
 
 
 @pytest.mark.few(0)
-def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
+def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
     kept = lfield.folder / "state" / "setup-1.json"
-    # So late are the answers that the command is in the middle of its writes when it is interrupted.
+    # The answers are so late that the interrupt arrives between the writes.
     assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0.4")) == 0
     writing = lfield.start("setup", *words, "--yes", "--state", "state")
     writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
@@ -145,8 +145,8 @@ def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
 
 
 @pytest.mark.few(0)
-def test_what_one_had_is_not_put_back_to_another_in_its_place(lfield, setup):
-    """Two vehicles of one system id, one after the other on one desk."""
+def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
+    """Two vehicles of one system id, one after the other on one computer."""
 
     def there(where, *words):
         fake = lfield.start("sim", "mavlink", "--until-stdin-closes", "--listen", where, *words, stdin=True)
@@ -192,14 +192,14 @@ def test_what_one_had_is_not_put_back_to_another_in_its_place(lfield, setup):
         (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"], 69, "no heartbeat"),
     ],
 )
-def test_what_is_wrong_is_a_sentence(setup, words, status, sentence):
+def test_an_invalid_command_line_of_setup_is_refused_with_a_sentence(setup, words, status, sentence):
     said = setup(*words)
     assert said.status == status, said
     assert sentence in "\n".join(said.err)
     assert said.out == []
 
 
-def test_the_fakes_of_a_mission_come_set_up(setup, lfield):
+def test_fakes_of_a_mission_are_set_up(setup, lfield):
     copter = "driver: mavlink, endpoint: 'udp:127.0.0.1:1', ttl: 1.0, limits: {speed: 3.0}, safe_state: hold"
     devices = f"agents:\n  lead: {{devices: {{fc: {{{copter}}}}}}}\n"
     looked = setup("--deploy", lfield.mission(PROGRAM, DEPLOYMENT, devices), "--sim")

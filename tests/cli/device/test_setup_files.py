@@ -74,7 +74,7 @@ def test_values_that_the_binding_forbids_refuse_the_whole_file(lfield, setup, au
     assert run("--apply", lfield.write("other.param", other), "--yes").status == 65
 
 
-def test_which_device_and_which_file(lfield, setup, here):
+def test_the_device_and_the_file_are_validated(lfield, setup, here):
     file = lfield.write("mine.param", "PILOT_TKOFF_ALT,120\n")
     assert here("setup", "--apply", file).status == 64
     run = setup("ardupilot")

@@ -1,4 +1,4 @@
-"""`lfield sim fault`: what is wrong with the fakes that run, and making it so."""
+"""`lfield sim fault`: shows and sets the faults of running fakes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_without_a_fake_there_is_nothing_to_show_or_set(fakes):
     assert refused.err == ["lfield: no running simulated device is 'alpha.fc'; running: none"]
 
 
-def test_faults_are_shown_and_set_for_a_fake_and_for_a_device(fakes):
+def test_faults_are_shown_and_set_for_a_fake_and_a_device(fakes):
     fake = fakes.start("1:copter:ardupilot:alpha.fc", "2:rover")
     shown = fakes.fault()
     assert shown.status == 0
@@ -60,7 +60,7 @@ def test_faults_are_shown_and_set_for_a_fake_and_for_a_device(fakes):
     assert any(line.startswith("  silence = false @1=false @2=true  (") for line in other.out)
 
 
-def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes):
+def test_an_invalid_fault_is_refused_and_changes_nothing(fakes):
     fakes.start("1:copter:ardupilot:alpha.fc")
     for words, sentence in (
         (("alpha.fc", "gravity=0"), "there is no fault 'gravity'; there are: "),
@@ -77,7 +77,7 @@ def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes):
     assert any(line.startswith("  delay = 0.0  (") for line in fakes.fault().out)
 
 
-def test_a_name_that_fits_two_fakes_is_refused(fakes):
+def test_an_ambiguous_name_is_refused(fakes):
     first, second = fakes.start("1"), fakes.start("1")
     refused = fakes.fault("mavlink", "loss=0.1")
     assert refused.status == 64
@@ -86,7 +86,7 @@ def test_a_name_that_fits_two_fakes_is_refused(fakes):
     assert second.endpoint in refused.err[0]
 
 
-def test_the_door_of_a_fake_that_was_killed_is_cleared_away(fakes):
+def test_the_socket_of_a_killed_fake_is_removed(fakes):
     fake = fakes.start("1")
     assert len(list(fakes.doors.iterdir())) == 1
     fake.signal(signal.SIGKILL)
@@ -96,7 +96,7 @@ def test_the_door_of_a_fake_that_was_killed_is_cleared_away(fakes):
 
 
 @pytest.mark.few(0)
-def test_the_devices_of_a_simulated_mission_go_by_the_names_of_their_bindings(alone, fakes, lfield):
+def test_devices_of_a_simulated_mission_have_the_names_of_their_bindings(alone, fakes, lfield):
     deployment = lfield.mission(
         """
         resource Copter {

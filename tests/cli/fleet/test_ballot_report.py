@@ -1,4 +1,4 @@
-"""What a push or a rollback reports of its vote, and with which status it ends."""
+"""The report of a push or a rollback on its vote, and its exit status."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def result(**votes: Vote) -> BallotResult:
         ({}, exit_status.UNKNOWN_OUTCOME, "open"),
     ],
 )
-def test_the_status_is_that_of_the_votes(capsys, votes: dict[str, Vote], status: int, outcome: str) -> None:
+def test_the_exit_status_follows_the_votes(capsys, votes: dict[str, Vote], status: int, outcome: str) -> None:
     assert PushReport(DIGEST, as_json=True).on_result(result(**votes)) == status
     told = json.loads(capsys.readouterr().out)
     assert (told["outcome"], told["votes"], told["bundle"]) == (outcome, votes, DIGEST.hex())
 
 
-def test_each_vote_against_it_is_printed_with_its_reason(capsys) -> None:
+def test_each_no_vote_is_printed_with_its_reason(capsys) -> None:
     PushReport(DIGEST, as_json=False).on_result(result(alpha="yes", bravo="no"))
     assert "bravo: votes no: lead.fc is off the ground" in capsys.readouterr().err
 
@@ -59,7 +59,7 @@ def test_a_host_that_cannot_store_its_vote_is_named_with_the_reason(capsys) -> N
     assert "alpha: no vote: cannot write state.json" in capsys.readouterr().err
 
 
-def test_a_host_that_has_voted_too_late_is_named_with_the_reason(capsys) -> None:
+def test_a_host_that_voted_too_late_is_named_with_the_reason(capsys) -> None:
     found = result(alpha="yes")
     found.unreached["bravo"] = NoListener("10.0.0.2:8182")
     closed = BallotState(found.ballot.id, None, {"bravo": "no"}, {"bravo": "closed"}, "aborted")

@@ -31,7 +31,7 @@ def test_a_refusal_and_an_unreachable_robot_have_their_own_statuses(
     assert failure_status({str(number): error for number, error in enumerate(errors)}) == status
 
 
-def test_a_robot_that_has_another_address_is_not_said_to_refuse(capsys) -> None:
+def test_a_robot_at_a_wrong_address_is_reported_as_not_reached(capsys) -> None:
     report_unreached({"alpha": REFUSED, "bravo": OTHER, "carol": UNREACHED}, "")
     said = [line.split(":")[1].strip() for line in capsys.readouterr().err.splitlines()]
     assert said == ["REFUSED", "NOT REACHED", "NOT REACHED"]

@@ -1,4 +1,6 @@
-"""What services and desks refuse: strangers, wrong signers and addresses, two desks at once, full disks."""
+"""Refusals of services and operators' commands: unknown keys, wrong signers and addresses, concurrent pushes,
+full disks.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,7 @@ def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield,
     assert {each["code"] for each in told(refused)["sent"].values()} == {"signature"}
 
 
-def test_a_refusal_says_so_once(lfield, here, team) -> None:
+def test_a_refusal_is_reported_once(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "watcher", Right.OBSERVE))
     refused = here("stop")
     assert refused.status == 1
@@ -71,12 +73,12 @@ def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
         refused = here(command, "--keys", other)
         assert refused.status == 1
         assert "alpha: REFUSED" in " ".join(refused.err)
-    # A robot that is not reached counts more: the command may work when it is repeated.
+    # An unreached robot decides the status: the command may work when repeated.
     team.kill("bravo")
     assert here("status", "--keys", other).status == 69
 
 
-def test_an_address_of_another_robot_is_found_by_its_certificate(lfield, here, team) -> None:
+def test_a_wrong_address_is_detected_by_the_certificate(lfield, here, team) -> None:
     text = team.inventory.read_text()
     (mission, service), (other_mission, other_service) = team.ports["alpha"], team.ports["bravo"]
     text = text.replace(str(mission), "M").replace(str(service), "S")
@@ -156,7 +158,7 @@ def staged(lfield, here, team) -> Callable[[], Ballot]:
 
 @pytest.fixture
 def send(lfield, team) -> Callable[[str, ServiceMessage], BallotState]:
-    """`send(host, message)`: what another desk sends, and the answer."""
+    """`send(host, message)`: a message of another operator, and the answer."""
     keys = read_keys(lfield.folder / "config/lfield/keys/me", "person")
 
     async def ask(host: str, message: ServiceMessage) -> BallotState:
@@ -169,7 +171,7 @@ def send(lfield, team) -> Callable[[str, ServiceMessage], BallotState]:
     return lambda host, message: asyncio.run(ask(host, message))
 
 
-def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(
+def test_the_second_of_two_concurrent_pushes_is_refused_until_the_first_is_decided(
     here, team, staged, send
 ) -> None:
     ballot = staged()
@@ -187,7 +189,7 @@ def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(
     assert send("alpha", VoteReport(ballot.id, {})).outcome == "activated"
 
 
-def test_an_activation_is_aborted_by_command_if_a_robot_is_lost_for_good(here, team, staged, send) -> None:
+def test_an_activation_is_aborted_by_command_if_a_robot_is_lost(here, team, staged, send) -> None:
     ballot = staged()
     team.kill("bravo")
     send("alpha", Proposal(ballot))

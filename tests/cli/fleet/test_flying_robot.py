@@ -36,7 +36,7 @@ agents:
 """
 
 
-def test_a_robot_in_the_air_votes_against_an_activation(lfield, here, robots) -> None:
+def test_a_flying_robot_votes_against_an_activation(lfield, here, robots) -> None:
     team: Robots = robots("alpha")
     team.up(options="--sim")
     lfield.mission(PROGRAM.replace("CHANGED", "down"), TEAM, DEVICES)

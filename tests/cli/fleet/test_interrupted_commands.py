@@ -1,4 +1,4 @@
-"""Ctrl-C during a command of the desk: robots that have received it go on, and that is said."""
+"""Ctrl-C during a fleet command: robots that have received it continue, and the message says so."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ async def interrupt_soon(*_: object, **__: object) -> None:
         (("stop",), mission_stop, "stop_mission"),
     ],
 )
-def test_what_robots_go_on_with_is_printed(here, robots, monkeypatch, words, owner, name) -> None:
+def test_an_interrupted_command_names_what_robots_continue(
+    here, robots, monkeypatch, words, owner, name
+) -> None:
     robots("alpha", "bravo").mission()
     monkeypatch.setattr(owner, name, interrupt_soon)
     ended = here(*words)
@@ -31,7 +33,7 @@ def test_what_robots_go_on_with_is_printed(here, robots, monkeypatch, words, own
     assert [("interrupted: " in line, "'lfield status'" in line) for line in ended.err] == [(True, True)]
 
 
-def test_a_start_that_is_interrupted_goes_on(here, robots, monkeypatch) -> None:
+def test_an_interrupted_start_continues(here, robots, monkeypatch) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission()

@@ -96,7 +96,7 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     assert team.here("ps", "mission.dL", "--map", "alpha=127.0.0.8:1").status == 69
 
 
-def test_an_emergency_stop_reaches_the_hosts_that_answer_and_names_the_others(team) -> None:
+def test_an_emergency_stop_reaches_answering_hosts_and_names_the_others(team) -> None:
     team.inventory(alpha="'127.0.0.2:{alpha}'", bravo="'127.0.0.3:{bravo}', '127.0.0.4:{bravo}'")
     assert team.here("estop").status == 69
     (alpha,) = team.up("alpha")
@@ -114,7 +114,7 @@ def test_without_inventory_and_run_there_is_no_mission(team) -> None:
         assert team.here(command).status == 69, command
 
 
-def test_events_of_the_inventory_say_that_they_follow_until_a_ctrl_c(team) -> None:
+def test_events_of_the_inventory_follow_until_ctrl_c(team) -> None:
     team.inventory(alpha="'127.0.0.2:{alpha}'")
     following = team.lfield.start("events")
     following.wait_for("^lfield: following the hosts of the inventory; Ctrl-C ends this$")

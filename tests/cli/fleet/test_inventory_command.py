@@ -1,4 +1,4 @@
-"""`lfield inventory`: what the file says, and which addresses answer."""
+"""`lfield inventory`: the contents of the file, and the addresses that answer."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, h
     assert shown.out[1].split()[:4] == ["alpha", "127.0.0.1", str(service), "answers"]
 
 
-def test_an_address_of_another_robot_is_named_by_its_certificate(lfield, here, robots) -> None:
+def test_a_wrong_address_is_named_by_its_certificate(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     ports = {host: service for host, (_, service) in team.ports.items()}
@@ -74,7 +74,7 @@ def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
     assert shown.err == ["lfield: refused: alpha"]
 
 
-def test_a_program_that_is_no_host_is_not_reached(lfield, here, robots) -> None:
+def test_a_program_that_is_not_a_host_is_not_reached(lfield, here, robots) -> None:
     team = robots("alpha")
     with socket.create_server(("127.0.0.1", team.ports["alpha"][0])):
         said = here("inventory", "check", "--json")
@@ -91,7 +91,7 @@ def test_without_keys_only_connections_are_tried(lfield, here, robots) -> None:
     assert state_of(said, "alpha", "service") == ("answers", "")
 
 
-def test_the_file_is_shown_as_it_was_understood(lfield, here) -> None:
+def test_the_file_is_shown_as_parsed(lfield, here) -> None:
     lfield.write(
         "team.yaml",
         'hosts: {alpha: {addresses: ["fe80::1%wlan0", robot.lan:9000], user: pi, arch: aarch64,\n'
@@ -118,7 +118,7 @@ def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) 
     assert here("inventory", "show").status == 64
 
 
-def test_a_link_local_address_at_which_the_robot_does_not_listen_is_explained() -> None:
+def test_a_link_local_address_without_a_listener_is_explained() -> None:
     """Its zone is an interface of the computer that uses the address."""
     closed = EndpointState("closed")
     assert "wlan0" in _finding(Endpoint("alpha", "mission", "[fe80::1%wlan0]:8181"), closed)

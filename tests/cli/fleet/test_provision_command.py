@@ -1,4 +1,4 @@
-"""`lfield provision` without robots: its command line, and what it collects on the desk."""
+"""`lfield provision` without robots: its command line, and the packages it collects."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def test_prepare_needs_no_robot_whose_platform_is_in_the_inventory(folder, here)
 
 
 @pytest.mark.usefixtures("own")
-def test_a_python_that_is_too_old_is_prepared_for(folder, here, monkeypatch) -> None:
-    """The desk brings another one, for which it needs uv or what uv has collected before."""
+def test_another_python_is_prepared_for_a_robot_with_an_old_one(folder, here, monkeypatch) -> None:
+    """The command installs another one, for which it needs uv or an archive that uv has collected before."""
     (folder / "inventory.yaml").write_text(INVENTORY.replace('"3.11"', '"3.10"'))
     monkeypatch.setattr(standalone_python, "find_uv", lambda: None)
     prepare = ("provision", "--inventory", "inventory.yaml", "--prepare", "--json", "alpha")
@@ -86,7 +86,7 @@ def test_a_python_that_is_too_old_is_prepared_for(folder, here, monkeypatch) -> 
 
 
 @pytest.mark.skipif(shutil.which("ssh") is None, reason="there is no ssh here")
-def test_each_address_that_does_not_answer_is_named(folder, here) -> None:
+def test_each_address_without_an_answer_is_named(folder, here) -> None:
     (folder / "two.yaml").write_text("hosts: {alpha: {addresses: [127.0.0.1, 127.0.0.2], ssh_port: 1}}\n")
     done = here("provision", "--inventory", "two.yaml", "--json")
     assert done.status == exit_status.UNAVAILABLE
@@ -103,7 +103,7 @@ def test_each_address_that_does_not_answer_is_named(folder, here) -> None:
         ((), exit_status.USAGE),
     ],
 )
-def test_command_lines_that_are_refused(folder, here, arguments, status) -> None:
+def test_invalid_command_lines_of_provision_are_refused(folder, here, arguments, status) -> None:
     assert here("provision", *arguments).status == status
 
 

@@ -1,4 +1,4 @@
-"""A bundle on all robots or none, and missions that start and stop from the desk."""
+"""A bundle on all robots or none, and missions that the operator starts and stops."""
 
 from __future__ import annotations
 
@@ -61,9 +61,7 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
 
 
 @pytest.mark.few(0)
-def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_discarded(
-    lfield, here, robots
-) -> None:
+def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.5)
@@ -85,7 +83,7 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
     assert here("push", "mission.dL").status == 1
     checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
     assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
-    # It continues where it was, until it is discarded.
+    # It continues at its last position, until it is discarded.
     started = here("start")
     assert started.status == 0
     assert any(line.startswith("tom continues: it has not ended") for line in started.out)
@@ -98,8 +96,8 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
 
 
 @pytest.mark.few(0)
-def test_a_second_start_waits_for_a_host_that_is_missing(lfield, here, robots) -> None:
-    """The coordinator of the first start is in all journals: it is not what the second one waits for."""
+def test_a_second_start_waits_for_a_missing_host(lfield, here, robots) -> None:
+    """The coordinator of the first start is in all journals: the second one does not wait for it."""
     team = robots("alpha", "bravo", "carol")
     lfield.mission(program(), TEAM + "//Post:other@carol\n")
     team.up()
@@ -171,7 +169,7 @@ def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, h
 
 
 @pytest.mark.few(0)
-def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_with_the_old_bundle(
+def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_the_old_bundle(
     lfield, here, robots
 ) -> None:
     team = robots("alpha", "bravo")

@@ -23,7 +23,7 @@ def test_different_versions_of_lfield_are_named() -> None:
     assert differing_versions(mixed) in list(status_lines(mixed))
 
 
-def test_a_coordinator_of_a_host_that_was_not_reached_is_not_said_to_be_idle() -> None:
+def test_a_coordinator_of_an_unreached_host_is_not_reported_idle() -> None:
     digest = bytes(32)[:-1] + b"1"
     info = BundleInfo(digest, "patrol", hosts=["alpha", "bravo"], coordinators={"pilot": "bravo"})
     up = replace(status("alpha", "0.4.0"), active=digest, bundles=[info], run=RunInfo(digest, "running"))

@@ -1,6 +1,5 @@
-"""A stranger that connects without an end and sends nothing: `python address_race.py PORT KEEP`.
-
-Prints how often it has connected, once a second. `KEEP` connections stay open, the oldest is closed first.
+"""A client without keys that connects without end and sends nothing: `python address_race.py PORT KEEP`.
+Prints the number of its connections once a second. `KEEP` connections stay open, the oldest is closed first.
 """
 
 from __future__ import annotations

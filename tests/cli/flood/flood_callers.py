@@ -1,7 +1,6 @@
-"""A member with valid keys that sends without an end: `python flood_callers.py PORT KEYS HOST KIND`.
-
-Prints `linked` when the host at that port of this computer has accepted it, `refused` when it has not, and
-`closed` when the link ends, with the time. It calls again at once until it is stopped.
+"""A member with valid keys that sends without end: `python flood_callers.py PORT KEYS HOST KIND`. Prints
+`linked` when the host at that port of this computer has accepted it, `refused` when it has not, and `closed`
+when the link ends, with the time. It connects again at once until it is stopped.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Strangers that connect at the greatest rate and send nothing: guards keep time, a stop gets through."""
+"""Clients without keys that connect at the highest rate and send nothing: guards keep time, a stop
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ FLOODERS = 2
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("keep", [0, 200])
-def test_connections_without_a_byte_keep_nobody_out(lfield, alone, keep):
+def test_idle_connections_do_not_block_members_or_a_stop(lfield, alone, keep):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "bravo", "charlie"])
     team = ("--deploy", deployment, *maps)

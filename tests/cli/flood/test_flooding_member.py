@@ -1,4 +1,4 @@
-"""A member of the team that sends without an end: guards keep time, a stop gets through, the log names it."""
+"""A member of the team that sends without end: guards keep time, a stop arrives, the log names it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ KINDS = ("pings", "records", "gossip", "rooms", "transfers", "turns", "oversize"
 
 
 class Flood:
-    """The process that floods; what it says as it comes."""
+    """The flooding process and its output."""
 
     def __init__(self, popen: subprocess.Popen[str]) -> None:
         self._popen = popen
 
     def next(self, word: str) -> float:
-        """When it next says that, on the monotonic clock."""
+        """The time of its next line with this word, on the monotonic clock."""
         assert self._popen.stdout is not None
         for line in self._popen.stdout:
             if line.startswith(word):
@@ -61,7 +61,7 @@ def flooding(lfield, port: int, kind: str) -> Iterator[Flood]:
 # tests/net/test_members.py has the same on virtual time.
 @pytest.mark.few(0)
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_member_that_floods_keeps_nobody_out_and_is_named(lfield, alone, kind):
+def test_a_flooding_member_does_not_block_others_and_is_named(lfield, alone, kind):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "bravo", "charlie"])
     team = ("--deploy", deployment, *maps)

@@ -24,7 +24,7 @@ def has_ipv6() -> bool:
 
 @pytest.mark.few(0)
 @pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
-def test_hosts_at_addresses_of_ipv6_link_and_are_asked_and_stopped(lfield, alone):
+def test_hosts_at_ipv6_addresses_link_and_are_queried_and_stopped(lfield, alone):
     one, two = lfield.ports.take(2)
     hosts = ["[::1]", "bravo"]
     lfield.keys.give(*hosts)
@@ -35,7 +35,7 @@ def test_hosts_at_addresses_of_ipv6_link_and_are_asked_and_stopped(lfield, alone
     here.wait_for(rf"listening on \[::1\]:{one}")
     lfield.start(*up, "bravo", env=alone)
     here.wait_for("greeted")
-    # Not at the doors of their runs, but over the network.
+    # Over the network, not by the sockets of their runs.
     maps = ("--map", f"[::1]=[::1]:{one}")
     shown = lfield("ps", *team, *maps, env=alone)
     assert lfield.status(shown) == 0, shown.said

@@ -81,7 +81,7 @@ def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("named", [False, True])
-def test_commands_beside_a_host_reach_the_others_over_the_routers_of_its_run(lfield, routers, alone, named):
+def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield, routers, alone, named):
     """The address is that of the run, so the routers are: with and without --inventory."""
     near, far = (each.endpoint for each in routers)
     inventory = lfield.write("inventory.yaml", INVENTORY.format(near=near, far=far))
@@ -101,7 +101,7 @@ def test_commands_beside_a_host_reach_the_others_over_the_routers_of_its_run(lfi
     bravo.wait_for("EMERGENCY STOP")
 
 
-def test_a_command_without_the_package_names_it(lfield) -> None:
+def test_a_command_without_the_zenoh_package_names_it(lfield) -> None:
     """One sentence with a code, and no traceback: in a Python that cannot import it."""
     lfield.write("zenoh.py", "raise ImportError('hidden by the test')\n")
     inventory = lfield.write(

@@ -1,4 +1,6 @@
-"""Somebody who may only look asks a host for thousands of things at once: it flies on, and hears a stop."""
+"""A client with only the right to observe sends thousands of requests at once: the vehicle flies, a stop
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from lfield.wire.subscription_messages import Subscribe
 
 pytestmark = pytest.mark.process
 
-#: The copter is asked to do something all the time, and so is the link to the other host.
+# : The copter receives commands continuously, and the link to the other host is in use.
 PROGRAM = r"""
 resource Copter {
     Mavlink fc;
@@ -42,12 +44,12 @@ agents:
 """
 #: Links of one person, requests of each at once, the size of a record, and seconds for a host to answer.
 LINKS, REQUESTS, RECORD, PATIENCE = 20, 20_000, 550, 60.0
-#: What a host or its guard says when the flood has kept it from its work.
+# : Lines of a host or its guard if the flood has delayed its work.
 BROKEN = re.compile("silent|safe state|timed out after|DeviceException|lost")
 
 
 class Asker:
-    """One link: greeted, and with all that it asks ready to be sent."""
+    """One link: after the handshake, with all its requests ready to be sent."""
 
     def __init__(self, address: str, tls: TlsIdentity | None) -> None:
         self._link = connected(address)
@@ -65,7 +67,7 @@ class Asker:
         self._rest = b"".join(map(self._channel.encrypt, parts))
 
     def ask(self, over: threading.Event) -> None:
-        """Send as much as is taken, and read what comes, until it is over."""
+        """Send as much as is accepted, and read the answers, until the end."""
         self._link.settimeout(0.05)
         while not over.is_set():
             try:
@@ -90,7 +92,7 @@ def connected(address: str) -> socket.socket:
 
 @contextmanager
 def flood(address: str, tls: TlsIdentity | None) -> Iterator[None]:
-    """For as long as this lasts, all links ask."""
+    """All links send requests in this context."""
     over, askers = threading.Event(), [Asker(address, tls) for _ in range(LINKS)]
     threads = [threading.Thread(target=asker.ask, args=(over,)) for asker in askers]
     for thread in threads:
@@ -105,7 +107,7 @@ def flood(address: str, tls: TlsIdentity | None) -> Iterator[None]:
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("way", ["TLS", "the door"])
-def test_whoever_asks_without_an_end_costs_neither_a_flight_nor_a_link_nor_a_stop(lfield, alone, way):
+def test_endless_requests_delay_neither_a_flight_nor_a_link_nor_a_stop(lfield, alone, way):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     maps = lfield.maps(["alpha", "bravo"])
     words = ("--deploy", deployment, *maps)

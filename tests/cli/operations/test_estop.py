@@ -1,4 +1,4 @@
-"""`lfield estop` on a mission that flies: who is safe, who has not confirmed, who was not reached."""
+"""`lfield estop` on a mission that flies: safe devices, unconfirmed devices, unreached hosts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-#: Each copter takes off, and from then on takes itself back whenever it may.
+# : Each copter takes off, and then tries to release itself whenever it may.
 PROGRAM = """
 resource Copter {
     Mavlink fc;
@@ -47,7 +47,7 @@ agents:
 
 
 class Team:
-    """Two hosts in processes of their own; `words` are the options that say which deployment, and where."""
+    """Two hosts in processes of their own; `words` are the options for the deployment and the addresses."""
 
     def __init__(self, lfield, environment):
         deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
@@ -66,7 +66,7 @@ def team(alone, lfield):
     lfield.end()
 
 
-def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
+def test_every_device_is_safe_and_not_released_before_the_stop_is_lifted(lfield, team):
     pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field")
     assert lfield.status(pressed) == 0, pressed.said
     assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
@@ -81,7 +81,7 @@ def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfie
         host.wait_for(r"^(?!.*not).*released$")
 
 
-def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alone):
+def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone):
     silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
     pressed = lfield("estop", *team.words, "--no-wait")
@@ -106,7 +106,7 @@ def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alon
 
 
 @pytest.mark.few(0)
-def test_whoever_presses_it_may_go_away_before_the_answer(lfield, team, alone):
+def test_an_emergency_stop_is_executed_though_its_command_was_killed(lfield, team, alone):
     silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
     pressed = lfield.start("estop", *team.words, "--reason", "and away")
@@ -132,7 +132,7 @@ def lines_of(process, device: str) -> list[str]:
 
 
 @pytest.mark.few(0)
-def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down_is_named(lfield, own):
+def test_the_descent_is_shown_until_rest_and_devices_not_at_rest_are_named(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 8, waivers"))
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
     for host in ("alpha", "bravo"):
@@ -197,7 +197,7 @@ def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
 
 
 class Kept:
-    """One host that keeps a journal, and can be killed and started again."""
+    """One host with a journal that can be killed and started again."""
 
     def __init__(self, lfield, environment):
         devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
@@ -218,7 +218,7 @@ class Kept:
 
 
 @pytest.mark.few(0)
-def test_a_host_that_is_killed_and_started_again_is_still_stopped(lfield, own):
+def test_a_host_killed_and_started_again_is_still_stopped(lfield, own):
     kept = Kept(lfield, own)
     pressed = lfield("estop", "--no-wait", "--reason", "a child on the field", env=own)
     assert (lfield.status(pressed), pressed.err) == (0, []), pressed.said
@@ -239,7 +239,7 @@ def test_a_host_that_is_killed_and_started_again_is_still_stopped(lfield, own):
 
 
 @pytest.mark.few(0)
-def test_a_disk_that_takes_nothing_is_told_of(lfield, own):
+def test_a_stop_that_cannot_be_stored_is_reported(lfield, own):
     kept = Kept(lfield, own)
     resource.prlimit(kept.host.pid, resource.RLIMIT_FSIZE, (0, 0))
     pressed = lfield("estop", "--no-wait", env=own)
@@ -265,7 +265,7 @@ ASCII = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
 
 
 @pytest.mark.few(0)
-def test_bytes_that_are_no_text_keep_nothing_from_a_running_mission(lfield, own):
+def test_undecodable_bytes_do_not_prevent_commands_to_a_running_mission(lfield, own):
     deployment = lfield.mission(BELL, BELL_DEPLOYED, name="n\udcf6rd/mission")
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
     team.wait_for("läutet")
@@ -301,7 +301,7 @@ def half_team(lfield, alone):
 
 
 @pytest.mark.few(0)
-def test_a_host_where_nothing_runs_has_nothing_to_lift(lfield, half_team) -> None:
+def test_a_host_that_does_not_run_has_nothing_to_lift(lfield, half_team) -> None:
     stopped = lfield("estop", *half_team, "--no-wait")
     assert lfield.status(stopped) == 3, stopped.said
     lifted = lfield("estop", *half_team, "--lift")

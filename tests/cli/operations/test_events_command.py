@@ -1,4 +1,4 @@
-"""`lfield events` and `lfield logs` of a team that runs: in one order, over restarts, ended by a Ctrl-C."""
+"""`lfield events` and `lfield logs` of a running team: in one order, over restarts, ended by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DEPLOYMENT = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 @pytest.fixture(scope="module")
 def walk(shared_lfield):
-    """A team in which a coordinator goes to and fro."""
+    """A team in which a coordinator migrates back and forth."""
     team = shared_lfield.start("up", "--deploy", shared_lfield.mission(PROGRAM, DEPLOYMENT), "--all", "--sim")
     team.wait_for(r"p: visit 4")
     team.deployment = shared_lfield.folder / "mission.dL"
@@ -51,7 +51,7 @@ def of(kind: str, whole: list[dict]) -> list[dict]:
     return [event for event in whole if event["kind"] == kind]
 
 
-def test_all_that_has_happened_comes_in_one_order_with_its_causes(walk, lfield):
+def test_all_events_come_in_one_order_with_their_causes(walk, lfield):
     shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow")
     assert lfield.status(shown) == exit_status.DONE, shown.said
     whole = [json.loads(line) for line in shown.out]
@@ -65,12 +65,12 @@ def test_all_that_has_happened_comes_in_one_order_with_its_causes(walk, lfield):
         place = places[cause["host"], cause["incarnation"], cause["number"]]
         assert whole[place]["kind"] == "left"
         assert place < places[event["host"], event["incarnation"], event["number"]]
-    # On one computer all clocks are one, and what is told of them must be that.
+    # On one computer all clocks are one, and so must be the reported clocks.
     assert all((event["within"] or 0.0) < 0.5 for event in whole)
     assert all(abs(event["time"] - event["at"]) <= (event["within"] or 0.0) + 0.01 for event in whole)
 
 
-def test_what_happens_from_now_on_is_told_until_a_ctrl_c(walk, lfield):
+def test_new_events_are_printed_until_ctrl_c(walk, lfield):
     watcher = lfield.start("events", "--deploy", walk.deployment, "--kinds", "left,came", "--host", "alpha")
     watcher.wait_for("came  agent=walker")
     watcher.signal(signal.SIGINT)
@@ -96,7 +96,7 @@ def test_telemetry_and_hops_make_a_table(walk, lfield):
     assert all(None not in row and None not in row.values() for row in rows)
 
 
-def test_logs_are_those_of_all_hosts_and_end(walk, lfield):
+def test_logs_have_the_lines_of_all_hosts_and_end(walk, lfield):
     shown = lfield("logs", "--deploy", walk.deployment)
     assert lfield.status(shown) == exit_status.DONE, shown.said
     said = [line.partition(" | ")[2] for line in shown.out]
@@ -105,7 +105,7 @@ def test_logs_are_those_of_all_hosts_and_end(walk, lfield):
     assert any("listening on" in line for line in said)
 
 
-def test_a_reader_that_leaves_ends_it_quietly(walk, lfield):
+def test_a_closed_reader_ends_the_command_quietly(walk, lfield):
     reading, writing = os.pipe()
     watcher = lfield.start("logs", "-f", "--deploy", walk.deployment, stdout=writing)
     os.close(writing)
@@ -116,7 +116,7 @@ def test_a_reader_that_leaves_ends_it_quietly(walk, lfield):
 
 
 def nth(watcher, text: str, count: int) -> None:
-    """Wait until a text was said so often."""
+    """Wait until a text was printed so often."""
     end = time.monotonic() + 60.0
     while len([line for line in watcher.out if text in line]) < count:
         assert time.monotonic() < end, watcher.said
@@ -124,7 +124,7 @@ def nth(watcher, text: str, count: int) -> None:
 
 
 @pytest.mark.few(0)
-def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield):
+def test_a_host_killed_and_started_again_is_reported_and_followed(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "beta"])
     words = ("up", "--deploy", deployment, *maps, "--sim")
@@ -160,13 +160,13 @@ def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield)
         (["--json", "--csv"], "not allowed with argument"),
     ],
 )
-def test_words_that_make_no_sense_are_told(words, told, walk, here):
+def test_invalid_options_of_events_are_reported(words, told, walk, here):
     said = here("events", "--deploy", walk.deployment, *words)
     assert said.status == exit_status.USAGE
     assert told in "\n".join(said.err)
 
 
-def test_nobody_there_is_a_status(lfield, here):
+def test_unreachable_hosts_have_a_status(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     said = here("logs", "--deploy", deployment, *lfield.maps(["alpha", "beta"]))
     assert said.status == exit_status.UNAVAILABLE
@@ -205,7 +205,7 @@ def topics(reader) -> set[str]:
 EXPECTED = {"/devices/p/fc", "/devices/p/fc/fix", "/events", "/hops", "/tf"}
 
 
-def test_a_recorder_that_is_asked_to_end_completes_its_file(recorders):
+def test_a_terminated_recorder_completes_its_file(recorders):
     recorder, file = recorders["ended"]
     recorder.signal(signal.SIGTERM)
     assert recorder.wait() == exit_status.INTERRUPTED
@@ -216,10 +216,10 @@ def test_a_recorder_that_is_asked_to_end_completes_its_file(recorders):
     assert f"{file}: {summary.statistics.message_count} messages in " in recorder.err[-1]
 
 
-def test_a_recorder_that_is_killed_leaves_a_valid_file(recorders):
+def test_a_killed_recorder_leaves_a_valid_file(recorders):
     recorder, file = recorders["killed"]
     before = file.stat().st_size
-    # A flush has all that was printed a second before it.
+    # A flush contains all that was printed a second before it.
     for _ in range(3):
         end = time.monotonic() + 60.0
         while file.stat().st_size == before:
@@ -244,7 +244,7 @@ def test_a_recorder_that_is_killed_leaves_a_valid_file(recorders):
         (["--mcap", __file__, "--no-follow"], exit_status.NO_OUTPUT),
     ],
 )
-def test_what_cannot_be_recorded_is_an_error_of_one_sentence(words, status, walk, here):
+def test_a_recording_that_cannot_be_made_is_one_sentence(words, status, walk, here):
     said = here("events", "--deploy", walk.deployment, *words)
     assert said.status == status
     assert len([line for line in said.err if line.startswith("lfield: ")]) == 1
@@ -270,13 +270,13 @@ SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') left out: too freq
 
 
 def skipped(lines: list[str], kind: str | None = None) -> int:
-    """How many were not told, by all that says so."""
+    """The number of skipped lines, by all messages about them."""
     found = [match for line in lines if (match := SKIPPED.search(line))]
     return sum(int(match[1]) for match in found if match[2] == kind)
 
 
 @pytest.mark.few(0)
-def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
+def test_lines_dropped_for_their_rate_are_counted_for_every_reader(lfield):
     deployment = lfield.mission(FLOOD, FLOODED)
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
     team.wait_for("walker: line 29999")
@@ -295,7 +295,7 @@ def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
 
 
 @pytest.mark.few(0)
-def test_who_begins_before_the_mission_finds_it_as_soon_as_it_runs_and_again_after_that(lfield):
+def test_logs_started_before_the_mission_follow_each_of_its_runs(lfield):
     deployment = lfield.mission(PROGRAM, LATER)
     watcher = lfield.start("logs", "-f", "--deploy", deployment)
     watcher.wait_for(r"alpha: unreachable: .*the mission may not run there \(yet\)")

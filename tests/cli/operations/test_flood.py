@@ -1,4 +1,4 @@
-"""Connections that prove nothing: what they cost a host, and that its peers and observers get through."""
+"""Unauthenticated connections: their cost for a host, and that its peers and observers get through."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ class Flood:
 
 
 def peak(pid: int) -> int:
-    """The most memory that a process has had, in KiB."""
+    """The peak memory of a process, in KiB."""
     found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
     assert found
     return int(found[1])
 
 
 def first_words() -> bytes:
-    """What whoever calls begins a handshake with."""
+    """The first bytes of a TLS handshake."""
     out, context = ssl.MemoryBIO(), ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     with contextlib.suppress(ssl.SSLWantReadError):
@@ -87,7 +87,7 @@ STARTS = {
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("start", STARTS)
-def test_a_flood_costs_little_and_keeps_nobody_out(lfield, start):
+def test_a_flood_costs_little_memory_and_blocks_no_peer(lfield, start):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "bravo"])
     up = ("up", "--deploy", deployment, *maps, "--host")

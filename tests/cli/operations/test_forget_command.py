@@ -1,4 +1,4 @@
-"""What `lfield forget` says of the answers: who gave what up, who is silent, or that nothing was given up."""
+"""The report of `lfield forget` on the answers: hosts that discarded a copy, silent hosts, or none."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ GONE = "bravo: no answer; a copy of tom there would continue: "
 
 
 def run(monkeypatch, capsys, before: dict, answers: dict):
-    """The exit status, or what was raised; what was printed; what was said on stderr."""
+    """The exit status, or the exception; the output; the errors."""
 
     def told(parties, request, keys):
         return before if request is client.SNAPSHOT else answers
@@ -44,7 +44,7 @@ def snapshot_with(*known: CoordinatorState) -> EventBatch:
 IN_DOUBT = {ALPHA: snapshot_with(CoordinatorState("tom", 1, 2, 1, "MOVED", "bravo")), BRAVO: SILENT}
 
 
-def test_what_was_given_up_is_told_and_who_is_silent(monkeypatch, capsys):
+def test_discarded_copies_and_silent_hosts_are_reported(monkeypatch, capsys):
     answers = {ALPHA: ForgetResponse([1]), BRAVO: SILENT}
     assert run(monkeypatch, capsys, IN_DOUBT, answers) == (
         69,
@@ -53,15 +53,15 @@ def test_what_was_given_up_is_told_and_who_is_silent(monkeypatch, capsys):
     )
 
 
-def test_when_every_host_has_heard_it_all_is_well(monkeypatch, capsys):
+def test_a_copy_discarded_with_all_hosts_answering_is_a_success(monkeypatch, capsys):
     answers = {ALPHA: ForgetResponse([1]), BRAVO: ForgetResponse([])}
     told = run(monkeypatch, capsys, IN_DOUBT, answers)
     assert told == (0, "alpha: tom, start 1, is given up as lost\n", "")
 
 
 @pytest.mark.parametrize("other", [SILENT, ForgetResponse([])])
-def test_that_nothing_was_given_up_is_said(monkeypatch, capsys, other):
-    # The team has gone on with it between the two questions.
+def test_a_forget_without_a_discarded_copy_is_reported(monkeypatch, capsys, other):
+    # The team has continued with it between the two requests.
     error, out, _ = run(monkeypatch, capsys, IN_DOUBT, {ALPHA: ForgetResponse([]), BRAVO: other})
     assert (error.exit_status, out) == (69, "")
     assert str(error) == (
@@ -70,7 +70,7 @@ def test_that_nothing_was_given_up_is_said(monkeypatch, capsys, other):
     )
 
 
-def test_where_nobody_answers_nothing_is_claimed(monkeypatch, capsys):
+def test_without_any_answer_nothing_is_claimed(monkeypatch, capsys):
     nobody = {ALPHA: SILENT, BRAVO: SILENT}
     error, out, said = run(monkeypatch, capsys, nobody, nobody)
     assert (str(error), out) == ("no host has answered: it is unknown whether a copy of tom was given up", "")

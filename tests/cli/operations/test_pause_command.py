@@ -35,7 +35,7 @@ COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_wat
 DEVICES = f"agents: {{lead: {{devices: {{fc: {{{COPTER}, system: 1}}}}}}}}\n"
 
 
-def test_it_comes_down_and_flies_again(lfield, own):
+def test_a_paused_copter_lands_and_flies_again(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
@@ -55,7 +55,7 @@ def test_it_comes_down_and_flies_again(lfield, own):
 
 
 @pytest.mark.few(0)
-def test_what_was_paused_is_released_and_flies_again(lfield, own):
+def test_a_paused_device_is_released_and_flies_again(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
@@ -67,7 +67,7 @@ def test_what_was_paused_is_released_and_flies_again(lfield, own):
 
 
 @pytest.mark.few(0)
-def test_a_host_that_is_not_reached_is_named(lfield, own):
+def test_an_unreached_host_is_named(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
@@ -80,7 +80,7 @@ def test_a_host_that_is_not_reached_is_named(lfield, own):
 
 
 @pytest.mark.few(0)
-def test_a_device_that_does_not_come_to_rest_in_time_is_named_and_its_host_is_paused(lfield, own):
+def test_a_device_not_at_rest_in_time_is_named_and_its_host_is_paused(lfield, own):
     high = PROGRAM.replace("fc.takeoff(2.0)", "fc.takeoff(8.0)")
     deployment = lfield.mission(high, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 1, waivers"))
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")

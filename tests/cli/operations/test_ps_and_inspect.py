@@ -1,4 +1,4 @@
-"""What one sees of a mission that runs, and of an agent that died."""
+"""Views of a running mission, and of a dead agent."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mission(shared_lfield):
     return team
 
 
-def test_the_table_shows_what_runs_where(mission, lfield):
+def test_the_table_shows_agents_and_their_hosts(mission, lfield):
     shown = lfield("ps", "--deploy", mission.deployment)
     assert lfield.status(shown) == 0, shown.said
     assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
@@ -66,8 +66,8 @@ def told_as_json(mission, lfield):
     return json.loads("\n".join(shown.out))
 
 
-def test_the_same_as_json(mission, lfield):
-    # The guest says that it stays before the host that it left has the word of its arrival.
+def test_the_team_is_shown_as_json(mission, lfield):
+    # The guest prints that it stays before its previous host has the confirmation of its arrival.
     end, hosts = time.monotonic() + 60.0, told_as_json(mission, lfield)
     while hosts["alpha"]["coordinators"][0]["state"] != "MOVED" and time.monotonic() < end:
         hosts = told_as_json(mission, lfield)
@@ -85,7 +85,7 @@ def test_the_same_as_json(mission, lfield):
     assert (moved["state"], moved["where"]) == ("MOVED", "bravo")
 
 
-def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
+def test_all_fields_of_a_host_are_in_json_and_in_the_table(capsys):
     known = CoordinatorState("tom", 7, 1, 1, "EXITED", "alpha", "died", "Exception: no")
     status = Status(
         "alpha",
@@ -206,7 +206,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
     assert rows[-1] == signed.split()
 
 
-def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
+def test_delays_and_the_silence_limit_are_shown(capsys):
     idle = Status("carol", "127.0.0.1:3", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [])
     flying = replace(
         idle,
@@ -229,7 +229,7 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
     ]
 
 
-def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
+def test_round_trip_loss_and_bytes_of_each_link_are_shown(capsys):
     kinds, watched = {"control": 300, "hop": 11_000}, {"telemetry": 2_500}
     links = [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999, kinds), LinkStatus("carol", 3.5)]
     links.append(LinkStatus("delta", None))
@@ -284,7 +284,7 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
     assert listed[-1][:1] == ["799"]
 
 
-def test_what_is_reserved_and_for_how_long_yet(capsys):
+def test_reservations_are_shown_with_their_remaining_time(capsys):
     reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
     told = json.loads(status_json(states_of({"alpha": status})))
@@ -296,7 +296,7 @@ def test_what_is_reserved_and_for_how_long_yet(capsys):
     assert rows[1] == "alpha tom near reserved for 12 s, 4 s left"
 
 
-def test_what_was_begun_and_is_to_be_fetched(capsys):
+def test_pending_calls_are_shown(capsys):
     begun = [PendingCallStatus("tom", 1, "near", "lift", state) for state in ("running", "done", "lost")]
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
@@ -318,7 +318,7 @@ def test_what_was_begun_and_is_to_be_fetched(capsys):
     ]
 
 
-def test_where_nothing_runs(lfield):
+def test_a_mission_that_does_not_run_has_a_status(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"))
     maps = lfield.maps(["alpha", "bravo"])
     shown = lfield("ps", "--deploy", deployment, *maps)
@@ -390,7 +390,7 @@ def test_a_dead_agent_is_dumped_and_explained(lfield, died):
 
 
 @pytest.mark.parametrize("damage", [b"", b"\xff"])
-def test_a_damaged_dump(lfield, here, died, damage):
+def test_a_damaged_dump_is_refused(lfield, here, died, damage):
     data = died.dump.read_bytes()
     path = lfield.write("tom.block", data[: len(data) // 2] + damage * (len(data) // 2))
     shown = here("inspect", path)
@@ -399,7 +399,7 @@ def test_a_damaged_dump(lfield, here, died, damage):
     assert "tom.block" in shown.err[0]
 
 
-def test_a_dump_that_cannot_be_written_is_told(lfield):
+def test_a_dump_that_cannot_be_written_is_reported(lfield):
     (lfield.folder / "dumps").mkdir(mode=0o700)
     (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way
     deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")

@@ -1,4 +1,6 @@
-"""Rows of coordinators in the table: what one died of, as text that no terminal obeys, and startable ones."""
+"""Rows of coordinators in the table: the cause of death with control characters escaped, and
+startable ones.
+"""
 
 import pytest
 from scripted_snapshots import states_of
@@ -8,7 +10,7 @@ from lfield.wire.coordinator_messages import CoordinatorState
 from lfield.wire.observer_messages import Status
 
 
-def test_what_a_coordinator_died_of_is_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_cause_of_death_is_escaped_for_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     known = CoordinatorState("tom", 7, 1, 1, "EXITED", "alpha", "died", "E: \x1b[2J[/red]:smile:\aover")
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [known], [], [], [])
     team_status_view.show(states_of({"alpha": status}))
@@ -40,7 +42,7 @@ coordinator Planner {
 
 
 @pytest.mark.process
-def test_ps_shows_a_startable_coordinator_before_its_start_while_it_runs_and_after_its_stop(lfield) -> None:
+def test_ps_shows_a_startable_coordinator_before_while_and_after_it_runs(lfield) -> None:
     deployment = lfield.mission(
         SEQUENCES, "//Desk:desk@alpha\nstartable Patrol:patrol@alpha\n//Planner:planner@alpha\n"
     )

@@ -1,4 +1,4 @@
-"""`lfield query` from the files alone, and from a team that runs."""
+"""`lfield query` from the files alone, and from a running team."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def ask(folder, capsys):
-    """`ask(query, *options)`: the status, what was printed without scores, and what was told."""
+    """`ask(query, *options)`: the status, the output without scores, and the errors."""
 
     def asked(query: str, *options: str) -> tuple[int, list[str], list[str]]:
         status = main(["query", query, "--deploy", "mission.dL", "--files", *options])
@@ -58,7 +58,7 @@ def ask(folder, capsys):
     return asked
 
 
-def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask, monkeypatch):
+def test_offers_are_a_table_and_compositions_a_tree(ask, monkeypatch):
     monkeypatch.setenv("COLUMNS", "140")
     status, out, err = ask("Lift where payload >= 0.1")
     assert (status, err) == (0, [])
@@ -83,12 +83,12 @@ def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask, monkeypatch):
     ]
 
 
-def test_what_the_condition_names_stands_first(ask):
+def test_attributes_of_the_condition_come_first(ask):
     _, out, _ = ask("Lift where speed >= 0.5")
     assert "0.xxx  stated: speed 0.5 m/s, payload 20 kg, environment terrestrial" in out[4]
 
 
-def test_explained(ask):
+def test_explain_prints_reasons(ask):
     status, out, _ = ask("Lift where payload >= 2.0 && battery >= 0.5", "--explain")
     assert status == 1
     assert out[3:8] == [
@@ -100,7 +100,7 @@ def test_explained(ask):
     ]
 
 
-def test_everybody_is_offered_or_refused(ask):
+def test_every_candidate_is_offered_or_refused(ask):
     status, out, _ = ask("Lift where payload >= 5.0", "--explain")
     assert status == 0
     assert sum("arm1" in line for line in out) == 1
@@ -111,13 +111,13 @@ def test_everybody_is_offered_or_refused(ask):
     assert any(line.startswith("  grip-and-climb: ") for line in refused)
 
 
-def test_without_offers(ask):
+def test_a_query_without_offers_has_a_status(ask):
     status, out, err = ask("Lift where payload >= 500.0")
     assert (status, err) == (1, [])
     assert out[2:] == ["Lift (skill.material_handling.lifting)", "no agent can; --explain prints the reasons"]
 
 
-def test_an_id_asks_for_all_that_can_be_called_below_it(ask):
+def test_an_id_asks_for_all_capabilities_below_it(ask):
     status, out, _ = ask("skill.material_handling")
     assert status == 0
     heads = [line.partition(" (")[0] for line in out if line.endswith(")") and " (skill." in line]
@@ -125,7 +125,7 @@ def test_an_id_asks_for_all_that_can_be_called_below_it(ask):
     assert ask("skill.lifting")[1][2] == "Lift (skill.material_handling.lifting)"
 
 
-def test_another_host_sees_other_distances(ask, capsys):
+def test_distances_depend_on_the_host_of_the_query(ask, capsys):
     def scores(*options):
         main(["query", "Lift", "--deploy", "mission.dL", "--files", "--json", *options])
         (answer,) = json.loads(capsys.readouterr().out)["capabilities"]
@@ -136,7 +136,7 @@ def test_another_host_sees_other_distances(ask, capsys):
     assert here["arm1"] == there["arm1"]
 
 
-def test_json(ask):
+def test_offers_are_printed_as_json(ask):
     status, out, _ = ask("Lift where payload >= 0.1", "--json")
     whole = json.loads("\n".join(out).replace("0.xxx", "0.5"))
     assert status == 0
@@ -174,7 +174,7 @@ def test_json(ask):
     }
 
 
-def test_more_offers_than_are_shown(ask, folder):
+def test_the_number_of_shown_offers_is_limited(ask, folder):
     many = "".join(f"//Hoist:more{i}@alpha\n" for i in range(38))
     (folder / "mission.dL").write_text(DEPLOYMENT + many)
     _, out, _ = ask("Lift where payload >= 20.0")
@@ -184,7 +184,7 @@ def test_more_offers_than_are_shown(ask, folder):
     assert (lift["count"], len(lift["offers"])) == (39, 32)
 
 
-def test_refusals_as_json(ask):
+def test_refusals_are_printed_as_json(ask):
     status, out, _ = ask("Grip where payload >= 2.0", "--json")
     assert status == 1
     (grip,) = json.loads("\n".join(out))["capabilities"]
@@ -252,11 +252,11 @@ def test_refusals_as_json(ask):
         ),
     ],
 )
-def test_mistakes_in_a_query(ask, query, status, told):
+def test_mistakes_in_a_query_are_reported(ask, query, status, told):
     assert ask(query) == (status, [], told)
 
 
-def test_all_mistakes_at_once(ask):
+def test_all_mistakes_are_reported_at_once(ask):
     status, out, err = ask('Lfit where paylod >= "x" && environment == airy')
     assert (status, out) == (65, [])
     assert sum("error[" in line for line in err) == 4
@@ -265,27 +265,27 @@ def test_all_mistakes_at_once(ask):
 @pytest.mark.parametrize(
     "query", ["Lift where", "Lift where (", "Lift where " + "(" * 3000, "Lift where payload"]
 )
-def test_conditions_that_are_none(ask, query):
+def test_invalid_conditions_are_refused(ask, query):
     status, out, err = ask(query)
     assert status == 65
     assert out == []
     assert err
 
 
-def test_a_broken_registry(ask, folder):
+def test_a_broken_registry_is_refused(ask, folder):
     (folder / "mission.capabilities.yaml").write_text("registry: 1\nagents: {nobody: {payload: 1.0}}\n")
     status, out, err = ask("Lift")
     assert (status, out) == (65, [])
     assert err[0].startswith("mission.capabilities.yaml:2:10: error[C160]")
 
 
-def test_a_registry_that_is_elsewhere(ask, folder):
+def test_a_registry_may_be_in_another_file(ask, folder):
     (folder / "other.yaml").write_text(CAPABILITIES.replace("20.0", "30.0"))
     assert "payload 30 kg" in ask("Lift", "--capabilities", "other.yaml")[1][4]
     assert ask("Lift", "--capabilities", "missing.yaml")[0] == 66
 
 
-def test_a_host_that_the_deployment_does_not_have(ask):
+def test_an_unknown_host_is_refused(ask):
     status, _, err = ask("Lift", "--at", "alhpa")
     assert status == 64
     assert "alpha" in err[0]
@@ -327,7 +327,7 @@ def test_live_values_have_an_age(told):
     assert offer["attributes"]["battery"] == {"value": 0.5, "unit": "", "age": 2.54, "source": "measured"}
 
 
-def test_who_cannot_be_called_and_who_does_not_answer(told):
+def test_uncallable_agents_and_silent_hosts_are_reported(told):
     answers = {
         "alpha": directory(arm1=("motor: latched", {})),
         "bravo": AddressError("10.0.0.9:8181", "nobody listens there; is its host up?"),
@@ -339,7 +339,7 @@ def test_who_cannot_be_called_and_who_does_not_answer(told):
     assert err == ["bravo: cannot use 10.0.0.9:8181: nobody listens there; is its host up?"]
 
 
-def test_hosts_that_refuse_are_told(told):
+def test_refusals_of_hosts_are_reported(told):
     refusal = HandshakeError("alpha wants a key")
     status, out, err = told({"alpha": refusal}, "Lift")
     assert status == 0
@@ -347,13 +347,13 @@ def test_hosts_that_refuse_are_told(told):
     assert err == ["alpha: alpha wants a key"]
 
 
-def test_hosts_cannot_write_to_the_terminal(told):
+def test_text_of_hosts_is_escaped_for_the_terminal(told):
     _, out, _ = told({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
     assert "  arm1: ·[2J· gone" in out
 
 
-def test_the_host_that_is_asked_answers_or_nobody_does(told):
-    """The others would answer something else: that a host is late must not change the answer."""
+def test_a_query_at_a_host_fails_if_that_host_is_silent(told):
+    """Other hosts would give another answer: a late host must not change the answer."""
     silent = WireError("bravo does not answer in time")
     alpha = directory(arm1=("", {"battery": [0.5, 2.54]}), arm2=("unreachable for 3 s", {}))
     status, out, err = told({"alpha": alpha, "bravo": silent}, "Lift", "--at", "bravo")
@@ -364,7 +364,7 @@ def test_the_host_that_is_asked_answers_or_nobody_does(told):
     assert "  arm2: unreachable for 3 s" in out
 
 
-def test_what_the_devices_file_states_counts_without_hosts_too(folder, ask):
+def test_stated_attributes_of_the_devices_file_count_without_hosts(folder, ask):
     (folder / "mission.L").write_text(
         "resource Hoist { init(string[] arg) { } portal lift(real height) emit real { return height; }\n"
         "portal lower(real height) emit real { return height; } }\n"
@@ -380,7 +380,7 @@ def test_what_the_devices_file_states_counts_without_hosts_too(folder, ask):
     assert "stated: mass 7 kg" in out[4]
 
 
-def test_every_term_of_a_score_is_told(ask):
+def test_every_term_of_a_score_is_explained(ask):
     _, out, _ = ask("Lift where payload >= 0.1", "--explain")
     terms = out[out.index("scores:") + 1 :]
     assert terms[:3] == [
@@ -391,7 +391,7 @@ def test_every_term_of_a_score_is_told(ask):
     assert any("hand, Grip: cost" in line for line in terms)
 
 
-def test_teams(ask):
+def test_teams_are_listed(ask):
     status, out, _ = ask("Lift where payload >= 0.1", "--team", "2")
     assert status == 0
     assert out[out.index("teams:") + 1 :] == [
@@ -409,12 +409,12 @@ _HAND = ["   4  arm1, hand+mast", "   5  arm2, hand+mast"]
 
 
 @pytest.mark.parametrize("size", ["0", "-1", "x", "1001"])
-def test_a_team_of_nobody_is_refused(ask, capsys, size):
+def test_an_invalid_team_size_is_refused(ask, capsys, size):
     assert main(["query", "Lift", "--deploy", "mission.dL", f"--team={size}"]) == 64
     assert "a whole number of agents from 1 to 1000" in capsys.readouterr().err
 
 
-def test_an_order_and_a_limit(ask):
+def test_offers_are_ordered_and_limited(ask):
     status, out, _ = ask("Lift where payload >= 0.1 order by payload limit 2")
     assert status == 0
     assert [line.split()[1] for line in out if re.match(r"   \d", line)] == ["hand+mast", "arm2"]
@@ -426,7 +426,7 @@ def test_an_order_and_a_limit(ask):
     )
 
 
-def test_a_search_that_was_cut_says_so(folder, ask):
+def test_a_truncated_search_is_reported(folder, ask):
     rule = """
 equivalences:
   odd-pair:

@@ -1,4 +1,4 @@
-"""`lfield query` asks the team that runs."""
+"""`lfield query` asks the running team."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def test_the_running_team_answers(mission, lfield):
     assert "  arm2: payload 1.2 < 2.0" in shown.out
 
 
-def test_the_same_as_json(mission, lfield):
+def test_the_running_team_answers_as_json(mission, lfield):
     shown = lfield("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
     whole = json.loads("\n".join(shown.out))
     assert (whole["source"], whole["answered"], whole["silent"]) == ("team", ["alpha", "bravo"], {})
     assert {offer["agent"] for offer in whole["capabilities"][0]["offers"]} == {"arm1", "arm2"}
 
 
-def test_a_host_that_does_not_answer(mission, lfield):
+def test_a_silent_host_is_named(mission, lfield):
     (map_, place) = lfield.maps(["bravo"])
     shown = lfield("query", "Lift", "--deploy", mission.deployment, map_, place)
     assert lfield.status(shown) == 0, shown.said
@@ -66,7 +66,7 @@ def test_a_host_that_does_not_answer(mission, lfield):
     assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
 
 
-def test_where_nothing_runs_the_files_answer(mission, lfield):
+def test_without_a_running_team_the_files_answer(mission, lfield):
     maps = lfield.maps(["alpha", "bravo"])
     shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps)
     assert lfield.status(shown) == 0, shown.said

@@ -1,4 +1,4 @@
-"""`lfield recover` on real processes: the host that has a coordinator is killed, its home goes on with it."""
+"""`lfield recover` on real processes: the host of a coordinator is killed, and its home continues it."""
 
 import os
 import pty
@@ -33,7 +33,7 @@ DEPLOYMENT = "//Post:near@alpha\n//Post:far@bravo\n//Tour:tom@alpha?near&far\n"
 
 
 def answered(answer: str, *words: object, **options) -> int:
-    """The status of a command at a terminal where somebody types this."""
+    """The status of a command at a terminal with this input."""
     terminal, end = pty.openpty()
     os.write(terminal, answer.encode())
     command = [sys.executable, "-m", "lfield", *map(str, words)]
@@ -43,7 +43,7 @@ def answered(answer: str, *words: object, **options) -> int:
     return done.returncode
 
 
-def test_the_home_goes_on_and_the_host_that_comes_back_does_not(lfield, own):
+def test_the_home_continues_and_the_restarted_host_does_not(lfield, own):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     maps = lfield.maps(["alpha", "bravo"])
     up = ("up", "--deploy", deployment, *maps, "--first-start", "--host")

@@ -1,4 +1,6 @@
-"""Whoever runs here is found: two teams of one mission, one host alone, what is left when all was killed."""
+"""Runs on this computer are found: two teams of one mission, a single host, and the remains of
+killed runs.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ def runs_left(own) -> list[Path]:
 
 
 @pytest.mark.few(0)
-def test_a_team_is_still_found_when_another_of_its_mission_has_ended(lfield, own, mission):
+def test_a_team_is_found_after_another_of_its_mission_has_ended(lfield, own, mission):
     first, second = up_all(lfield, own, mission), up_all(lfield, own, mission)
     assert len(runs_left(own)) == 2
     second.signal(signal.SIGTERM)
@@ -58,8 +60,8 @@ def test_a_team_is_still_found_when_another_of_its_mission_has_ended(lfield, own
 
 
 @pytest.mark.few(0)
-def test_all_that_runs_is_listed_and_stopped_without_more_words(lfield, own, mission):
-    """Two teams, and one host by itself, whose team's other host is nowhere."""
+def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission):
+    """Two teams, and a single host, whose team's other host does not run."""
     teams = [up_all(lfield, own, mission) for _ in range(2)]
     other = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"), name="other")
     alone = lfield.start(
@@ -103,7 +105,7 @@ def test_all_that_runs_is_listed_and_stopped_without_more_words(lfield, own, mis
     ]
 
 
-def test_what_was_killed_is_tidied_up_when_its_last_host_has_ended(lfield, own, mission):
+def test_a_killed_run_is_removed_when_its_last_host_has_ended(lfield, own, mission):
     run = up_all(lfield, own, mission)
     run.signal(signal.SIGKILL)
     run.popen.wait()
@@ -117,7 +119,7 @@ def test_what_was_killed_is_tidied_up_when_its_last_host_has_ended(lfield, own, 
     assert runs_left(own) == []
 
 
-def test_the_one_mission_that_runs_is_asked_without_its_name(lfield, own, mission):
+def test_the_only_running_mission_is_queried_without_its_name(lfield, own, mission):
     lfield.write("mission.capabilities.yaml", "registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
     up_all(lfield, own, mission)
     asked = lfield("query", "Hold", env=own)
@@ -125,7 +127,7 @@ def test_the_one_mission_that_runs_is_asked_without_its_name(lfield, own, missio
 
 
 def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
-    """Whoever makes its folder first would have it fly without a stop. A host with keys is no other case."""
+    """Its vehicles would fly without a way to stop them. The same holds for a host with keys."""
     place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
     place.write_text("in the way\n")
     alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")
@@ -152,7 +154,7 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
         (("query", "Lift"), "no mission is running on this computer: searched ..."),
     ],
 )
-def test_what_cannot_be_meant(here, own, monkeypatch, words, sentence):
+def test_ambiguous_or_missing_runs_are_refused(here, own, monkeypatch, words, sentence):
     for name, value in own.items():
         monkeypatch.setenv(name, value)
     said = here(*words)

@@ -15,7 +15,7 @@ coordinator Guest { init(string[] arg) { heartbeatInterval(5); findPost("post").
 DEPLOYMENT = "//Guest:tom@alpha\n//Post:post@bravo\n//@ground\n"
 
 
-def test_a_witness_is_up_and_is_seen(lfield):
+def test_a_witness_runs_and_is_shown(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     checked = lfield("check", deployment)
     assert (lfield.status(checked), checked.err) == (0, [])

@@ -15,12 +15,12 @@ pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(600)]
 
 
 def lifts_of(run: str) -> list[tuple[str, str]]:
-    """Where the foreman was when the parcel had gone up, and by how many metres."""
+    """The foreman's host when the parcel was lifted, and by how many metres."""
     return re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M)
 
 
 def shown(lfield, alone, *words: str) -> str:
-    """What Python prints, in the folder of the example."""
+    """The output of Python, in the folder of the example."""
     environment = {**lfield.environment, **alone}
     command = [sys.executable, *words]
     done = subprocess.run(command, env=environment, cwd=DEMO.parent, capture_output=True, text=True)
@@ -31,7 +31,7 @@ def shown(lfield, alone, *words: str) -> str:
 
 
 @pytest.mark.few(0)
-def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield, alone):
+def test_the_best_then_the_equivalent_then_the_composed_then_no_lift(lfield, alone):
     said = shown(lfield, alone, str(DEMO))
     runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
     lifts = [lifts_of(run) for run in runs]

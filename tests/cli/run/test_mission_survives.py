@@ -56,7 +56,7 @@ INTERVAL = 3.0
 
 
 @pytest.mark.few(0)
-def test_missions_complete_whose_hosts_are_killed(lfield, alone):
+def test_missions_with_killed_hosts_complete(lfield, alone):
     environment = {**lfield.environment, **alone}
     done = subprocess.run([sys.executable, str(RUN)], env=environment, capture_output=True, text=True)
     said = done.stdout + done.stderr
@@ -77,7 +77,7 @@ def test_missions_complete_whose_hosts_are_killed(lfield, alone):
 
 
 def assert_it_went_on_without(summary: str, said: str) -> None:
-    """One host never came back: what it had done is lost and told, and the rest is done elsewhere."""
+    """One host did not return: its work is lost and reported, and the rest is done elsewhere."""
     (gone,) = re.findall(r"^killed +(\w+) after .* permanently", summary, re.M)
     ((heir, seconds),) = re.findall(r"^back +on (\w+), ([\d.]+) s after the kill", summary, re.M)
     assert heir != gone

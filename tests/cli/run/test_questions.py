@@ -1,4 +1,4 @@
-"""Questions in a terminal, and words of `up` that contradict one another."""
+"""Questions on a terminal, and contradicting options of `up`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ASK = "import sys; from lfield.cli.confirmation import confirm; sys.exit(10 + co
 @pytest.mark.parametrize(
     ("typed", "agreed"), [(b"YES \n", True), (b"y\n", False), (b"\n", False), (b"\x04", False)]
 )
-def test_only_yes_agrees_and_leaving_is_no_fault(typed: bytes, agreed: bool) -> None:
+def test_only_yes_agrees_and_end_of_input_is_no_error(typed: bytes, agreed: bool) -> None:
     keyboard, terminal = os.openpty()
     try:
         os.write(keyboard, typed)
@@ -28,7 +28,7 @@ def test_only_yes_agrees_and_leaving_is_no_fault(typed: bytes, agreed: bool) -> 
     assert (asked.returncode, asked.stderr) == (10 + agreed, b"")
 
 
-def test_a_host_that_keeps_nothing_is_not_told_where(tmp_path, capsys) -> None:
+def test_a_volatile_host_with_a_state_folder_is_refused(tmp_path, capsys) -> None:
     (tmp_path / "one.L").write_text("resource Post { init(string[] arg) { } }\n")
     (tmp_path / "one.dL").write_text("//Post:post@home\n")
     words = ["up", str(tmp_path / "one.dL"), "--host", "home", "--volatile", "--state", str(tmp_path)]

@@ -1,4 +1,4 @@
-"""The programs of the thesis and of the examples, each host a process: what they print is exact."""
+"""The programs of the thesis and of the examples, each host a process: their output is exact."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def thesis_lines(lines: list[str]) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("name", ["cs", "mt", "peer"])
-def test_the_programs_of_the_thesis_print_what_it_prints(lfield, name):
+def test_programs_of_the_thesis_print_their_expected_output(lfield, name):
     if not THESIS.is_dir():
         pytest.skip(f"the programs of the thesis are not here ({THESIS})")
     by_host = fly(lfield, THESIS / f"{name}.dL")
@@ -71,8 +71,8 @@ def test_the_programs_of_the_thesis_print_what_it_prints(lfield, name):
 
 @pytest.mark.few(0)
 @pytest.mark.timeout(240)
-def test_first_flight(lfield):
-    """The product's main job: two copters on fakes, one policy that travels between them."""
+def test_the_first_flight_example_runs(lfield):
+    """The product's main job: two copters on fakes, one policy that migrates between them."""
     flight = lfield.start(
         "up", "--deploy", EXAMPLES / "01-first-flight" / "mission.dL", "--all", "--sim", "--until-done"
     )
@@ -105,7 +105,7 @@ def test_first_flight(lfield):
 
 @pytest.mark.few(0)
 @pytest.mark.timeout(240)
-def test_mixed_team(lfield):
+def test_the_mixed_team_example_runs(lfield):
     """Three drivers on three hosts: a parcel goes from a copter to a gripper, under the hook of a winch."""
     team = lfield.start(
         "up", "--deploy", EXAMPLES / "03-mixed-team" / "mission.dL", "--all", "--sim", "--until-done"
@@ -128,7 +128,7 @@ def test_mixed_team(lfield):
 
 @pytest.mark.few(0)
 @pytest.mark.timeout(360)
-def test_two_carry_one(lfield):
+def test_the_two_carry_one_example_runs(lfield):
     """Two of four copters carry a beam, by a rule of the mission's, and the others bring crates.
 
     The ways are shorter than in the example: they are flown in real time.

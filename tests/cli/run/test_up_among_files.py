@@ -1,4 +1,4 @@
-"""A mission in a folder with Python files of a user's own: none of them is taken for a module of ours."""
+"""A mission in a folder with a user's own Python files: none of them is imported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ coordinator Pilot {
 
 
 @pytest.mark.few(0)
-def test_what_lies_beside_a_mission_is_no_module_of_its_processes(here, lfield):
+def test_python_files_beside_a_mission_are_not_imported(here, lfield):
     """Neither of the hosts, nor of their guards, fakes and compilers, nor of what builds the bundle."""
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n")
     for module in ("random", "heapq", "ctypes", "wasmtime", "uvloop", "pymavlink"):

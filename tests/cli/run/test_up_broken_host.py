@@ -1,4 +1,4 @@
-"""A bug in the host's own code while its vehicle flies: the host says so and ends, the vehicle lands."""
+"""An internal error of the host while its vehicle flies: the host reports it and ends, the vehicle lands."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ coordinator Pilot {
     }
 }
 """
-#: Loaded by Python before anything else: soon after the line of the coordinator nothing works in the host.
+# : Loaded by Python before anything else: soon after the line of the coordinator the host's core fails.
 BROKEN = """
 import lfield.host.core as core
 import lfield.host.team.host_services as world
@@ -54,7 +54,7 @@ core.HostCore.run, world.HostServices.log = run, log
 """
 
 
-def test_a_host_with_a_bug_ends_with_70_and_its_copter_lands(lfield):
+def test_a_host_with_an_internal_error_ends_with_70_and_its_copter_lands(lfield):
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n", "silence: 2\n")
     lfield.write("broken/sitecustomize.py", BROKEN)
     path = {"PYTHONPATH": str(lfield.folder / "broken")}

@@ -1,4 +1,4 @@
-"""Real processes whose links are cut, who are killed, or have no record: what they say and end with."""
+"""Real processes with cut links, killed processes, or without records: their messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def proxies() -> Iterator[list[Proxy]]:
 
 
 @pytest.mark.few(0)
-def test_a_cut_link_with_the_coordinator_alive_behind_it_is_no_loss(lfield, proxies):
+def test_a_cut_link_to_a_live_coordinator_is_no_loss(lfield, proxies):
     """Of a triangle: alpha calls carol through a proxy, and the walker is on carol, the far side."""
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&12\n")
     ports = dict(zip(HOSTS, lfield.ports.take(3), strict=True))
@@ -126,7 +126,7 @@ def test_a_cut_link_with_the_coordinator_alive_behind_it_is_no_loss(lfield, prox
 
 
 @pytest.mark.few(0)
-def test_a_child_of_all_that_was_reaped_is_proof(lfield):
+def test_a_reaped_child_of_all_proves_a_loss(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&1000\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"carol \| c receives")
@@ -137,13 +137,13 @@ def test_a_child_of_all_that_was_reaped_is_proof(lfield):
 
 
 @pytest.mark.few(0)
-def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
+def test_a_hanging_child_of_all_is_unreachable(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&15\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"carol \| c receives")
     hung = lfield.child("carol")
     os.kill(hung, signal.SIGSTOP)
-    # Who looks first says it, and the team ends with that: the other may not come to say it too.
+    # The first host to detect it reports it, and the team ends with that: the other may not report it too.
     team.wait_for(
         r"(alpha|bravo) \| walker unreachable, .*: it moved to carol \(transfer 1\), and carol has been "
     )
@@ -157,7 +157,7 @@ ONE_AWAY = "//Post:a@alpha\n//Walker:walker@alpha?a&0.01\n//@bravo\n"
 
 
 @pytest.mark.few(0)
-def test_a_first_start_waits_for_all_and_the_next_one_does_not(lfield):
+def test_a_first_start_waits_for_all_hosts_and_the_next_one_does_not(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
     maps = lfield.maps(["alpha", "bravo"])
     words = ("up", "--deploy", deployment, *maps, "--state", lfield.folder / "disk", "--until-done")
@@ -175,7 +175,7 @@ def test_a_first_start_waits_for_all_and_the_next_one_does_not(lfield):
     assert "walker, start 2: EXITED" in "\n".join(lfield("inspect", journal).out)
 
 
-def test_somebody_may_say_that_it_is_the_first_start(lfield):
+def test_the_first_start_option_skips_the_wait(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
     maps = lfield.maps(["alpha", "bravo"])
     first = lfield("up", "--deploy", deployment, *maps, "--host", "alpha", "--until-done", "--first-start")
@@ -184,7 +184,7 @@ def test_somebody_may_say_that_it_is_the_first_start(lfield):
 
 
 @pytest.mark.few(0)
-def test_all_keeps_nothing_where_nothing_is_driven_unless_a_folder_is_named(lfield):
+def test_all_keeps_no_journal_without_devices_unless_a_folder_is_named(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
     refused = lfield("up", "--deploy", deployment, "--all", "--first-start")
     assert lfield.status(refused) == 64

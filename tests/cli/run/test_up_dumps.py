@@ -1,4 +1,4 @@
-"""Where dead agents are dumped: into a folder that is the user's alone, and never onto what blocks."""
+"""Dumps of dead agents: in a private folder of the user, and never on a blocking file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def run(lfield):
 
 
 @pytest.mark.few(0)
-def test_a_dump_is_for_its_user_alone(lfield, run):
+def test_a_dump_is_private_to_its_user(lfield, run):
     assert "tom dumped: read it with 'lfield inspect dumps/tom.block'" in run().err
     folder = lfield.folder / "dumps"
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder / "tom.block")] == [0o700, 0o600]
@@ -39,7 +39,7 @@ def test_a_dump_is_for_its_user_alone(lfield, run):
 
 
 @pytest.mark.few(0)
-def test_a_dump_onto_a_fifo_is_refused_and_the_host_goes_on(lfield, run):
+def test_a_dump_onto_a_fifo_is_refused_and_the_host_continues(lfield, run):
     dumps = lfield.folder / "dumps"
     dumps.mkdir(mode=0o700)
     os.mkfifo(dumps / "tom.block")
@@ -49,7 +49,7 @@ def test_a_dump_onto_a_fifo_is_refused_and_the_host_goes_on(lfield, run):
 
 
 @pytest.mark.parametrize("kind", ["fifo", "link", "open"])
-def test_a_folder_that_will_not_do_is_told_before_anything_moves(lfield, here, kind):
+def test_an_unusable_dump_folder_is_refused_before_the_start(lfield, here, kind):
     dumps, elsewhere = lfield.folder / "dumps", lfield.folder / "elsewhere"
     elsewhere.mkdir()
     if kind == "fifo":

@@ -1,4 +1,4 @@
-"""Whatever comes in on the port, the host and its mission go on, and the log says what came."""
+"""For any received bytes, the host and its mission continue, and the log reports them."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def alpha(shared_lfield):
 
 
 def connect(host) -> socket.socket:
-    """Somebody who has proven nothing."""
+    """An unauthenticated connection."""
     return socket.create_connection(("127.0.0.1", int(host.address)), timeout=30.0)
 
 
 def connect_as(host, name: str) -> socket.socket:
-    """Somebody with good keys, who has said nothing yet."""
+    """A connection with valid keys, before the handshake of lfield."""
     keys = host.keys.folder / name
     kind = "person" if name == "me" else "host"
     context = ssl.create_default_context(cafile=keys / "authority.pem")
@@ -70,7 +70,7 @@ def connect_as(host, name: str) -> socket.socket:
 
 
 def drain(sock: socket.socket) -> bytes:
-    """What the host says until it closes."""
+    """The bytes of the host until it closes."""
     said = b""
     try:
         while chunk := sock.recv(65536):
@@ -87,13 +87,13 @@ def frames(data: bytes) -> list:
 
 
 def told(host, words: str) -> None:
-    """Wait for the host's sentence on a caller it has shown out."""
+    """Wait for the host's log line on a closed connection."""
     host.wait_for(f"^link from 127[.]0[.]0[.]1 closed: {re.escape(words)}")
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
-def test_a_stranger_with_bad_bytes_hears_nothing(alpha, name):
+def test_an_unauthenticated_peer_with_bad_bytes_gets_no_reply(alpha, name):
     with connect(alpha) as sock:
         sock.sendall(CASES[name][0])
         assert drain(sock) == b""
@@ -101,7 +101,7 @@ def test_a_stranger_with_bad_bytes_hears_nothing(alpha, name):
     assert alpha.popen.poll() is None
 
 
-def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
+def test_an_unauthenticated_tls_client_gets_no_data_of_the_host(alpha):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))
         assert b"alpha" not in drain(sock)
@@ -118,7 +118,7 @@ def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
-def test_bad_bytes_of_a_host_close_one_link_and_are_told(alpha, name):
+def test_bad_bytes_of_a_host_close_one_link_and_are_logged(alpha, name):
     data, words = CASES[name]
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(data)
@@ -127,7 +127,7 @@ def test_bad_bytes_of_a_host_close_one_link_and_are_told(alpha, name):
     assert alpha.popen.poll() is None
 
 
-def test_a_frame_that_stops_in_the_middle(alpha):
+def test_a_truncated_frame_is_logged(alpha):
     with connect_as(alpha, "bravo") as sock:
         whole = encode(Hello("observer", "observer", 0))
         sock.sendall(whole[: len(whole) // 2])
@@ -136,8 +136,8 @@ def test_a_frame_that_stops_in_the_middle(alpha):
     told(alpha, "peer closed the link in the middle of a message")
 
 
-def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
-    """The hashes in it are no secret among hosts; the name in a certificate is."""
+def test_a_handshake_copied_from_another_host_is_refused(alpha):
+    """The hashes in it are no secret among hosts; the certificate proves the name."""
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(encode(Hello("observer", "observer", 0)))
         # What the host says next may come in the same bytes.
@@ -151,7 +151,7 @@ def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
         alpha.wait_for(f"^link from 127[.]0[.]0[.]1 closed: handshake refused: .*{who}")
 
 
-def test_who_tries_again_and_again_is_told_once(alpha):
+def test_a_repeated_error_of_a_peer_is_logged_once(alpha):
     for _ in range(3):
         with connect_as(alpha, "bravo") as sock:
             sock.sendall(b"SSH-2.0-robot\r\n")
@@ -159,13 +159,13 @@ def test_who_tries_again_and_again_is_told_once(alpha):
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(b"STOP" * 3)
         drain(sock)
-    # What came last is told last.
+    # The last error is logged last.
     told(alpha, f"{NOT_OURS}: a frame of kind 83")
     assert sum("a frame of kind 50" in line for line in alpha.err) == 1
 
 
 @pytest.mark.few(0)
-def test_half_a_handshake_held_open_keeps_nobody_out_and_is_closed_in_the_end(alpha, shared_lfield):
+def test_a_half_open_handshake_blocks_no_peer_and_is_closed(alpha, shared_lfield):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c601"))
         ringer = shared_lfield(

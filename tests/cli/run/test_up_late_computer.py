@@ -1,4 +1,4 @@
-"""`up` on a computer that is late: fakes fly on, hardware is not even opened."""
+"""`up` on a slow computer: fakes continue to fly, hardware is not opened."""
 
 from __future__ import annotations
 
@@ -38,10 +38,9 @@ agents:
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_a_simulated_team_that_gets_no_processor_for_half_a_second_flies_on(lfield):
-    """The devices file asks for 0.1 s in the field, which a busy desk cannot keep.
-
-    One process after the other stands still, whatever it is: hosts, guards, fakes. The copter hovers.
+def test_a_simulated_team_survives_half_a_second_without_a_processor(lfield):
+    """The devices file asks for 0.1 s in the field, which a busy computer cannot keep. One process after the
+    other is stopped: hosts, guards, fakes. The copter hovers.
     """
     program = PROGRAM.replace("copter.land();", "sleep(8.0); copter.land();")
     deployment = lfield.mission(program, DEPLOYMENT, HARDWARE)
@@ -59,14 +58,14 @@ def test_a_simulated_team_that_gets_no_processor_for_half_a_second_flies_on(lfie
 
 @pytest.fixture
 def late(monkeypatch):
-    """A computer that stands still for 0.12 s again and again."""
+    """A computer that stalls for 0.12 s repeatedly."""
     looks, told = itertools.count(), SystemClock.monotonic
     late = staticmethod(lambda: told() + 0.12 * (next(looks) // 15))
     monkeypatch.setattr(SystemClock, "monotonic", late)
 
 
 @pytest.mark.usefixtures("late")
-def test_a_host_that_cannot_keep_its_bindings_does_not_start(here, lfield, monkeypatch):
+def test_a_host_too_slow_for_its_bindings_does_not_start(here, lfield, monkeypatch):
     monkeypatch.setattr(event_loop, "may_raise_timer_priority", lambda: False)
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
     up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]))
@@ -81,7 +80,7 @@ def test_a_host_that_cannot_keep_its_bindings_does_not_start(here, lfield, monke
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_ps_and_doctor_show_how_late_it_is(lfield):
+def test_ps_and_doctor_show_the_delay(lfield):
     deployment = lfield.mission(PROGRAM.replace("copter.land();", "sleep(1000.0);"), DEPLOYMENT, HARDWARE)
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
     team.wait_for("in the air")

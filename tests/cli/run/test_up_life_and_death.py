@@ -1,4 +1,4 @@
-"""Processes that are stopped, killed or orphaned: what the others do, and with which status they end."""
+"""Processes that are stopped, killed or orphaned: the reactions of the others, and the exit statuses."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TWO_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Traveller:tom@alpha?near&far
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("order", [["alpha", "bravo"], ["bravo", "alpha"]])
-def test_hosts_started_by_hand_in_any_order(lfield, order):
+def test_hosts_are_started_by_hand_in_any_order(lfield, order):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     maps = lfield.maps(["alpha", "bravo"])
     words = ("up", "--deploy", deployment, *maps, "--until-done")
@@ -59,7 +59,7 @@ def test_hosts_started_by_hand_in_any_order(lfield, order):
 
 #: The time-outs are tried on virtual time: tests/simulate/test_fleet_census.py.
 @pytest.mark.few(0)
-def test_a_coordinator_that_was_on_a_killed_host_is_not_heard_of(lfield):
+def test_a_coordinator_on_a_killed_host_has_an_unknown_outcome(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     hosts = lfield.hosts(deployment, ["alpha", "bravo"], "--until-done", "--lost-after", "1")
     hosts["bravo"].wait_for("far receives")
@@ -71,7 +71,7 @@ def test_a_coordinator_that_was_on_a_killed_host_is_not_heard_of(lfield):
 
 
 @pytest.mark.few(0)
-def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
+def test_a_coordinator_is_lost_with_a_killed_child_of_all(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"bravo \| far receives")
@@ -112,7 +112,7 @@ coordinator Prepared {
 
 
 @pytest.mark.few(0)
-def test_a_program_that_expects_a_host_to_die_goes_on(lfield):
+def test_a_program_that_handles_a_dead_host_continues(lfield):
     deployment = lfield.mission(
         PREPARED, "//Post:near@alpha\n//Post:far@bravo\n//Prepared:tom@alpha?near&far\n"
     )
@@ -158,10 +158,10 @@ def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
 
 
 @pytest.mark.few(0)
-def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_other_end(lfield):
+def test_a_killed_child_with_an_unconfirmed_vehicle_sets_the_exit_status(lfield):
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
-    # In the air: one that still stands on the ground may be seen at rest there before its fake has gone.
+    # In the air: a vehicle on the ground may be seen at rest before its fake has ended.
     team.wait_for("wing: at ")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 3
@@ -176,8 +176,8 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
 
 
 @pytest.mark.few(0)
-def test_a_guard_and_a_fake_hold_nothing_that_their_host_was_given(lfield):
-    """Whoever calls a host that was killed is told that nobody listens, by nobody's socket."""
+def test_guards_and_fakes_inherit_no_descriptors_of_their_host(lfield):
+    """A connection to a killed host must be refused."""
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
     port = int(team.wait_for(r"alpha listening on 127\.0\.0\.1:(\d+)")[1])
@@ -206,7 +206,7 @@ def descriptors(pid):
 
 
 @pytest.mark.few(0)
-def test_ctrl_c_to_one_host(lfield):
+def test_ctrl_c_ends_one_host(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     hosts = lfield.hosts(deployment, ["alpha", "bravo"], "--until-done")
     hosts["bravo"].wait_for("far receives")
@@ -214,7 +214,7 @@ def test_ctrl_c_to_one_host(lfield):
     assert hosts["alpha"].wait() == 130
 
 
-def test_a_host_without_an_end_of_its_own_is_stopped_with_status_0(lfield):
+def test_a_host_without_until_done_is_stopped_with_status_0(lfield):
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     (host,) = lfield.hosts(deployment, ["alpha"]).values()
     host.wait_for("alpha listening on")
@@ -222,7 +222,7 @@ def test_a_host_without_an_end_of_its_own_is_stopped_with_status_0(lfield):
     assert host.wait() == 0
 
 
-def test_the_hosts_end_with_a_killed_parent(lfield):
+def test_hosts_end_with_a_killed_parent(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     team = lfield.start("up", "--deploy", deployment, "--all")
     team.wait_for(r"bravo \| far receives")
@@ -243,7 +243,7 @@ def test_a_mission_that_dies_ends_with_1(lfield):
     assert "alpha |     hosts visited: alpha" in done.err
 
 
-def test_a_port_in_use(lfield):
+def test_a_port_in_use_is_reported(lfield):
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -254,8 +254,8 @@ def test_a_port_in_use(lfield):
     assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
 
 
-def test_who_finds_the_port_in_use_makes_no_journal(lfield, tmp_path):
-    # The first one may still run, though its folder was moved away: in its place nothing else may be put.
+def test_a_host_that_finds_its_port_in_use_makes_no_journal(lfield, tmp_path):
+    # The first one may still run, though its folder was moved: no new one may be made in its place.
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -267,7 +267,7 @@ def test_who_finds_the_port_in_use_makes_no_journal(lfield, tmp_path):
     assert not (tmp_path / "state").exists()
 
 
-def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
+def test_all_listens_at_the_map_and_else_on_free_ports(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     (port,) = lfield.ports.take(1)
     words = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
@@ -278,7 +278,7 @@ def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
 
 
 @pytest.mark.few(0)
-def test_all_refuses_a_map_that_it_cannot_keep(lfield):
+def test_all_refuses_a_map_it_cannot_use(lfield):
     words = ("up", "--deploy", lfield.mission(POSTS, "//Post:near@alpha\n"), "--all", "--map")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
@@ -326,7 +326,7 @@ coordinator Deep {
 
 
 @pytest.mark.few(0)
-def test_agents_that_loop_allocate_or_recurse_for_ever_do_not_keep_others_from_ending(lfield):
+def test_agents_that_loop_allocate_or_recurse_do_not_block_others(lfield):
     agents = ["Busy:busy", "Greedy:greedy", "Deep:deep", "Worker:worker"]
     deployment = "".join(f"//{agent}@alpha\n" for agent in agents) + "//Steady:steady@alpha?worker\n"
     deployment += "//Steady:visitor@bravo?worker\n"
@@ -339,7 +339,7 @@ def test_agents_that_loop_allocate_or_recurse_for_ever_do_not_keep_others_from_e
     assert team.wait() == 130
 
 
-def test_program_output_to_a_full_disk_is_told_once_and_the_mission_goes_on(lfield):
+def test_program_output_to_a_full_disk_is_reported_once_and_the_mission_continues(lfield):
     deployment = lfield.mission(TRAVELLER, "//Post:near@alpha\n//Traveller:tom@alpha?near&near&0.01\n")
     with open("/dev/full", "wb") as full:
         (host,) = lfield.hosts(deployment, ["alpha"], "--until-done", stdout=full).values()
@@ -349,7 +349,7 @@ def test_program_output_to_a_full_disk_is_told_once_and_the_mission_goes_on(lfie
 
 
 @pytest.mark.few(0)
-def test_all_to_a_full_disk_goes_on(lfield):
+def test_all_continues_with_output_to_a_full_disk(lfield):
     deployment = lfield.mission(TRAVELLER, "//Post:near@alpha\n//Traveller:tom@alpha?near&near&0.01\n")
     with open("/dev/full", "wb") as full:
         done = lfield("up", "--deploy", deployment, "--all", "--until-done", stdout=full)
@@ -359,7 +359,7 @@ def test_all_to_a_full_disk_goes_on(lfield):
 
 
 @pytest.mark.few(0)
-def test_the_log_of_all_hosts_as_json(lfield):
+def test_the_log_of_all_hosts_is_json(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--json")
     assert (lfield.status(done), done.err) == (0, [])

@@ -27,7 +27,7 @@ SHOWN = r"\u{1b}[31mred\u{9b}2J\u{202e}\r"
 
 
 def on_a_terminal(lfield, *words: object) -> tuple[bytes, int]:
-    """What a command puts out on a terminal that is its stdout, and its status; stderr is a file."""
+    """The output of a command on a terminal, and its status; stderr is a file."""
     terminal, end = pty.openpty()
     command = [sys.executable, "-P", "-m", "lfield", *map(str, words)]
     process = subprocess.Popen(
@@ -59,8 +59,8 @@ def test_a_program_cannot_control_the_terminal(lfield, options):
     assert "\x1b[31mred\x9b2J\u202e" in "\n".join(piped.out)
 
 
-def test_a_bundle_of_another_person_cannot_control_the_terminal(lfield):
-    """The endpoint of a device is any path; what a command says of it is shown."""
+def test_a_bundle_cannot_control_the_terminal(lfield):
+    """The endpoint of a device is any path, and commands print it."""
     program = (
         "resource Arm { Mavlink fc; init(string[] arg) { } }\ncoordinator Boss { init(string[] arg) { } }"
     )
@@ -87,7 +87,7 @@ def echoes(terminal: int) -> bool:
     return bool(termios.tcgetattr(terminal)[3] & termios.ECHO)
 
 
-def test_keys_do_not_move_the_cursor_of_the_live_table(lfield):
+def test_typed_keys_do_not_move_the_live_table(lfield):
     """The echo of Ctrl-C and Enter would leave a line of the table in the log."""
     deployment = lfield.mission(
         'coordinator Boss { init(string[] arg) { print("begins"); sleep(1000.0); } }', "//Boss:boss@alpha\n"

@@ -1,4 +1,4 @@
-"""Hosts with keys run what somebody has signed who may, and say in `ps` what that is."""
+"""Hosts with keys run bundles signed by a person with the right, and `ps` shows the signer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TEAM = "//Caller:tom@alpha{stays}\n//Echo:echo@bravo\n"
 
 @pytest.fixture
 def made(lfield, here):
-    """`made()`: a bundle of a team of two, not signed, both of which have keys."""
+    """`made()`: an unsigned bundle of a team of two, both of which have keys."""
 
     def make(stays: str = "") -> list[str]:
         lfield.mission(PROGRAM, TEAM.format(stays=stays))
@@ -39,7 +39,7 @@ def refused(lfield, *words: str) -> str:
     return line
 
 
-def test_what_is_signed_runs_and_ps_says_by_whom(lfield, here, made) -> None:
+def test_a_signed_bundle_runs_and_ps_shows_its_signer(lfield, here, made) -> None:
     maps = made("?stays")
     signed = here("sign", "mission.lfm")
     assert (signed.status, "signed by operator" in signed.err[0]) == (0, True)
@@ -58,7 +58,7 @@ def test_what_is_signed_runs_and_ps_says_by_whom(lfield, here, made) -> None:
 
 
 @pytest.mark.few(0)
-def test_what_is_built_from_files_is_signed_by_whoever_runs_it(lfield, made) -> None:
+def test_a_mission_from_files_is_signed_by_its_user(lfield, made) -> None:
     maps = made()
     words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
     hosts = [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
@@ -66,23 +66,23 @@ def test_what_is_built_from_files_is_signed_by_whoever_runs_it(lfield, made) -> 
     assert hosts[1].out == ["here"]
 
 
-def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_path) -> None:
+def test_a_bundle_without_a_valid_signature_does_not_run(lfield, here, made, tmp_path) -> None:
     maps = made()
     assert "it is not signed: sign it with 'lfield sign'" in refused(lfield, *maps)
-    # Who may only operate signs nothing, and what they build does not run either.
+    # A person with only the operate right cannot sign, and their builds do not run either.
     mine = lfield.keys.made("person", "olga", Right.OPERATE)
     lfield.keys.put("me", mine)
     assert here("sign", "mission.lfm").status == 65
     built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps)
     assert lfield.status(built) == 65
     assert "it is not signed" in built.said
-    # Nor does what is signed by somebody of another team.
+    # A signature of another team is refused too.
     foreign = Keyring(tmp_path / "foreign")
     foreign.sign(lfield.folder / "mission.lfm")
     assert "is not of this authority" in refused(lfield, *maps)
 
 
-def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, here, made) -> None:
+def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, made) -> None:
     maps = made()
     state = lfield.folder / "kept"
     assert "it is not signed" in refused(lfield, *maps, "--state", state)
@@ -97,7 +97,7 @@ def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, 
     assert journal.stat().st_ino == before
 
 
-def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) -> None:
+def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
     words = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
@@ -113,9 +113,7 @@ def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) 
     assert [host.wait() for host in hosts] == [0, 0]
 
 
-def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_are_stopped(
-    lfield, here, made
-) -> None:
+def test_signed_bundles_that_differ_in_bindings_do_not_link_and_both_are_stopped(lfield, here, made) -> None:
     maps = made("?stays")
     assert here("sign", "mission.lfm").status == 0
     alpha = lfield.start("up", "mission.lfm", *maps, "--first-start", "--host", "alpha")
@@ -131,7 +129,7 @@ def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_a
 
 
 @pytest.mark.few(0)
-def test_hosts_that_build_of_files_may_have_devices_of_their_own(lfield, made) -> None:
+def test_hosts_that_build_from_files_may_have_their_own_devices(lfield, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
     words = ("up", "--deploy", "mission.dL", *maps, "--until-done", "--first-start")
@@ -143,7 +141,7 @@ def test_hosts_that_build_of_files_may_have_devices_of_their_own(lfield, made) -
     assert hosts[1].out == ["here"]
 
 
-def test_a_bit_that_was_changed_after_signing_is_seen(lfield, here, made) -> None:
+def test_a_bit_changed_after_signing_is_detected(lfield, here, made) -> None:
     maps = made()
     assert here("sign", "mission.lfm").status == 0
     path = lfield.folder / "mission.lfm"

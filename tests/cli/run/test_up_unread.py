@@ -1,4 +1,4 @@
-"""Output that nobody reads (Ctrl-S, a stuck ssh, `| sleep 1000`) stops no host: it flies on, and answers."""
+"""Unread output (Ctrl-S, a stuck ssh, `| sleep 1000`) blocks no host: it continues to fly, and answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-#: A copter that flies, and a program that says much more than a pipe holds on both streams.
+# : A copter that flies, and a program whose output exceeds a pipe on both streams.
 PROGRAM = """
 resource Copter {
     Mavlink fc;
@@ -46,7 +46,7 @@ agents:
 
 @pytest.fixture
 def unread():
-    """Both ends of a pipe; who writes has it as stdout and stderr."""
+    """Both ends of a pipe; the writer has it as stdout and stderr."""
     reading, writing = os.pipe()
     yield reading, writing
     for descriptor in (reading, writing):
@@ -54,7 +54,7 @@ def unread():
 
 
 def filled(reading: int) -> None:
-    """Wait until nothing more goes into a pipe, and for some more that finds no room."""
+    """Wait until the pipe is full, and some more output was written."""
     end, before = time.monotonic() + 60, -1
     while (now := waiting(reading)) < 30000 or now != before:
         assert time.monotonic() < end, f"only {now} bytes came"
@@ -68,7 +68,7 @@ def waiting(reading: int) -> int:
 
 
 def read_some(reading: int) -> list[bytes]:
-    """The complete lines of what waits, and of what comes next, until one says that others are missing."""
+    """The complete lines of the pipe, until one reports missing lines."""
     lines, end = [b""], time.monotonic() + 60
     while not any(b" missing" in line for line in lines[-1000:-1]):
         assert time.monotonic() < end, lines[-3:]
@@ -80,7 +80,7 @@ def read_some(reading: int) -> list[bytes]:
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("everything", [False, True], ids=["host", "all"])
-def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, unread, everything):
+def test_a_host_with_unread_output_continues_to_fly_and_answers(lfield, alone, unread, everything):
     reading, writing = unread
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     maps = [] if everything else lfield.maps(["alpha"])

@@ -60,7 +60,7 @@ def landed(witness: MavlinkObserver, bound: float = BOUND) -> None:
 
 
 def signal_in_a_hurry(process, *numbers: signal.Signals) -> None:
-    """Send different signals that the process receives at the same time, however busy the computer is."""
+    """Send different signals that the process receives at the same time, on any load."""
     for number in (signal.SIGSTOP, *numbers, signal.SIGCONT):
         process.signal(number)
 
@@ -125,7 +125,7 @@ class Flight:
         assert self._lfield.status(told) == 0, told.said
 
     def is_down(self) -> None:
-        """It stands on the ground now; the word that its motors are off may be a heartbeat late."""
+        """It is on the ground now; the report that its motors are off may be a heartbeat late."""
         self.witness.catch_up()
         assert self.witness.height < 0.3
         self.landed()

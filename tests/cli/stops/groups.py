@@ -1,4 +1,4 @@
-"""Control groups of Linux: what a kernel does to processes that may have no more of something."""
+"""Control groups of Linux: the limits of a kernel on processes."""
 
 from __future__ import annotations
 

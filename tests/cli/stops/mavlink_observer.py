@@ -1,4 +1,4 @@
-"""A second MAVLink client that only watches: what a vehicle does, whatever hosts and guards say of it."""
+"""A second MAVLink client that only observes: the vehicle's behaviour, independent of hosts and guards."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import all as dialect
 
-#: Seconds for anything that is only a matter of time on a busy computer.
+# : Seconds for anything that depends on the load of the computer.
 BOUND = 120.0
 
 
@@ -67,7 +67,7 @@ class MavlinkObserver:
         self.until(lambda seen: seen.mode == mode)
 
     def catch_up(self) -> None:
-        """Wait until all that the vehicle has sent before is here: on a busy computer this reads it late."""
+        """Wait until all that the vehicle has sent before is here: a busy computer reads it late."""
         before = self._answers
         self._link.mav.command_long_send(
             1, 1, dialect.MAV_CMD_REQUEST_MESSAGE, 0, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, *[0.0] * 6

@@ -1,4 +1,4 @@
-"""A host that may open no more files or start no more processes while its copter flies, and who gets in."""
+"""A host without free descriptors or processes while its copter flies, and the connections it accepts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-#: Loaded by Python before anything else: the loop that Python brings along, where uvloop is not installed.
+# : Loaded by Python before anything else: the loop of Python, where uvloop is not installed.
 WITHOUT_UVLOOP = "import sys\nsys.modules['uvloop'] = None\n"
-#: Callers that nobody knows.
+# : Unauthenticated connections.
 STRANGERS = 30
 
 
 @pytest.fixture(params=["uvloop", "asyncio"])
 def starved(request, flight, lfield):
-    """`starved(spare)`: a copter in the air under a host that may open so many files more."""
+    """`starved(spare)`: a copter in the air under a host with so many free descriptors."""
 
     def begin(spare: int, **options):
         if request.param == "asyncio":
@@ -35,7 +35,7 @@ def starved(request, flight, lfield):
 
 
 def leave_descriptors(pid: int, spare: int) -> None:
-    """Let a running process open so many files more, whatever it has open now."""
+    """Leave so many free descriptors to a running process."""
     taken = {int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()}
     free = [number for number in range(len(taken) + spare + 1) if number not in taken]
     _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
@@ -43,7 +43,7 @@ def leave_descriptors(pid: int, spare: int) -> None:
 
 
 def knock(stack: ExitStack, address: tuple[str, int], count: int = STRANGERS) -> None:
-    """Call so often, say nothing, and hold the line."""
+    """Connect so often, send nothing, and stay connected."""
     for _ in range(count):
         stack.enter_context(socket.create_connection(address, timeout=60.0))
 
@@ -54,7 +54,7 @@ def flies(flown) -> bool:
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("spare", [0, 5])
-def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
+def test_connections_that_cannot_be_accepted_end_no_flight(starved, spare):
     flown = starved(spare)
     with ExitStack() as stack:
         knock(stack, flown.address)
@@ -66,7 +66,7 @@ def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
 
 
 @pytest.mark.few(0)
-def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
+def test_an_emergency_stop_arrives_beside_many_unauthenticated_connections(starved):
     flown = starved(8)
     with ExitStack() as stack:
         knock(stack, flown.address)
@@ -77,7 +77,7 @@ def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
 
 
 @pytest.mark.few(0)
-def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
+def test_a_guard_that_cannot_be_restarted_is_retried_and_lands(starved):
     flown = starved(3)
     died = flown.guard
     flown.kill_guard()
@@ -92,7 +92,7 @@ def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
 
 
 @pytest.mark.few(0)
-def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_itself(starved):
+def test_a_guard_never_restarted_is_named_and_its_vehicle_lands_by_failsafe(starved):
     flown = starved(3, within=2.0)
     flown.kill_guard()
     flown.host.wait_for("guard of .* not restarted")
@@ -105,7 +105,7 @@ def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_i
 
 
 @pytest.mark.few(0)
-def test_a_guard_for_which_there_is_no_process_left_is_tried_again_and_lands(flight, bounded):
+def test_a_guard_without_a_free_process_is_retried_and_lands(flight, bounded):
     flown, group = flight(), bounded("pids")
     died = flown.guard
     group.bound(0, flown.host.pid)

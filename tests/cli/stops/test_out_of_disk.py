@@ -1,4 +1,4 @@
-"""Nothing can be written any more, to the log, the dumps or the runtime folder: the copter flies on."""
+"""A full disk for the log, the dumps or the runtime folder: the copter continues to fly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mavlink_observer import MavlinkObserver
 
 pytestmark = pytest.mark.process
 
-#: Two that die, the second when somebody has had the time to fill the disk.
+# : Two that die, the second after the disk is full.
 DYING = (
     PROGRAM
     + """
@@ -22,7 +22,7 @@ AGENTS = "//Careless:tom@alpha?10.0\n"
 
 
 def fill(pid: int) -> None:
-    """From now on a running process finds every disk full; Python ignores the signal that comes with it."""
+    """From now on a running process finds every disk full; Python ignores the signal for it."""
     _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, hard))
 
@@ -37,7 +37,7 @@ def flies(witness: MavlinkObserver) -> bool:
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_log_and_output_on_a_full_disk_end_no_flight_and_delay_no_stop(flight, number):
+def test_a_full_disk_under_log_and_output_ends_no_flight_and_delays_no_stop(flight, number):
     with open("/dev/full", "wb") as full:
         flown = flight(stdout=full, stderr=full)
     assert flies(flown.witness)
@@ -49,7 +49,7 @@ def test_a_log_and_output_on_a_full_disk_end_no_flight_and_delay_no_stop(flight,
 
 
 @pytest.mark.few(0)
-def test_a_dump_on_a_full_disk_is_told_and_the_flight_goes_on(lfield, flight):
+def test_a_dump_on_a_full_disk_is_reported_and_the_flight_continues(lfield, flight):
     words = ("--dump", "dumps")
     flown = flight(program=DYING, deployment=DEPLOYMENT + AGENTS, options=words)
     fill(flown.host.pid)
@@ -62,7 +62,7 @@ def test_a_dump_on_a_full_disk_is_told_and_the_flight_goes_on(lfield, flight):
 
 
 @pytest.mark.parametrize("options", [(), ("--volatile",)])
-def test_a_team_that_can_leave_no_note_of_itself_does_not_fly(lfield, alone, options):
+def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, options):
     """No command could find it to stop it."""
     endpoint = copter(lfield, alone)
     file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
@@ -73,7 +73,7 @@ def test_a_team_that_can_leave_no_note_of_itself_does_not_fly(lfield, alone, opt
     assert "File too large; no command could find what runs, to stop it" in refused.said
 
 
-def test_a_mission_that_cannot_be_built_for_want_of_disk_is_told_in_a_sentence(lfield, alone):
+def test_a_mission_that_cannot_be_built_on_a_full_disk_is_one_sentence(lfield, alone):
     file = lfield.mission(PROGRAM + "\n", "//Copter:lead@alpha\n")
     words = ("up", "--deploy", file, "--sim", "--host", "alpha", *lfield.maps(["alpha"]))
     refused = lfield(*words, env=alone, preexec_fn=full_from_the_start)

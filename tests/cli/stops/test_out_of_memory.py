@@ -1,6 +1,5 @@
-"""No memory is left for a host, its guard, or both, while the copter flies: it is safe within seconds.
-
-A thread that is planted into one of the two eats whatever it can get, and everything that is given back.
+"""No memory for a host, its guard, or both, while the copter flies: it is safe within seconds. A thread
+planted into one of the two allocates all it can get.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ pytestmark = pytest.mark.process
 
 #: Words in the command lines of the two.
 HOST, GUARD = "up", "lfield.guard.process"
-#: Loaded by Python before anything else. It waits for a file and takes it, so that it happens once.
+# : Loaded by Python before anything else. It waits for a file and removes it, so that it happens once.
 LEAK = """
 import os, resource, sys, threading, time
 
@@ -58,7 +57,7 @@ def run(self):
 
 core.HostCore.run = run
 """
-#: Seconds until the vehicle has been told to land: silence, and what a busy computer adds.
+# : Seconds until the vehicle has been ordered to land: silence, and the load of the computer.
 SOON = 45.0
 MIB = 1 << 20
 
@@ -84,7 +83,7 @@ class Leaking:
 
 
 @pytest.mark.few(0)
-def test_a_host_that_gets_no_memory_says_so_and_ends_with_70_its_copter_on_the_ground(flight, lfield):
+def test_a_host_without_memory_ends_with_70_and_its_copter_on_the_ground(flight, lfield):
     lfield.write("broken/sitecustomize.py", REFUSED.format(file=str(lfield.folder / "refuse")))
     flown = flight(env={"PYTHONPATH": str(lfield.folder / "broken")})
     lfield.write("refuse", "")
@@ -94,20 +93,20 @@ def test_a_host_that_gets_no_memory_says_so_and_ends_with_70_its_copter_on_the_g
 
 
 @pytest.mark.few(0)
-def test_the_copter_of_a_host_whose_memory_is_eaten_lands(flight, lfield):
+def test_the_copter_of_a_host_with_exhausted_memory_lands(flight, lfield):
     leaking = Leaking(flight, lfield, HOST, within=2.0)
     leaking.starve(2 * MIB)
-    # Somebody asks, for a host that needs nothing may fly on; the answer takes memory.
+    # A request, for an idle host may continue; the answer needs memory.
     with suppress(AssertionError):
         leaking.flown.ask("ps")
     leaking.flown.host.signal(signal.SIGTERM)
     leaking.lands()
-    # In order, or where some library does not expect to be refused, or by the kernel in the end.
+    # In order, or by a failure of a library, or by the kernel at the end.
     leaking.flown.host.popen.wait(60)
 
 
 @pytest.mark.few(0)
-def test_a_guard_whose_memory_is_eaten_ends_and_the_next_one_lands_the_copter(flight, lfield):
+def test_a_guard_with_exhausted_memory_ends_and_the_next_one_lands_the_copter(flight, lfield):
     leaking = Leaking(flight, lfield, GUARD)
     guard = leaking.flown.guard
     leaking.starve(2 * MIB)
@@ -117,7 +116,7 @@ def test_a_guard_whose_memory_is_eaten_ends_and_the_next_one_lands_the_copter(fl
     assert leaking.flown.host.wait() == 0, leaking.flown.host.said
 
 
-#: Each of them takes as much as it may, all at once.
+# : Each of them allocates as much as it may, all at once.
 GREEDY = """
 class Link {
     public Link next;
@@ -134,7 +133,7 @@ coordinator Greedy {
 
 
 @pytest.mark.few(0)
-def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(flight, lfield):
+def test_agents_that_exhaust_the_memory_do_not_keep_the_copter_up(flight, lfield):
     agents = "".join(f"//Greedy:greedy{i}@alpha?2.0\n" for i in range(6))
     flown = flight(program=PROGRAM + GREEDY, deployment=DEPLOYMENT + agents, heap="4 MiB")
     size = int(Path(f"/proc/{flown.host.pid}/statm").read_text().split()[0]) * resource.getpagesize()
@@ -148,7 +147,7 @@ def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("victims", ["host", "guard", "host of both"])
-def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, bounded, victims):
+def test_the_copter_of_a_process_killed_for_its_memory_lands(flight, lfield, bounded, victims):
     group = bounded("memory")
     leaking = Leaking(flight, lfield, GUARD if victims == "guard" else HOST)
     host, guard = leaking.flown.host, leaking.flown.guard

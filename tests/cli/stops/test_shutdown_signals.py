@@ -1,4 +1,4 @@
-"""When a request to stop is a second one, which does not wait for the devices, by an injected clock."""
+"""The second stop request, which does not wait for the devices, with an injected clock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals
         (60.0, False, 0),
     ],
 )
-def test_a_second_request_ends_the_wait_unless_it_follows_in_a_hurry(after, is_repeatable, second):
+def test_a_second_request_ends_the_wait_unless_it_follows_at_once(after, is_repeatable, second):
     clock, counted = ManualClock(), []
     signals = ShutdownSignals(clock, lambda: counted.append(clock.monotonic()))
     assert not signals.first_requested.is_set()

@@ -1,4 +1,4 @@
-"""`lfield start`, and what commands say of a start that waits: for a robot that is off, or out of date."""
+"""`lfield start`, and reports on a start that waits: for a robot that is off, or out of date."""
 
 import json
 import re
@@ -27,7 +27,7 @@ TEAM = "//Caller:tom@alpha\n//Echo:echo@bravo\n"
 
 @pytest.fixture
 def maps(lfield, here):
-    """Where the hosts of a signed bundle are."""
+    """The addresses of the hosts of a signed bundle."""
     lfield.mission(PROGRAM, TEAM)
     maps = lfield.maps(["alpha", "bravo"])
     assert here("build", "mission.dL").status == 0
@@ -35,7 +35,7 @@ def maps(lfield, here):
     return maps
 
 
-def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfield, here, maps) -> None:
+def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, here, maps) -> None:
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
     alpha.wait_for(r"^tom not started: waiting for bravo \(no link yet\)")
     shown = here("ps", "mission.lfm", *maps)
@@ -63,9 +63,7 @@ def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfie
     bravo.wait_for("^here$")
 
 
-def test_a_host_with_an_old_bundle_is_named_by_the_digests_that_build_sign_and_inspect_print(
-    lfield, here, maps
-) -> None:
+def test_a_host_with_an_old_bundle_is_named_by_the_printed_digests(lfield, here, maps) -> None:
     (old,) = (re.search(r"bundle +(\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
     bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
     bravo.wait_for("bravo listening ")

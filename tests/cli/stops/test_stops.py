@@ -1,6 +1,5 @@
-"""Every way to stop a host that flies: what the vehicle does, who is named, with which status it ends.
-
-The vehicle is a fake of its own that outlives the host, and a second client watches it.
+"""Every way to stop a flying host: the vehicle's behaviour, the named devices, the exit status. The vehicle
+is a fake of its own that outlives the host, and a second client observes it.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ pytestmark = pytest.mark.process
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("before", [0.0, 0.05, 0.15])
-def test_a_guard_killed_just_before_its_host_is_stopped_is_started_again_and_lands(flight, before):
+def test_a_guard_killed_just_before_the_stop_is_restarted_and_lands(flight, before):
     flown = flight()
     os.kill(flown.guard, signal.SIGKILL)
     time.sleep(before)
@@ -28,7 +27,7 @@ def test_a_guard_killed_just_before_its_host_is_stopped_is_started_again_and_lan
 
 
 @pytest.mark.few(0)
-def test_a_guard_that_hangs_when_its_host_is_stopped_is_replaced_and_lands(flight):
+def test_a_guard_that_hangs_at_the_stop_is_replaced_and_lands(flight):
     flown = flight()
     os.kill(flown.guard, signal.SIGSTOP)
     flown.host.signal(signal.SIGTERM)
@@ -39,7 +38,7 @@ def test_a_guard_that_hangs_when_its_host_is_stopped_is_replaced_and_lands(fligh
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("how", ["SIGTERM", "until done"])
-def test_a_vehicle_that_fell_silent_is_named_with_what_was_last_known_and_the_status_says_it(flight, how):
+def test_a_silent_vehicle_is_named_with_its_last_state_and_sets_the_status(flight, how):
     done = how == "until done"
     flown = flight(within=2.0, stay="2" if done else "1000", options=("--until-done",))
     flown.fault("silence=true")
@@ -53,7 +52,7 @@ def test_a_vehicle_that_fell_silent_is_named_with_what_was_last_known_and_the_st
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGHUP])
-def test_the_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here, monkeypatch, how):
+def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here, monkeypatch, how):
     flown = flight(land=SLOWEST)
     for name, value in alone.items():
         monkeypatch.setenv(name, value)
@@ -72,7 +71,7 @@ def test_the_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, her
     assert "lead.fc at rest" in flown.host.said
 
 
-def test_a_second_word_in_a_hurry_is_the_first_and_a_later_one_ends_the_wait(flight):
+def test_a_second_signal_at_once_is_ignored_and_a_later_one_ends_the_wait(flight):
     flown = flight(land=("--land", "0.1", "--descend", "0.1"))
     signal_in_a_hurry(flown.host, signal.SIGINT, signal.SIGTERM)
     flown.host.wait_for("waiting for its devices to come to rest; a second Ctrl-C or SIGTERM")
@@ -86,7 +85,7 @@ def test_a_second_word_in_a_hurry_is_the_first_and_a_later_one_ends_the_wait(fli
 
 
 @pytest.mark.few(0)
-def test_a_guard_does_not_end_by_signals_while_its_host_lives(flight):
+def test_a_guard_ignores_signals_while_its_host_lives(flight):
     flown = flight(land=SLOW)
     guard = flown.guard
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -94,7 +93,7 @@ def test_a_guard_does_not_end_by_signals_while_its_host_lives(flight):
         flown.host.wait_for(f"{number.name} ignored: the guard ends with its host")
     assert flown.guard == guard
     assert flown.witness.mode == "GUIDED"
-    # A service manager tells the whole group at once.
+    # A service manager signals the whole group at once.
     flown.host.signal(signal.SIGTERM)
     os.kill(guard, signal.SIGTERM)
     assert flown.host.wait() == 0, flown.host.said
@@ -119,7 +118,7 @@ def test_a_killed_host_leaves_its_guard_until_the_vehicle_is_down(lfield, flight
 @pytest.mark.few(0)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flight, flavour, number):
+def test_no_failsafe_takes_over_the_landing_of_a_dead_or_hanging_host(flight, flavour, number):
     flown = flight(land=("--flavour", flavour, *SLOWEST))
     flown.host.signal(number)
     flown.landed()
@@ -128,12 +127,12 @@ def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flig
 
 
 @pytest.mark.few(0)
-def test_a_vehicle_in_a_pilots_hands_is_left_to_him_and_named(flight):
+def test_a_vehicle_under_pilot_control_is_left_alone_and_named(flight):
     flown = flight(within=2.0)
     flown.witness.take_over("LOITER")
     flown.host.signal(signal.SIGTERM)
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
     assert "flown by a pilot in LOITER, " in line
-    # Where it is by then tells nothing: without a transmitter an ArduCopter sinks in LOITER.
+    # Its position proves nothing by then: without a transmitter an ArduCopter sinks in LOITER.
     assert flown.witness.mode == "LOITER"

@@ -1,6 +1,5 @@
-"""A team that flies under `up --all`, and every way in which it is ended: what the vehicles do.
-
-The vehicles are fakes of their own that outlive everything, each with a second client that watches it.
+"""A team that flies under `up --all`, and every way to end it: the vehicles' behaviour. The vehicles are
+fakes of their own that outlive all processes, each with a second client that observes it.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ def team(alone, lfield):
 
 
 class Terminal:
-    """A terminal of its own; what comes out of it is read and kept until it is closed."""
+    """A terminal of its own; its output is read and stored until it is closed."""
 
     def __init__(self) -> None:
         self._master, self.end = os.openpty()
@@ -118,13 +117,13 @@ class Terminal:
 
 
 @pytest.mark.few(0)
-def test_ctrl_c_in_a_hurry_is_one_word_and_lands_the_team_before_it_ends(team):
+def test_two_signals_at_once_count_as_one_and_land_the_team(team):
     _lands_before_it_ends(team, signal.SIGINT, signal.SIGTERM)
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_another_signal_lands_the_team_too(team, number):
+def test_other_signals_land_the_team_too(team, number):
     _lands_before_it_ends(team, number)
 
 
@@ -136,7 +135,7 @@ def _lands_before_it_ends(team, *numbers: signal.Signals) -> None:
 
 
 @pytest.mark.few(0)
-def test_a_later_second_ctrl_c_ends_the_team_and_names_who_is_still_up(team):
+def test_a_later_second_ctrl_c_ends_the_team_and_names_devices_in_the_air(team):
     flown = team(land=("--land", "0.2", "--descend", "0.2"))
     flown.run.signal(signal.SIGINT)
     flown.land()
@@ -165,7 +164,7 @@ def test_the_team_of_a_killed_parent_lands_and_ends(lfield, team):
 
 
 @pytest.mark.few(0)
-def test_the_team_of_a_terminal_that_is_closed_lands(lfield, team):
+def test_a_team_on_a_closed_terminal_lands(lfield, team):
     terminal = Terminal()
     flown = team(land=SLOW, **terminal.options)
     terminal.let_go()
@@ -174,7 +173,7 @@ def test_the_team_of_a_terminal_that_is_closed_lands(lfield, team):
     flown.are_down()
 
 
-def test_ctrl_c_on_a_terminal_is_for_the_team_as_a_whole(team):
+def test_ctrl_c_on_a_terminal_ends_the_whole_team(team):
     terminal = Terminal()
     flown = team(**terminal.options)
     terminal.let_go()
@@ -186,7 +185,7 @@ def test_ctrl_c_on_a_terminal_is_for_the_team_as_a_whole(team):
 
 
 @pytest.mark.few(0)
-def test_a_host_on_a_terminal_that_is_closed_lands(flight):
+def test_a_host_on_a_closed_terminal_lands(flight):
     terminal = Terminal()
     flown = flight(land=SLOW, **terminal.options)
     terminal.let_go()

@@ -1,4 +1,4 @@
-"""Hosts that end while they open their devices: what was changed is named, what was only asked is not."""
+"""Hosts that end while they open their devices: commanded devices are named, devices only queried are not."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.process
 
 
 def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
-    """The words of `up` for two copters: one where `lead` says, one where nobody answers."""
+    """The words of `up` for two copters: one at `lead`, one at an endpoint without an answer."""
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
     nowhere = f"udp:127.0.0.1:{port}"
     bound = devices({"lead": lead, "wing": nowhere} if lead else {"wing": nowhere}, 2.0)
@@ -21,7 +21,7 @@ def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
     return ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha")
 
 
-def test_a_device_that_was_only_asked_is_not_called_unsafe(lfield, alone):
+def test_a_device_that_was_only_queried_is_not_reported_unsafe(lfield, alone):
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port), env=alone)
     while not lfield.guards():
@@ -32,7 +32,7 @@ def test_a_device_that_was_only_asked_is_not_called_unsafe(lfield, alone):
 
 
 @pytest.mark.few(0)
-def test_a_team_with_a_port_that_is_not_there_ends_with_69_and_names_it(lfield, alone):
+def test_a_team_with_a_missing_port_ends_with_69_and_names_it(lfield, alone):
     """The others are told to stop while they wait for the first word of theirs: nothing was commanded."""
     taken = lfield.ports.take(2)
     nowhere = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(taken)}
@@ -47,7 +47,7 @@ def test_a_team_with_a_port_that_is_not_there_ends_with_69_and_names_it(lfield, 
 
 
 @pytest.mark.few(0)
-def test_a_device_that_fell_silent_while_another_could_not_be_opened_is_named(lfield, alone):
+def test_a_device_silent_while_another_cannot_be_opened_is_named(lfield, alone):
     endpoint = copter(lfield, alone)
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port, endpoint), env=alone)

@@ -1,4 +1,4 @@
-"""Orders of commands whose output is not read (Ctrl-S, a full pipe): printing never delays what is sent."""
+"""Orders of commands with unread output (Ctrl-S, a full pipe): printing never delays an order."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) ->
 
 @unread
 @pytest.mark.parametrize("command", ["estop", "pause"])
-def test_hosts_are_asked_to_the_end_though_nobody_reads(here_mission, opened, monkeypatch, command):
+def test_all_hosts_are_ordered_though_the_output_is_unread(here_mission, opened, monkeypatch, command):
     asked = threading.Event()
 
     def ask_in_turn(teams, request, keys):
@@ -82,7 +82,7 @@ def test_hosts_are_asked_to_the_end_though_nobody_reads(here_mission, opened, mo
 
 
 @unread
-def test_the_page_is_served_though_nobody_reads(opened, monkeypatch):
+def test_the_page_is_served_though_the_output_is_unread(opened, monkeypatch):
     served = threading.Event()
 
     def run(args):

@@ -1,4 +1,6 @@
-"""The last line of `lfield up --all`: how the mission ended, what failed and where, and the exit status."""
+"""The last line of `lfield up --all`: the end of the mission, failures and their hosts, and the
+exit status.
+"""
 
 from __future__ import annotations
 
@@ -46,14 +48,14 @@ UNSAFE = "a device is not confirmed to be at rest in its safe state: look at it"
         ),
     ],
 )
-def test_the_summary_names_the_end_the_place_and_the_reason(
+def test_the_summary_names_the_end_the_host_and_the_reason(
     statuses: dict[str, int], reasons: dict[str, str], status: int, line: str
 ) -> None:
     results = {host: RunResult({"p 1": 4}, reasons.get(host, "")) for host in statuses}
     assert summary(statuses, status, 12.3, results) == line
 
 
-def test_the_hops_of_a_killed_host_are_those_that_other_hosts_know() -> None:
+def test_hops_of_a_killed_host_are_those_known_to_other_hosts() -> None:
     assert (
         total_hops({"a": RunResult({"p 1": 3, "q 1": 2}), "b": RunResult(), "c": RunResult({"p 1": 2})}) == 5
     )
@@ -71,7 +73,7 @@ def test_the_hops_of_a_killed_host_are_those_that_other_hosts_know() -> None:
         (CoordinatorState("p", 1, 0, 0, "EXITED", "b", "lost"), 0),
     ],
 )
-def test_a_coordinator_that_has_left_has_made_one_more_hop(state: CoordinatorState, hops: int) -> None:
+def test_a_departed_coordinator_has_one_more_hop(state: CoordinatorState, hops: int) -> None:
     assert known_hops([state]) == {"p 1": hops}
 
 
@@ -97,7 +99,7 @@ def test_the_reason_is_the_error_that_explains_the_status(status: int, code: str
 
 
 @pytest.mark.parametrize("hops", [{}, {"p 1": 7}, {f"agent-{number} 1": number for number in range(9000)}])
-def test_a_result_goes_through_a_pipe(hops: dict[str, int]) -> None:
+def test_a_result_is_sent_through_a_pipe(hops: dict[str, int]) -> None:
     reading, writing = os.pipe()
     RunResult(hops, "why").write(writing)
     assert read_result(reading) == RunResult(hops if len(hops) < 9000 else {}, "why")
@@ -106,7 +108,7 @@ def test_a_result_goes_through_a_pipe(hops: dict[str, int]) -> None:
     os.close(writing)
 
 
-def test_a_killed_host_has_written_nothing() -> None:
+def test_a_killed_host_has_no_result() -> None:
     reading, writing = os.pipe()
     assert read_result(reading) == RunResult()
     os.close(writing)

@@ -36,7 +36,7 @@ def said(process) -> list[str]:
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
-def test_the_only_host_that_reads_needs_no_name(lfield, options):
+def test_a_single_reading_host_needs_no_name(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=50))
     run = lfield.start("up", "--deploy", deployment, *options, "--until-done", stdin=True)
     run.popen.stdin.write(b"caf\xc3\xa9 \xff\n")
@@ -57,14 +57,14 @@ def test_lines_are_addressed_to_hosts(lfield):
 
 
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
-def test_without_input_the_limit_ends_it(lfield, options):
+def test_without_input_the_time_limit_ends_the_read(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
     run = lfield("up", "--deploy", deployment, *options, "--until-done")
     assert lfield.status(run) == 0
     assert said(run) == ["d1 said nothing"]
 
 
-def test_a_host_whose_input_is_closed_reads_nothing(lfield):
+def test_a_host_with_closed_input_reads_nothing(lfield):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
     command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "lfield"]
     words = ["up", "--deploy", str(deployment), "--host", "alpha", "--until-done"]

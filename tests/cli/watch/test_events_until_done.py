@@ -1,4 +1,4 @@
-"""`lfield events --until-done`: it ends with the mission, and with its status."""
+"""`lfield events --until-done` ends with the mission, and with its status."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FATAL = PROGRAM.replace("TIMES", "2").replace("END", "int[] none = new int[0]; n
     ("program", "status", "outcome"),
     [(SHORT, exit_status.DONE, "done"), (FATAL, exit_status.FAILED, "died")],
 )
-def test_the_end_of_the_mission_is_that_of_the_command_and_its_status(program, status, outcome, lfield):
+def test_the_command_ends_with_the_mission_and_its_status(program, status, outcome, lfield):
     mission = lfield.mission(program, deployment(outcome))
     team = lfield.start("up", "--deploy", mission, "--all", "--sim")
     team.wait_for("listening on")
@@ -62,7 +62,7 @@ def test_the_end_of_the_mission_is_that_of_the_command_and_its_status(program, s
 
 
 @pytest.mark.few(0)
-def test_a_team_that_ends_itself_is_recorded_to_its_end(lfield):
+def test_a_team_that_ends_by_itself_is_recorded_to_its_end(lfield):
     mission = lfield.mission(SHORT, deployment("early"))
     watcher = lfield.start("events", "--deploy", mission, "--until-done", "--kinds", "finished")
     watcher.wait_for("unreachable")
@@ -73,7 +73,7 @@ def test_a_team_that_ends_itself_is_recorded_to_its_end(lfield):
 
 
 @pytest.mark.few(0)
-def test_a_host_that_is_killed_and_stays_away_makes_the_end_unknown(lfield):
+def test_a_killed_host_that_stays_away_makes_the_end_unknown(lfield):
     mission = lfield.mission(ENDLESS, deployment("killed"))
     maps = lfield.maps(["alpha", "beta"])
     hosts = {
@@ -88,7 +88,7 @@ def test_a_host_that_is_killed_and_stays_away_makes_the_end_unknown(lfield):
 
 
 @pytest.mark.few(0)
-def test_without_any_host_the_command_ends_too(lfield):
+def test_without_any_host_the_command_ends(lfield):
     mission = lfield.mission(SHORT, deployment("missing"))
     watcher = lfield.start("events", "--deploy", mission, "--until-done", "--lost-after", "1")
     assert watcher.wait() == exit_status.UNAVAILABLE, watcher.said

@@ -1,4 +1,4 @@
-"""`lfield watch` on a team that flies, in a real browser: what a person does with it, and whom it refuses."""
+"""`lfield watch` on a flying team, in a real browser: its use by an operator, and its refusals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from real_browser import Browser, needs_browser
 
 pytestmark = pytest.mark.process
 
-#: Two copters in circles, and somebody who goes from one to the other.
+# : Two copters in circles, and a coordinator that migrates between them.
 PROGRAM = """
 resource Copter {
     Mavlink fc;
@@ -100,7 +100,7 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
 @pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
-def test_a_question_is_answered_as_by_the_command(browser, team):
+def test_a_query_on_the_page_is_answered_as_by_the_command(browser, team):
     link, _ = team
     browser.open(link)
     browser.thing("query").send_keys("Lift where payload >= 2.0\n")
@@ -115,7 +115,7 @@ def other_file(folder):
     return folder / "birds.db"
 
 
-def test_a_background_that_is_none_is_refused_with_a_sentence(here, lfield):
+def test_an_invalid_background_is_refused_with_a_sentence(here, lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     for file in (lfield.folder / "missing.mbtiles", deployment, other_file(lfield.folder)):
         said = here("watch", "--deploy", deployment, "--tiles", file)
@@ -124,13 +124,13 @@ def test_a_background_that_is_none_is_refused_with_a_sentence(here, lfield):
 
 
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "http"])
-def test_a_port_that_is_none_is_refused(here, lfield, port):
+def test_an_invalid_port_is_refused(here, lfield, port):
     said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), f"--port={port}")
     assert said.status == 64
     assert "a port is a number from 1 to 65535" in said.err[-1]
 
 
-def test_a_port_that_is_taken_is_refused(here, lfield):
+def test_a_port_in_use_is_refused(here, lfield):
     import socket
 
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -140,14 +140,14 @@ def test_a_port_that_is_taken_is_refused(here, lfield):
     assert "the port is in use; stop the program that has it" in said.err[-1]
 
 
-def test_without_nicegui_the_sentence_says_what_to_install(here, lfield, monkeypatch):
+def test_without_nicegui_the_sentence_names_the_package(here, lfield, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT))
     assert said.status == 69
     assert "pip install 'lfield[watch]'" in said.err[-1]
 
 
-def test_a_page_of_a_team_that_is_not_there_waits_for_it(lfield, alone):
+def test_a_page_waits_for_a_team_that_does_not_run(lfield, alone):
     page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
     page.wait_for("open this link: ")
     page.wait_for(
@@ -160,7 +160,7 @@ def test_a_page_of_a_team_that_is_not_there_waits_for_it(lfield, alone):
 @pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
-def test_ctrl_c_twice_after_a_browser_ends_it_as_once(browser, lfield, alone):
+def test_a_second_ctrl_c_after_a_browser_ends_the_page(browser, lfield, alone):
     page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
     browser.open(page.wait_for(r"http://127\.0\.0\.1:\d+/\?token=\S+")[0])
     browser.thing("stop").click()

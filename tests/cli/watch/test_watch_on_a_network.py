@@ -1,4 +1,4 @@
-"""`lfield watch --listen`: what it takes, and what a browser may then do: what the keys of `watch` may."""
+"""`lfield watch --listen`: its options, and the rights of a browser: those of the keys of `watch`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEPLOYMENT = "//Bell:bell@alpha\n"
 
 
 def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) -> bytes:
-    """Keys of a page in a folder; the root that browsers must believe."""
+    """Keys of a page in a folder; the root that browsers must trust."""
     root = new_browser_ca(1.0, time.time() + 9 * DAY)
     made = root.issue(names or (ADDRESS,), at=time.time() - begins, ends=time.time() + ends)
     write_web_keys(folder, made.certificate, made.key)
@@ -69,7 +69,7 @@ def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) 
         ("--listen 127.0.0.2 --page-keys half", 65, "page.key is not there"),
     ],
 )
-def test_what_cannot_be_served_is_refused_with_what_to_do(
+def test_a_page_that_cannot_be_served_is_refused_with_a_remedy(
     here, lfield, line: str, status: int, words: str
 ) -> None:
     deployment, folder = lfield.mission(PROGRAM, DEPLOYMENT), lfield.folder
@@ -87,7 +87,7 @@ def test_what_cannot_be_served_is_refused_with_what_to_do(
 
 
 @pytest.mark.process
-def test_the_command_that_keys_page_tells_serves_the_page(here, lfield, alone) -> None:
+def test_the_command_printed_by_keys_page_serves_the_page(here, lfield, alone) -> None:
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     assert here("keys", "init", "authority").status == 0
     told = here("keys", "page", ADDRESS, "--authority", "authority").out[1].split()[1:]
@@ -98,7 +98,7 @@ def test_the_command_that_keys_page_tells_serves_the_page(here, lfield, alone) -
 
 
 def answer_of(link: str, root: bytes, **headers: str) -> tuple[int, str]:
-    """What a browser that believes a root is answered, and the cookie that it gets."""
+    """The answer to a browser that trusts a root, and the cookie it gets."""
     address = urlsplit(link)
     context = ssl.create_default_context(cadata=root.decode())
     made = http.client.HTTPSConnection(
@@ -155,7 +155,7 @@ class Browsing:
 
 @pytest.fixture
 def team(lfield, alone):
-    """A host that asks for keys; `begin(name, *may)` is the page of somebody who has some, and its root."""
+    """A host that requires keys; `begin(name, *may)` is the page of an operator with keys, and its root."""
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     lfield.write("mission.access.yaml", "people: {maria: [observe]}\n")
     maps = lfield.maps(["alpha"])
@@ -165,7 +165,7 @@ def team(lfield, alone):
     def begin(name: str, *may: Right) -> tuple[str, bytes]:
         lfield.keys.put(name, lfield.keys.made("person", name, *may))
         root = page_in(lfield.folder / "page")
-        # As on another computer: it sees no socket of the host.
+        # As on another computer: it finds no socket of the host.
         (lfield.folder / "away").mkdir(mode=0o700, exist_ok=True)
         away = {"XDG_RUNTIME_DIR": f"{lfield.folder}/away"}
         words = (
@@ -190,7 +190,7 @@ def linked(look: dict) -> bool:
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_who_may_observe_alone_looks_and_presses_nothing(team) -> None:
+def test_an_operator_with_only_observe_sees_the_page_and_gives_no_order(team) -> None:
     page = Browsing(*team("anna", Right.OBSERVE))
     look = page.until(linked)
     assert set(look["barred"]) == {"stop", "lift", "pause", "resume"}
@@ -202,7 +202,7 @@ def test_who_may_observe_alone_looks_and_presses_nothing(team) -> None:
 
 
 @pytest.mark.process
-def test_a_mission_that_leaves_somebody_less_leaves_them_stop(team) -> None:
+def test_access_rules_of_a_mission_leave_the_stop_button(team) -> None:
     page = Browsing(*team("maria", *ALL_RIGHTS))
     look = page.until(linked)
     assert set(look["barred"]) == {"lift", "resume"}
@@ -216,7 +216,7 @@ def test_a_mission_that_leaves_somebody_less_leaves_them_stop(team) -> None:
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_whom_the_mission_says_nothing_of_lifts_what_they_stopped(team) -> None:
+def test_an_operator_without_a_rule_lifts_their_own_stop(team) -> None:
     page = Browsing(*team("otto", Right.OPERATE, Right.STOP, Right.OBSERVE))
     assert page.until(linked)["barred"] == {}
     assert page.presses("stop")[0] == 200
@@ -228,7 +228,7 @@ def test_whom_the_mission_says_nothing_of_lifts_what_they_stopped(team) -> None:
 @needs_browser
 @pytest.mark.process
 @pytest.mark.browser
-def test_a_browser_without_rights_has_stop_greyed_with_the_sentence(team, lfield) -> None:
+def test_without_the_right_stop_is_disabled_with_the_reason(team, lfield) -> None:
     link, _ = team("anna", Right.OBSERVE)
     browser = Browser(*believing(lfield.folder / "page"), f"--proxy-bypass-list={ADDRESS}")
     try:
@@ -239,7 +239,7 @@ def test_a_browser_without_rights_has_stop_greyed_with_the_sentence(team, lfield
         assert "--may observe,stop" in browser.thing("stop").get_attribute("title")
         for button in ("pause", "resume", "lift"):
             assert not browser.thing(button).is_enabled()
-        # Whoever gets round the page's own button is refused by its server.
+        # A request that bypasses the page's own button is refused by its server.
         press = """
             const [done] = arguments;
             const answer = fetch("act", {method: "POST", body: '{"action": "stop"}'});

@@ -52,7 +52,7 @@ def test_the_file_is_a_constant_of_the_program(mission, argument, tmp_path):
     assert text.startswith("north-field.plan\n")
     assert "survey" not in text
     assert list(check_file(deployment)) == []
-    # A bundle needs the file no more.
+    # A bundle does not need the file.
     data = bundle.encode(load_mission(deployment))
     (tmp_path / "north-field.plan").unlink()
     assert text in bundle.decode(data).program.core.constants
@@ -68,7 +68,7 @@ def test_the_file_is_a_constant_of_the_program(mission, argument, tmp_path):
         ('"a\\0b"', "M302"),
     ],
 )
-def test_names_that_are_refused(mission, argument, code):
+def test_an_invalid_file_name_is_refused(mission, argument, code):
     deployment = mission(argument)
     assert refused(deployment) == [(code, argument)]
     with pytest.raises(ProgramError):
@@ -87,7 +87,7 @@ def test_the_plan_is_checked_against_the_binding(mission, limits, options, codes
     assert refused(mission("FIELD", limits, options)) == [(code, "FIELD") for code in codes]
 
 
-def test_a_plan_of_another_kind_of_vehicle(mission):
+def test_a_plan_for_another_kind_of_vehicle_is_refused(mission):
     deployment = mission()
     plan = deployment.with_name("north-field.plan")
     plan.write_text(plan.read_text().replace('"vehicleType": 2', '"vehicleType": 10'))
@@ -96,7 +96,7 @@ def test_a_plan_of_another_kind_of_vehicle(mission):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-def test_it_is_flown_in_virtual_time(mission, lfield_mission, autopilot):
+def test_the_plan_is_flown_in_virtual_time(mission, lfield_mission, autopilot):
     options = f"autopilot: {autopilot}, waivers: {{autonomous_motion: a test, device_watchdog: a test}}"
     # PX4 returns 30 m above a rally point, which only the vehicle knows.
     deployment = mission("FIELD", "radius: 120.0, altitude: 60.0", options)
@@ -145,7 +145,7 @@ def test_an_area_is_an_array(tmp_path, lfield_mission, arguments):
     assert team.said(f"8 {total:.3f}") == 1
 
 
-def test_areas_in_functions_fields_and_classes(tmp_path, lfield_mission):
+def test_areas_are_allowed_in_functions_fields_and_classes(tmp_path, lfield_mission):
     deployment = area(tmp_path, "MAP")
     deployment.with_suffix(".L").write_text("""
 const string MAP = "north.kml";
@@ -168,7 +168,7 @@ coordinator Boss {
     assert team.said("24") == 1
 
 
-def test_a_large_area(tmp_path):
+def test_a_large_area_is_compiled(tmp_path):
     turns = [math.tau * n / 1000 for n in range(1000)]
     ring = " ".join(f"{8 + 0.01 * math.cos(a):.7f},{47 + 0.01 * math.sin(a):.7f}" for a in turns)
     start, end = MAP.read_text().split("<coordinates>")
@@ -190,7 +190,7 @@ def test_a_large_area(tmp_path):
         ("MAP", LINE.replace("LineString", "LinearRing"), "M202"),
     ],
 )
-def test_areas_that_are_refused(tmp_path, arguments, kml, code):
+def test_an_invalid_area_is_refused(tmp_path, arguments, kml, code):
     assert [each for each, _ in refused(area(tmp_path, arguments, kml))] == [code]
 
 
@@ -234,5 +234,5 @@ def test_a_survey_is_an_array_of_strips(tmp_path, lfield_mission, arguments):
         ("MAP, 10, 0", LINE, "M302"),
     ],
 )
-def test_surveys_that_are_refused(tmp_path, arguments, kml, code):
+def test_an_invalid_survey_is_refused(tmp_path, arguments, kml, code):
     assert [each for each, _ in refused(survey(tmp_path, arguments, kml))] == [code]

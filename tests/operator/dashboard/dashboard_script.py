@@ -32,14 +32,16 @@ def inventory(frames: Frames | None = None) -> TeamContents:
 
 
 class ScriptedHost:
-    """A host that tells: each batch at a time of its own monotonic clock, `wall` seconds from Unix time."""
+    """A host that sends event batches: each batch at a time of its own monotonic clock, `wall` seconds from
+    Unix time.
+    """
 
     def __init__(self, incarnation: int = INCARNATION, wall: float = 1.7e9) -> None:
         self.incarnation, self.wall = incarnation, wall
         self.number = self.batches = 0
 
     def event(self, up: float, what: StateEvent | DeviceTelemetry | AgentActivity, cause: int = 0) -> Event:
-        """The next one."""
+        """The next event."""
         self.number += not isinstance(what, DeviceTelemetry | AgentActivity)
         return Event(self.number, self.wall + up, up, cause, what)
 
@@ -50,7 +52,7 @@ class ScriptedHost:
         lost: dict[str, int] | None = None,
         snapshot: Status | None = None,
     ) -> EventBatch:
-        """What happened at that time, in a batch that is sent at once."""
+        """Events of that time, in a batch that is sent at once."""
         after = self.number
         told = [self.event(up, what) for what in whats]
         self.batches += 1
@@ -60,7 +62,7 @@ class ScriptedHost:
 
 
 def device(name: str, latched: str = "", moving: str = "", **telemetry: Telemetry) -> DeviceStatus:
-    """A device in a snapshot, heard just now."""
+    """A device in a snapshot, received just now."""
     return DeviceStatus(name, dict(telemetry), 0.0, latched, moving)
 
 
@@ -70,7 +72,7 @@ def resource(name: str) -> AgentStatus:
 
 
 def snapshot(host: str, *devices: DeviceStatus, agents: list[AgentStatus] | None = None) -> Status:
-    """How a host is: linked with the other, its directory knows both copters."""
+    """The snapshot of a host: linked with the other host, its directory knows both copters."""
     other = "beta" if host == "alpha" else "alpha"
     return Status(
         host=host,

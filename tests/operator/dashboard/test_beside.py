@@ -1,4 +1,4 @@
-"""Work beside a body ends with it, and ends it when it fails."""
+"""Background tasks end with the body they run beside, and end it when they fail."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.operator.dashboard.event_stream.background_task import background_ta
 
 
 class Bug(Exception):
-    """Of ours."""
+    """A programming error."""
 
 
 async def forever(ended: list[str]) -> None:
@@ -25,7 +25,7 @@ async def fail() -> None:
     raise Bug
 
 
-async def test_what_is_beside_a_body_ends_with_it() -> None:
+async def test_background_tasks_end_with_the_body() -> None:
     ended: list[str] = []
 
     async with background_tasks(forever(ended)):
@@ -33,7 +33,7 @@ async def test_what_is_beside_a_body_ends_with_it() -> None:
     assert ended == ["ended"]
 
 
-def test_a_bug_beside_a_body_is_raised_in_it() -> None:
+def test_an_error_of_a_background_task_is_raised_in_the_body() -> None:
     ended: list[str] = []
 
     async def main() -> None:
@@ -45,7 +45,7 @@ def test_a_bug_beside_a_body_is_raised_in_it() -> None:
     assert ended == ["ended"]
 
 
-def test_what_a_body_raises_comes_out_as_it_is() -> None:
+def test_an_exception_of_the_body_is_raised_unchanged() -> None:
     async def main() -> None:
         async with background_tasks(forever([])):
             raise BrokenPipeError
@@ -54,7 +54,7 @@ def test_what_a_body_raises_comes_out_as_it_is() -> None:
         asyncio.run(main())
 
 
-def test_a_body_that_is_cancelled_is_cancelled() -> None:
+def test_cancelling_the_body_cancels_its_background_tasks() -> None:
     ended: list[str] = []
 
     async def main() -> None:

@@ -1,4 +1,4 @@
-"""An event as a line for a person, as JSON and as rows of a table."""
+"""An event as a line of text, as JSON and as rows of a table."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def log_of(view: LogLineView, what: object) -> list[str]:
     return [log_text(dated(what), line) for line in view.lines(dated(what))]
 
 
-def test_a_line_obeys_no_order_of_a_program_to_the_terminal() -> None:
+def test_control_characters_are_escaped_in_an_event_line() -> None:
     line = event_line(dated(DeviceLatched("one.fc", "land", "bad \x1b[2J\nreason")))
     assert "\x1b" not in line
     assert "\n" not in line
     assert line.endswith('device=one.fc  state=land  reason="bad \\u{1b}[2J\\nreason"  by=beta:2')
 
 
-def test_json_has_the_event_its_place_and_its_cause() -> None:
+def test_event_json_has_the_event_its_time_and_its_cause() -> None:
     told = json.loads(event_json(dated(MigrationArrived("boss", 1, 4, "beta", 900))))
     assert told == {
         "host": "alpha",
@@ -64,14 +64,14 @@ def test_json_has_the_event_its_place_and_its_cause() -> None:
     }
 
 
-def test_what_is_no_number_is_null_in_json() -> None:
+def test_nan_and_infinity_are_null_in_json() -> None:
     told = json.loads(
         event_json(dated(DeviceTelemetry("one.fc", {"a": math.nan, "b": [math.inf, 1.0]}, 0.0)))
     )
     assert told["values"] == {"a": None, "b": [None, 1.0]}
 
 
-def test_what_was_lost_is_an_object_too() -> None:
+def test_lost_events_are_a_json_object() -> None:
     told = json.loads(event_json(FeedNotice("alpha", "events were lost", {"state": 2})))
     assert told == {"host": "alpha", "kind": "lost", "lost": {"state": 2}}
     uncounted = json.loads(event_json(FeedNotice("alpha", "telemetry was lost", {"telemetry": None})))
@@ -89,7 +89,7 @@ def test_what_was_lost_is_an_object_too() -> None:
         (LinkTelemetry("beta", 1.25, 0.0, 0, None), "round_trip=1.2 s loss=0.0 % sent=0 B"),
     ],
 )
-def test_the_figures_of_a_link_have_units_in_a_line(path: LinkTelemetry, words: str) -> None:
+def test_link_figures_have_units_in_an_event_line(path: LinkTelemetry, words: str) -> None:
     assert " ".join(event_line(dated(path)).split()[3:]) == f"path peer=beta {words} by=beta:2"
 
 
@@ -117,7 +117,7 @@ def test_the_figures_of_a_link_have_units_in_a_line(path: LinkTelemetry, words: 
         (DeviceLatched("one.fc", "land", "x"), []),
     ],
 )
-def test_a_table_has_hops_and_telemetry(what: object, rows: list[str]) -> None:
+def test_event_table_has_hops_and_telemetry(what: object, rows: list[str]) -> None:
     table = EventCsv()
     assert table.header() == ",".join(COLUMNS)
     head = "1700000000.500000,0.010000,alpha,4,"
@@ -125,7 +125,7 @@ def test_a_table_has_hops_and_telemetry(what: object, rows: list[str]) -> None:
     assert list(table.rows(told)) == [f"{head}{told.event.kind},{row}" for row in rows]
 
 
-def test_a_log_has_whole_lines_and_who_said_them() -> None:
+def test_log_has_whole_lines_with_their_source() -> None:
     view = LogLineView()
     assert log_of(view, Printed("boss", "half", "out")) == []
     (whole,) = log_of(view, Printed("boss", " a line\n", "out"))
@@ -134,20 +134,20 @@ def test_a_log_has_whole_lines_and_who_said_them() -> None:
     assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
 
 
-def test_a_log_says_where_lines_are_missing() -> None:
+def test_log_reports_dropped_lines() -> None:
     (line,) = log_of(LogLineView(), EventsDropped("printed", 4550))
     assert line.endswith(" alpha | 4550 lines left out: too frequent")
     assert log_of(LogLineView(), EventsDropped("left", 3)) == []
 
 
-def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
+def test_control_characters_are_escaped_in_json_and_tables() -> None:
     orders = DeviceTelemetry("one.fc", {"mode": "\x9b2J\u202e"}, 0.0)
     assert "\\u009b2J\\u202e" in event_json(dated(orders))
     (row,) = EventCsv().rows(dated(orders))
     assert "\\u{9b}2J\\u{202e}" in row
 
 
-def test_what_a_program_writes_begins_no_line_but_by_its_end() -> None:
+def test_line_breaks_of_a_program_are_escaped_except_its_newline() -> None:
     text = "here\rbeta | lead: lands\x85beta | lead: \u2028safe\n"
     (line,) = log_of(LogLineView(), Printed("walker", text, "log"))
     assert line.endswith("| walker: here\\rbeta | lead: lands\\u{85}beta | lead: \\u{2028}safe")

@@ -1,4 +1,4 @@
-"""Who follows hosts hears all that happens once, whatever becomes of links; hosts are played by a script."""
+"""A follower of hosts receives each event once, also when links break; the hosts are scripted."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ADDRESS, NOWHERE = "alpha:8181", "beyond:8181"
 
 
 class PlayedHost:
-    """A host at ADDRESS that sends what the test says, and keeps what it was sent."""
+    """A host at ADDRESS that sends the events of the test, and records the messages it receives."""
 
     def __init__(self, network: MemoryNetwork, incarnation: int = 7) -> None:
         self.teller = ScriptedHost(incarnation)
@@ -41,7 +41,7 @@ class PlayedHost:
         self.beats = asyncio.create_task(self._beat())
 
     async def _beat(self) -> None:
-        """A batch every second, though nothing happens."""
+        """A batch each second, also without events."""
         while True:
             await asyncio.sleep(1.0)
             self.happens()
@@ -69,7 +69,7 @@ class PlayedHost:
             self.links.remove(link)
 
     def happens(self, *whats: StateEvent) -> None:
-        """Told at once to whoever has a link."""
+        """Sent at once to each link."""
         batch = self.teller.batch(2.0, *whats)
         self.history += batch.events
         for link in self.links:
@@ -79,8 +79,8 @@ class PlayedHost:
         return [message for message in self.heard if isinstance(message, kind)]
 
 
-class Ears:
-    """A hearer that keeps what it hears."""
+class RecordingHearer:
+    """Records the batches and link changes."""
 
     def __init__(self) -> None:
         self.log: list[str] = []
@@ -104,7 +104,7 @@ class Ears:
 
 
 class Desk:
-    """A transport of whoever follows: there is an address whose name nobody knows."""
+    """The transport of the follower; it does not resolve the address NOWHERE."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -116,11 +116,11 @@ class Desk:
 
 
 class Scene:
-    """A network, who listens on it, and who follows."""
+    """A network, the recorder, and the follower."""
 
     def __init__(self, since: int | None = None) -> None:
         self.network = MemoryNetwork(LoopClock(), on_pending=self._pending)
-        self.ears, self.address = Ears(), ADDRESS
+        self.ears, self.address = RecordingHearer(), ADDRESS
         self.follower = EventFollower(
             Desk(self.network.transport("desk")),  # type: ignore[arg-type]
             ["alpha"],
@@ -136,7 +136,7 @@ class Scene:
     def _pending(self) -> None:
         due = self.network.next_due()
         if due is not None:
-            # A loop may wake a tick of its clock too early, and then nothing would be due.
+            # A loop may wake a tick of its clock too early, with nothing due.
             asyncio.get_running_loop().call_at(due + 1e-6, self._deliver)
 
     def _deliver(self) -> None:
@@ -144,10 +144,10 @@ class Scene:
         self._pending()
 
 
-def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> Ears:
-    """Play a story while somebody follows."""
+def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> RecordingHearer:
+    """Run a story while a follower runs."""
 
-    async def main() -> Ears:
+    async def main() -> RecordingHearer:
         scene = Scene(since)
         following = asyncio.create_task(scene.follower.run())
         await asyncio.sleep(0)
@@ -159,7 +159,7 @@ def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) 
     return run_jumping(main())
 
 
-def test_batches_are_handed_on_and_acknowledged() -> None:
+def test_batches_are_forwarded_and_acknowledged() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
@@ -175,13 +175,13 @@ def test_batches_are_handed_on_and_acknowledged() -> None:
     assert len(ears.took) == 1
 
 
-def test_a_cut_loses_nothing_and_tells_nothing_twice() -> None:
+def test_each_event_arrives_once_across_a_broken_link() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
         host.happens(LinkUp("a"))
         await asyncio.sleep(1.0)
-        # What is under way is lost with the link.
+        # Messages in transit are lost with the link.
         scene.network.latency = 0.5
         host.happens(LinkUp("b"))
         scene.network.cut("alpha", "desk")
@@ -194,7 +194,7 @@ def test_a_cut_loses_nothing_and_tells_nothing_twice() -> None:
     assert "the connection was lost" in ears.log[1]
 
 
-def test_what_was_heard_before_is_left_out_and_gaps_are_told() -> None:
+def test_repeated_events_are_dropped_and_gaps_are_counted() -> None:
     cursor, host = StreamCursor(), ScriptedHost()
     first = host.batch(1.0, LinkUp("a"), LinkUp("b"))
     assert len(cursor.accept(first).events) == 2
@@ -205,21 +205,21 @@ def test_what_was_heard_before_is_left_out_and_gaps_are_told() -> None:
     assert cursor.watch_request(7) == Subscribe(7, 4)
 
 
-def test_what_is_missing_is_counted_by_its_numbers_and_once() -> None:
+def test_missing_events_are_counted_once_by_their_numbers() -> None:
     cursor, host = StreamCursor(), ScriptedHost()
     cursor.accept(host.batch(1.0, LinkUp("a")))
     told = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
     kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
     assert cursor.accept(kept).lost == {"state": 3}
-    # It comes again, since it was on its way when the host was asked anew.
+    # It arrives again, since it was in transit when the host was subscribed to again.
     again = cursor.accept(kept)
     assert (again.lost, again.events) == ({}, [])
-    # Of what is at the end of a batch the number says nothing until something follows.
+    # Events missing at the end of a batch are counted only when another event follows.
     ends = replace(host.batch(3.0), after=9, latest=9, lost={"state": 3, "measured": 1})
     assert cursor.accept(ends).lost == {"state": 3, "measured": 1}
 
 
-def test_telemetry_has_no_number_of_its_own_and_is_never_left_out() -> None:
+def test_telemetry_has_no_number_and_is_never_dropped_as_repeated() -> None:
     cursor, host = StreamCursor(telemetry=5.0), ScriptedHost()
     cursor.accept(host.batch(1.0, LinkUp("a")))
     for _ in range(2):
@@ -227,7 +227,7 @@ def test_telemetry_has_no_number_of_its_own_and_is_never_left_out() -> None:
     assert cursor.watch_request(7) == Subscribe(7, 1, 5.0)
 
 
-def test_another_life_is_followed_from_its_beginning() -> None:
+def test_a_restarted_host_is_followed_from_its_first_event() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(1.0)
@@ -239,7 +239,7 @@ def test_another_life_is_followed_from_its_beginning() -> None:
         await asyncio.sleep(20.0)
         host = PlayedHost(scene.network, 8)
         await asyncio.sleep(MAX_RETRY + 1.0)
-        # Asked with the life that was known: whoever is another one tells all that there is of it.
+        # The subscription names the known incarnation: another incarnation sends all its events.
         assert host.all(Subscribe) == [Subscribe(7, 2, 0.0)]
         host.happens(LinkUp("c"))
         await asyncio.sleep(1.0)
@@ -253,11 +253,11 @@ def test_another_life_is_followed_from_its_beginning() -> None:
 @pytest.mark.parametrize(
     ("since", "asked"), [(None, Subscribe(0, 0)), (0, Subscribe(7, 0)), (12, Subscribe(7, 12))]
 )
-def test_whoever_begins_says_from_where(since: int | None, asked: Subscribe) -> None:
+def test_the_first_subscription_names_its_start(since: int | None, asked: Subscribe) -> None:
     assert StreamCursor(since).watch_request(7) == asked
 
 
-def test_a_host_that_was_not_there_yet_is_followed_from_its_beginning() -> None:
+def test_a_host_that_starts_later_is_followed_from_its_first_event() -> None:
     async def story(scene: Scene) -> None:
         await asyncio.sleep(3.0)
         host = PlayedHost(scene.network)
@@ -270,7 +270,7 @@ def test_a_host_that_was_not_there_yet_is_followed_from_its_beginning() -> None:
     assert "no program listens" in ears.log[0]
 
 
-def test_a_host_that_is_found_elsewhere_later_is_followed_from_its_beginning() -> None:
+def test_a_host_found_later_at_another_address_is_followed_from_its_first_event() -> None:
     async def story(scene: Scene) -> None:
         scene.address = NOWHERE
         await asyncio.sleep(3.0)
@@ -284,7 +284,7 @@ def test_a_host_that_is_found_elsewhere_later_is_followed_from_its_beginning() -
     assert all(line.endswith("; it may not run") for line in ears.log[:-1])
 
 
-def test_a_host_that_hangs_is_given_up_and_called_again() -> None:
+def test_a_host_that_hangs_is_disconnected_and_connected_again() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         await asyncio.sleep(SILENCE_TIMEOUT * 5)
@@ -297,7 +297,7 @@ def test_a_host_that_hangs_is_given_up_and_called_again() -> None:
     assert any(line.startswith("nothing received for") for line in ears.log)
 
 
-def test_a_refusal_is_told_and_tried_again_slowly() -> None:
+def test_a_refusal_is_reported_and_retried_slowly() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         host.refuses = "anna may do nothing"
@@ -309,7 +309,7 @@ def test_a_refusal_is_told_and_tried_again_slowly() -> None:
     assert "alpha linked" not in ears.log
 
 
-def test_a_host_is_asked_anew_every_minute_since_clocks_drift() -> None:
+def test_a_host_is_subscribed_to_again_every_minute_against_clock_drift() -> None:
     async def story(scene: Scene) -> None:
         host = PlayedHost(scene.network)
         scene.network.latency = 0.1

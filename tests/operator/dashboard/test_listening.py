@@ -1,4 +1,4 @@
-"""What `events` and `logs` hear: events in their order, notices once, and when all has been told."""
+"""The feed of `events` and `logs`: events in order, notices once, and the end of the feed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfield.wire.events import LinkUp, MigrationArrived, MigrationStarted
 
 
 class Desk:
-    """Somebody who listens to alpha and beta, whose clocks show other times."""
+    """A feed of alpha and beta, whose clocks differ."""
 
     def __init__(self, *, telemetry: bool = False) -> None:
         self.clock = ManualClock()
@@ -31,7 +31,7 @@ class Desk:
         ]
 
 
-def test_an_event_waits_for_what_may_have_led_to_it() -> None:
+def test_an_event_waits_for_a_possible_cause() -> None:
     desk = Desk()
     desk.tell("beta", MigrationArrived("boss", 1, 3, "alpha", 9))
     assert desk.said() == []
@@ -41,7 +41,7 @@ def test_an_event_waits_for_what_may_have_led_to_it() -> None:
     assert desk.said() == ["run-1/alpha left", "run-1/beta came"]
 
 
-def test_a_host_that_is_not_heard_is_told_once_for_each_reason() -> None:
+def test_an_unreachable_host_is_reported_once_for_each_reason() -> None:
     desk = Desk()
     for why in ("nobody listens", "nobody listens", "it was refused"):
         desk.ears.on_unlinked("beta", why)
@@ -50,7 +50,7 @@ def test_a_host_that_is_not_heard_is_told_once_for_each_reason() -> None:
     assert desk.said() == ["unreachable: nobody listens", "unreachable: it was refused", "reachable again"]
 
 
-def test_what_was_lost_and_another_life_are_told() -> None:
+def test_lost_events_and_a_restart_are_reported() -> None:
     desk = Desk()
     desk.tell("alpha", LinkUp("x"), lost={"state": 3, "measured": 1})
     desk.hosts["alpha"] = ScriptedHost(99)
@@ -61,7 +61,7 @@ def test_what_was_lost_and_another_life_are_told() -> None:
     ]
 
 
-def test_telemetry_of_a_time_when_a_host_was_not_heard_is_told_to_be_lost_though_not_how_much() -> None:
+def test_telemetry_of_an_unreachable_time_is_reported_as_lost_without_a_count() -> None:
     desk = Desk(telemetry=True)
     text = "telemetry was lost while it was unreachable, unknown how much"
     desk.tell("alpha", LinkUp("x"))
@@ -75,7 +75,7 @@ def test_telemetry_of_a_time_when_a_host_was_not_heard_is_told_to_be_lost_though
     assert not [told for told in desk.ears.drain_items() if isinstance(told, FeedNotice)]
 
 
-def test_who_wants_no_telemetry_loses_none() -> None:
+def test_without_telemetry_no_lost_telemetry_is_reported() -> None:
     desk = Desk()
     desk.tell("alpha", LinkUp("x"))
     desk.ears.on_unlinked("alpha", "it was not read for 60 s")
@@ -84,7 +84,7 @@ def test_who_wants_no_telemetry_loses_none() -> None:
     assert all("telemetry" not in text for text in desk.said())
 
 
-def test_all_is_told_when_each_host_has_told_what_it_had_or_is_not_heard() -> None:
+def test_feed_is_complete_when_each_host_has_sent_all_or_is_unreachable() -> None:
     desk = Desk()
     alpha = desk.hosts["alpha"]
     first, second = alpha.batch(1.0, LinkUp("a")), alpha.batch(1.0, LinkUp("b"))
@@ -97,7 +97,7 @@ def test_all_is_told_when_each_host_has_told_what_it_had_or_is_not_heard() -> No
     assert desk.ears.unreached == ["run-1/beta"]
 
 
-def test_a_host_that_goes_before_it_has_told_all_is_named() -> None:
+def test_a_host_that_ends_before_it_has_sent_all_is_named() -> None:
     desk = Desk()
     first = desk.hosts["alpha"].batch(1.0, LinkUp("a"))
     desk.ears.on_batch("alpha", replace(first, latest=9), 0.0)

@@ -1,4 +1,4 @@
-"""What the map shows: tracks as points that are apart, and the drawings of files and programs."""
+"""The content of the map: tracks as points at a distance, and the drawings of files and programs."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def vehicle(north, east=0.0, **more):
     return VehicleState("lead", "Copter", "alpha", True, place, GeoPosition(47.0 + north * 1e-5, 8.5), **more)
 
 
-def test_tracks_are_sent_once_and_whole_to_a_new_browser():
+def test_track_points_are_sent_once_and_completely_to_a_new_browser():
     tracks = TeamTracks()
     for north in (0.0, 0.05, 1.0, 2.0):
         tracks.add([vehicle(north)])
@@ -78,7 +78,7 @@ def test_drawings_of_a_program_are_the_same_from_a_bundle(tmp_path):
     (tmp_path / "m.lfm").write_bytes(bundle.encode(mission))
     assert program_drawings(bundle.read(tmp_path / "m.lfm").program) == drawn
     files = file_drawings([FILES / "north.kml", FILES / plan])
-    # A program has what a vehicle needs of a plan: not the area of its survey.
+    # A program has only the parts of a plan that a vehicle needs: not the area of its survey.
     assert [each for each in files if each.kind != "area" or each.name != plan] == drawn
     assert drawn[3].numbers[:2] == (1, 2)
 
@@ -100,7 +100,7 @@ def test_a_huge_file_is_drawn_in_part():
 @pytest.mark.parametrize(
     "text", ["<kml><Document/></kml>", "{", "<kml", '{"type": "Point", "coordinates": [8, 47]}']
 )
-def test_a_file_without_anything_to_draw_is_refused(tmp_path, text):
+def test_a_file_with_nothing_to_draw_is_refused(tmp_path, text):
     (tmp_path / "f.geojson").write_text(text)
     with pytest.raises(LfieldError) as caught:
         file_drawings([tmp_path / "f.geojson"])

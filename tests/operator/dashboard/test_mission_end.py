@@ -1,4 +1,4 @@
-"""When a mission has ended, as a subscriber of its hosts sees it."""
+"""The end of a mission, as a subscriber of its hosts sees it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ JOURNAL = JournalStatus(0, "", [])
 
 
 class Watched:
-    """A team of alpha and beta, and what is decided about its mission."""
+    """A team of alpha and beta, and the decision on the end of its mission."""
 
     def __init__(self, homes: dict[str, str] | None = HOMES, up: float = 100.0) -> None:
         self.clock = ManualClock()
@@ -90,7 +90,7 @@ STARTED = events.AgentStarted("boss", 1)
 DONE = events.AgentFinished("boss", 1, "done")
 
 
-def test_a_mission_ends_with_its_last_coordinator():
+def test_mission_ends_with_its_last_coordinator():
     team = Watched({"boss": "alpha", "aide": "beta"}).link()
     team.send("alpha", STARTED).send("beta", events.AgentStarted("aide", 1))
     team.send("alpha", DONE)
@@ -99,14 +99,14 @@ def test_a_mission_ends_with_its_last_coordinator():
     assert team.ends == [("aide", "died"), ("boss", "done")]
 
 
-def test_resources_that_start_and_die_are_no_coordinators():
+def test_resources_that_start_and_die_are_not_coordinators():
     team = Watched().link().send("alpha", STARTED, events.AgentStarted("one", 1))
     team.send("alpha", events.AgentFinished("one", 1, "died"))
     assert team.ends is None
     assert team.send("alpha", DONE).ends == [("boss", "done")]
 
 
-def test_a_mission_that_has_ended_already_is_known_from_the_snapshots():
+def test_an_ended_mission_is_known_from_the_snapshots():
     team = Watched().link(beta=status("beta", copy("EXITED", outcome="done", where="beta")))
     assert team.ends == [("boss", "done")]
 
@@ -116,12 +116,12 @@ def test_nothing_is_decided_before_a_host_has_answered():
     assert Watched({}).link().ends == []
 
 
-def test_a_coordinator_between_two_hosts_is_alive_whichever_reports_first():
+def test_a_coordinator_in_transit_is_alive_in_any_order_of_reports():
     team = Watched().link().send("alpha", STARTED)
     team.send("alpha", left(1, "beta"))
     team.query(alpha=status("alpha", copy("PREPARED", where="beta")))
     assert team.ends is None
-    # The sender is confirmed before the receiver's event arrives here.
+    # The sender confirms before the receiver's event arrives here.
     team.send("alpha", confirmed(1, "beta"))
     assert team.ends is None
     team.query(alpha=status("alpha", copy("MOVED", where="beta")))
@@ -134,7 +134,7 @@ def test_a_coordinator_between_two_hosts_is_alive_whichever_reports_first():
     assert team.send("beta", DONE).ends == [("boss", "done")]
 
 
-def test_a_coordinator_that_returned_at_once_is_not_moved_by_its_late_confirmation():
+def test_a_late_confirmation_does_not_move_a_coordinator_that_returned():
     team = Watched().link().send("alpha", STARTED, left(1, "beta"))
     team.send("alpha", came(2, "beta"), confirmed(1, "beta"))
     for _ in range(LOST_QUERIES + 1):
@@ -142,7 +142,7 @@ def test_a_coordinator_that_returned_at_once_is_not_moved_by_its_late_confirmati
     assert team.ends is None
 
 
-def test_a_coordinator_that_no_host_has_is_lost_after_two_queries_of_all():
+def test_a_coordinator_on_no_host_is_lost_after_two_queries_of_all():
     team = Watched().link().send("alpha", STARTED, left(1, "beta"))
     team.send("beta", came(1, "alpha")).send("alpha", confirmed(1, "beta"))
     team.restart("beta")
@@ -168,7 +168,7 @@ def test_a_restarted_home_without_a_journal_starts_its_coordinator_again():
     assert team.send("alpha", DONE).ends == [("boss", "done")]
 
 
-def test_a_host_that_restarts_with_its_journal_is_followed_on():
+def test_a_host_that_restarts_with_its_journal_is_followed():
     team = Watched().link().send("alpha", STARTED)
     team.restart("alpha")
     team.wait(LOST_AFTER - 1.0)
@@ -179,7 +179,7 @@ def test_a_host_that_restarts_with_its_journal_is_followed_on():
     assert team.send("alpha", DONE).ends == [("boss", "done")]
 
 
-def test_an_end_in_a_journal_counts_when_the_home_has_not_started_again():
+def test_an_end_in_a_journal_counts_if_the_home_has_not_started_again():
     team = Watched(up=1.0)
     ended = status("alpha", copy("EXITED", outcome="done", where="alpha"), journal=JOURNAL)
     team.link(alpha=ended)
@@ -193,7 +193,7 @@ def test_an_end_in_a_journal_counts_when_the_home_has_not_started_again():
     assert later.ends == [("boss", "done")]
 
 
-def test_a_start_that_waits_is_waited_for():
+def test_a_delayed_start_is_waited_for():
     waiting = StartStatus(["boss"], ["beta"])
     ended = copy("EXITED", outcome="done", where="alpha")
     team = Watched().link(alpha=status("alpha", ended, journal=JOURNAL, start=waiting))
@@ -203,7 +203,7 @@ def test_a_start_that_waits_is_waited_for():
     assert team.send("alpha", events.StartDelayed("", "")).ends == [("boss", "done")]
 
 
-def test_an_unreachable_host_is_waited_for_as_long_as_another_one_reaches_it():
+def test_an_unreachable_host_is_waited_for_while_another_host_reaches_it():
     team = Watched().link().send("beta", events.AgentStarted("boss", 1))
     team.end.on_unlinked("beta", "gone")
     team.wait(10 * LOST_AFTER)
@@ -213,7 +213,7 @@ def test_an_unreachable_host_is_waited_for_as_long_as_another_one_reaches_it():
     assert team.ends == [("boss", "unknown")]
 
 
-def test_an_unreachable_host_that_comes_back_in_time_has_its_coordinator():
+def test_an_unreachable_host_that_returns_in_time_has_its_coordinator():
     team = Watched().link().send("beta", STARTED).send("alpha", events.LinkDown("beta"))
     team.end.on_unlinked("beta", "gone")
     team.wait(LOST_AFTER - 0.1)
@@ -248,7 +248,7 @@ def test_a_proven_loss_counts_also_when_its_hosts_leave():
     assert team.ends == [("boss", "lost")]
 
 
-def test_a_recovery_outranks_the_loss_of_the_start_before():
+def test_a_recovery_outranks_the_loss_of_the_earlier_start():
     team = Watched().link().send("beta", STARTED)
     team.restart("beta")
     team.send("beta", state=status("beta"))
@@ -260,14 +260,14 @@ def test_a_recovery_outranks_the_loss_of_the_start_before():
     assert team.ends == [("boss", "done")]
 
 
-def test_a_superseded_start_is_no_end():
+def test_a_superseded_start_is_not_an_end():
     team = Watched().link().send("alpha", STARTED).send("beta", events.AgentStarted("boss", 2))
     team.send("beta", events.CoordinatorSuperseded("boss", 2, "start 1 is alive"))
     assert team.ends is None
     assert team.send("alpha", DONE).ends == [("boss", "done")]
 
 
-def test_hops_that_were_not_recorded_are_found_by_the_next_query():
+def test_unrecorded_hops_are_found_by_the_next_query():
     team = Watched().link().send("alpha", STARTED)
     team.wait(QUERY_INTERVAL)
     assert team.end.is_query_due
@@ -287,7 +287,7 @@ def test_events_that_a_snapshot_includes_change_nothing():
     assert team.ends == [("boss", "died")]
 
 
-def test_without_the_files_the_hosts_know_the_coordinators():
+def test_without_files_the_coordinators_are_known_from_the_hosts():
     team = Watched(None)
     team.send("alpha", state=status("alpha", copy("EXITED", outcome="done", where="alpha")))
     assert team.ends is None
@@ -306,7 +306,7 @@ def test_without_any_answer_the_end_is_unknown():
     assert team.ends == [("boss", "unknown")]
 
 
-def test_a_host_that_was_never_reached_is_waited_for():
+def test_a_host_never_reached_is_waited_for():
     team = Watched()
     team.send("alpha", state=status("alpha", links=[LinkStatus("beta", 3.0)]))
     team.send("alpha", STARTED, left(1, "beta"), confirmed(1, "beta"))

@@ -1,4 +1,4 @@
-"""What came of orders from here, for as long as it is true."""
+"""The state of this operator's orders, for as long as it holds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BOTH = ("alpha", "beta")
 
 
 class Desk:
-    """A picture of two hosts, and whoever presses buttons at it."""
+    """A picture of two hosts, and an operator who gives orders."""
 
     def __init__(self) -> None:
         self.picture = TeamView(inventory())
@@ -44,7 +44,7 @@ class Desk:
         return self.seen.orders[-1]
 
 
-def test_a_stop_that_reached_nobody_names_every_host_until_it_has_stopped() -> None:
+def test_a_stop_without_any_answer_names_each_host_until_it_has_stopped() -> None:
     desk = Desk()
     desk.order("stop", alpha=NOBODY, beta=NOBODY)
     assert desk.seen.stop.unreached == {"alpha": str(NOBODY), "beta": str(NOBODY)}
@@ -63,13 +63,13 @@ def test_a_stop_that_reached_nobody_names_every_host_until_it_has_stopped() -> N
 
 
 @pytest.mark.parametrize("order", ["pause", "resume", "lift"])
-def test_any_order_that_reached_nobody_says_so(order: OrderKind) -> None:
+def test_an_order_without_any_answer_names_its_unreached_hosts(order: OrderKind) -> None:
     desk = Desk()
     desk.order(order, alpha=NOBODY, beta=NOBODY)
     assert (desk.last.order, set(desk.last.unreached)) == (order, {"alpha", "beta"})
 
 
-def test_hosts_that_have_not_answered_yet_are_asked() -> None:
+def test_hosts_without_an_answer_are_listed_as_asked() -> None:
     desk = Desk()
     desk.tell("beta")
     number = desk.order("stop", alpha=NOBODY)
@@ -79,7 +79,7 @@ def test_hosts_that_have_not_answered_yet_are_asked() -> None:
     assert (desk.last.asked, desk.last.done) == ((), ("beta",))
 
 
-def test_a_stop_is_not_complete_before_every_host_has_answered() -> None:
+def test_a_stop_is_incomplete_until_each_host_has_answered() -> None:
     desk = Desk()
     number = desk.order("stop")
     desk.tell(
@@ -89,7 +89,7 @@ def test_a_stop_is_not_complete_before_every_host_has_answered() -> None:
         SafeStateConfirmed("one.fc", "land", "x"),
     )
     desk.picture.on_answer(number, "alpha", EmergencyStopResult({"one.fc": ""}))
-    # beta hangs: still linked, then not any more, and at last nobody waits for it.
+    # beta hangs: still linked, then unlinked, and at last without an open request.
     assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
     desk.picture.on_unlinked("beta", "nothing was heard of it for 6 s")
     assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
@@ -98,7 +98,7 @@ def test_a_stop_is_not_complete_before_every_host_has_answered() -> None:
     assert not desk.seen.stop.complete
 
 
-def test_a_host_that_has_told_of_the_stop_and_not_of_its_devices_has_not_answered() -> None:
+def test_stop_events_without_an_answer_do_not_count_as_an_answer() -> None:
     desk = Desk()
     number = desk.order("stop")
     for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
@@ -119,13 +119,13 @@ def test_a_host_that_has_told_of_the_stop_and_not_of_its_devices_has_not_answere
     assert desk.seen.stop.complete
 
 
-def test_a_host_whose_address_nobody_knows_is_not_reached_either() -> None:
+def test_a_host_with_an_unknown_address_counts_as_unreached() -> None:
     desk = Desk()
     desk.picture.on_answer(desk.picture.on_order("stop", ["alpha"], desk.now), "alpha", NOBODY)
     assert "its address is unknown" in desk.seen.stop.unreached["beta"]
 
 
-def test_an_answer_to_an_order_that_is_over_changes_nothing() -> None:
+def test_an_answer_to_a_replaced_order_changes_nothing() -> None:
     desk = Desk()
     old = desk.order("stop")
     desk.order("lift", alpha=NOBODY)
@@ -133,7 +133,7 @@ def test_an_answer_to_an_order_that_is_over_changes_nothing() -> None:
     assert [(order.order, order.asked) for order in desk.seen.orders] == [("lift", ("beta",))]
 
 
-def test_a_lift_ends_the_stop_where_it_is_heard_and_leaves_what_was_known_of_a_dead_host() -> None:
+def test_a_lift_ends_the_stop_and_keeps_the_last_state_of_a_dead_host() -> None:
     desk = Desk()
     for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
         desk.tell(
@@ -152,7 +152,7 @@ def test_a_lift_ends_the_stop_where_it_is_heard_and_leaves_what_was_known_of_a_d
     assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
 
 
-def test_what_a_dead_host_had_not_confirmed_stays_told_until_the_lift() -> None:
+def test_unconfirmed_devices_of_a_dead_host_are_shown_until_the_lift() -> None:
     desk = Desk()
     desk.tell("alpha", EmergencyStopChanged("anna", "x"))
     desk.tell("beta", EmergencyStopChanged("anna", "x"), DeviceLatched("two.fc", "land", "x"))
@@ -164,7 +164,7 @@ def test_what_a_dead_host_had_not_confirmed_stays_told_until_the_lift() -> None:
     assert desk.seen.stop.unconfirmed == {}
 
 
-def test_a_stop_and_a_pause_stand_at_once() -> None:
+def test_a_stop_and_a_pause_are_shown_at_once() -> None:
     desk = Desk()
     desk.order("pause", alpha=EmergencyStopResult({"one.fc": "its port is gone"}, "no disk"), beta=NOBODY)
     desk.order("stop", alpha=NOBODY, beta=NOBODY)

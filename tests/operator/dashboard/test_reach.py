@@ -1,4 +1,4 @@
-"""Where hosts are found again that were started again."""
+"""New addresses of restarted hosts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def party(name: str, mission: str, *hosts: str) -> TargetTeam:
 
 
 def unstarted(*hosts: str) -> TargetTeam:
-    """A mission that was named, and that nobody runs here: at the addresses of its deployment."""
+    """A named mission that does not run here: at the addresses of its deployment."""
     return TargetTeam((), {host: f"{host}:8181" for host in hosts})
 
 
@@ -42,23 +42,23 @@ def _no_threads(monkeypatch) -> None:
     monkeypatch.setattr(asyncio, "to_thread", at_once)
 
 
-def test_a_run_is_not_looked_for_as_long_as_it_was_found_a_moment_ago() -> None:
+def test_a_run_found_a_moment_ago_is_not_searched_again() -> None:
     reach = HostLocator(party("m-1", "a", "alpha"), lambda: [party("m-2", "a", "alpha")])
     assert found(reach, after=REFRESH_INTERVAL / 2) == "unix:/run/m-1/alpha.sock"
 
 
-def test_another_run_of_the_mission_has_the_hosts_now() -> None:
+def test_hosts_are_found_in_another_run_of_the_mission() -> None:
     others = [party("n-1", "b", "alpha"), party("m-2", "a", "alpha"), party("m-3", "a", "alpha")]
     reach = HostLocator(party("m-1", "a", "alpha"), lambda: others)
     assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-3/alpha.sock"
 
 
-def test_the_run_that_was_followed_counts_while_it_lives() -> None:
+def test_the_followed_run_is_kept_while_it_is_alive() -> None:
     both = [party("m-1", "a", "alpha"), party("m-2", "a", "alpha")]
     assert found(HostLocator(both[0], lambda: both), after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
 
 
-def test_where_nothing_runs_it_stays_where_it_was() -> None:
+def test_without_any_run_the_last_address_is_kept() -> None:
     def look() -> list[TargetTeam]:
         raise NoMissionRunning("no mission runs here")
 
@@ -66,13 +66,13 @@ def test_where_nothing_runs_it_stays_where_it_was() -> None:
     assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
 
 
-def test_a_host_that_a_mission_has_no_more_is_told() -> None:
+def test_a_host_that_the_mission_no_longer_has_is_reported() -> None:
     reach = HostLocator(party("m-1", "a", "alpha"), lambda: [])
     with pytest.raises(AddressError, match="no longer has such a host"):
         found(reach, "gamma")
 
 
-def test_a_mission_that_was_started_later_is_found_and_after_it_the_next_run_of_it() -> None:
+def test_a_mission_started_later_and_its_next_run_are_found() -> None:
     now: list[TargetTeam] = [unstarted("alpha")]
     reach = HostLocator(unstarted("alpha"), lambda: now)
 
@@ -91,7 +91,7 @@ def test_a_mission_that_was_started_later_is_found_and_after_it_the_next_run_of_
     assert reach.addresses == {"alpha": m2}
 
 
-def test_whether_the_mission_runs_here_is_said_as_far_as_it_was_looked_for() -> None:
+def test_the_hint_reports_if_the_mission_runs_here_after_a_search() -> None:
     now: list[TargetTeam] = [unstarted("alpha")]
     reach = HostLocator(unstarted("alpha"), lambda: now)
     assert reach.hint() == NOT_RUNNING

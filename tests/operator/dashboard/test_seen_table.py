@@ -1,4 +1,4 @@
-"""The picture of `lfield up --all`, from what its hosts tell."""
+"""The table of `lfield up --all`, from the events of its hosts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def lines(picture: TeamView, now: float) -> list[str]:
     return [line.rstrip() for line in shown.get().splitlines()]
 
 
-def test_agents_stand_at_their_lines_and_dead_hosts_are_as_they_were_last() -> None:
+def test_table_shows_lines_of_agents_and_last_states_of_dead_hosts() -> None:
     picture, alpha, beta = TeamView(inventory()), ScriptedHost(), ScriptedHost(8)
     one = device("one.fc", battery=0.5)
     picture.feed(
@@ -43,7 +43,7 @@ def test_agents_stand_at_their_lines_and_dead_hosts_are_as_they_were_last() -> N
     assert any("two.fc" in line and "safe state not confirmed" in line for line in shown)
 
 
-def test_what_becomes_of_agents_and_devices_is_a_word() -> None:
+def test_changes_of_agents_and_devices_are_shown_in_words() -> None:
     picture, alpha = TeamView(inventory()), ScriptedHost()
 
     def told(*whats: object) -> str:

@@ -1,4 +1,4 @@
-"""The end of a mission as events show it, where a coordinator has started another one."""
+"""The end of a mission in which a coordinator has started another one, from events."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.wire.subscription_messages import EventBatch
 
 
 class Ends:
-    """The ends of a mission of one host, by its events."""
+    """The ends of a mission of one host, from its events."""
 
     def __init__(self) -> None:
         self.end = MissionEnd(["alpha"], {"boss": "alpha"}, 5.0, ManualClock())
@@ -27,7 +27,7 @@ class Ends:
         return None if self.end.outcomes is None else [(one.agent, one.outcome) for one in self.end.outcomes]
 
 
-def test_it_lasts_until_the_started_coordinator_has_ended() -> None:
+def test_a_mission_lasts_until_the_started_coordinator_has_ended() -> None:
     ends = Ends()
     assert ends.on(events.AgentStarted("post", 0), events.AgentStarted("boss", 1)) is None
     assert ends.on(events.AgentStarted("patrol", 1), events.AgentFinished("boss", 1, "done")) is None

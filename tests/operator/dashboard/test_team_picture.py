@@ -1,4 +1,4 @@
-"""What is known of a team, from what its hosts tell: `TeamView` alone, on times that the test gives."""
+"""The state of a team from its hosts' events: `TeamView` alone, with the times of the test."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from lfield.wire.observer_messages import BundleStatus, EmergencyStopResult, Sta
 
 
 class Story:
-    """A picture, and both hosts that tell it things; their monotonic clocks differ from ours."""
+    """A picture, and both hosts that send it events; their monotonic clocks differ from ours."""
 
     def __init__(self, frames: Frames | None = None) -> None:
         self.picture = TeamView(inventory(frames))
@@ -67,7 +67,7 @@ class Story:
         return self.picture.snapshot(self.now)
 
 
-def test_a_host_that_was_never_heard_says_so() -> None:
+def test_a_host_without_contact_is_shown_as_such() -> None:
     story = Story()
     alpha = story.seen.hosts["alpha"]
     assert (alpha.age, alpha.linked, alpha.trouble) == (None, False, "no contact yet")
@@ -75,7 +75,7 @@ def test_a_host_that_was_never_heard_says_so() -> None:
     assert not story.seen.vehicles["one"].fresh
 
 
-def test_a_snapshot_is_the_picture() -> None:
+def test_a_snapshot_sets_the_picture() -> None:
     story = Story()
     one = device("one.fc", position=[1.0, 2.0, -3.0], heading=1.5, battery=0.5, mode="GUIDED", armed=True)
     story.tell("alpha", snapshot=snapshot("alpha", one, agents=[resource("one")]))
@@ -90,7 +90,7 @@ def test_a_snapshot_is_the_picture() -> None:
     assert {name: offer.refusal for name, offer in story.seen.offers.items()} == {"one": "", "two": ""}
 
 
-def test_what_is_last_known_of_a_dead_host_grows_older() -> None:
+def test_the_last_state_of_a_dead_host_ages() -> None:
     story = Story()
     story.tell("alpha", snapshot=snapshot("alpha", device("one.fc", battery=0.5)))
     story.tell("alpha", HostStopping("it was told to end"))
@@ -102,7 +102,7 @@ def test_what_is_last_known_of_a_dead_host_grows_older() -> None:
     assert (vehicle.fresh, vehicle.battery, vehicle.link) == (False, 0.5, 60.0)
 
 
-def test_telemetry_is_as_old_as_it_says() -> None:
+def test_telemetry_has_the_age_it_reports() -> None:
     story = Story()
     story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 2.0))
     story.now += 1.0
@@ -110,7 +110,7 @@ def test_telemetry_is_as_old_as_it_says() -> None:
     assert (reading.value, reading.age) == (0.4, 3.0)
 
 
-def test_a_batch_that_was_long_on_its_way_is_old_news() -> None:
+def test_a_delayed_batch_is_shown_with_its_age() -> None:
     story = Story()
     story.tell("alpha", LinkUp("beta"))
     late = story.hosts["alpha"].batch(
@@ -129,8 +129,8 @@ HOP = {
 
 
 @pytest.mark.parametrize("order", list(permutations(HOP)))
-def test_a_hop_ends_where_it_ended_in_whatever_order_it_is_told(order: tuple[str, ...]) -> None:
-    # Within one host the order is that of its stream.
+def test_a_hop_ends_at_its_target_in_any_order_of_reports(order: tuple[str, ...]) -> None:
+    # The events of one host keep their order.
     if order.index("left") > order.index("hopped"):
         return
     story = Story()
@@ -144,14 +144,14 @@ def test_a_hop_ends_where_it_ended_in_whatever_order_it_is_told(order: tuple[str
     assert (hop.resource, hop.portal, hop.size) == ("two", "lift", 900)
 
 
-def test_a_coordinator_is_on_its_way_until_it_came() -> None:
+def test_a_coordinator_is_in_transit_until_it_arrives() -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 1), HOP["left"][1])
     boss = story.seen.agents["boss"]
     assert (boss.host, boss.to, boss.state) == ("alpha", "beta", "on its way")
 
 
-def test_a_hop_that_failed_says_why_and_the_coordinator_is_where_it_was() -> None:
+def test_a_failed_hop_has_its_reason_and_keeps_the_coordinator_in_place() -> None:
     story = Story()
     stayed = MigrationFailed("boss", 1, 4, "beta", "UnreachableResourceException", "no link")
     story.tell("alpha", HOP["left"][1], stayed)
@@ -160,7 +160,7 @@ def test_a_hop_that_failed_says_why_and_the_coordinator_is_where_it_was() -> Non
     assert boss.trail[0].failed == "UnreachableResourceException: no link"
 
 
-def test_old_news_of_a_hop_moves_nobody() -> None:
+def test_late_reports_of_a_hop_do_not_move_a_coordinator() -> None:
     story = Story()
     story.tell(
         "beta",
@@ -174,7 +174,7 @@ def test_old_news_of_a_hop_moves_nobody() -> None:
     assert [hop.number for hop in boss.trail] == [4, 5]
 
 
-def test_where_a_coordinator_stands_is_believed_of_the_host_that_has_it() -> None:
+def test_the_position_of_a_coordinator_is_that_of_the_host_that_has_it() -> None:
     story = Story()
     story.tell(
         "alpha", AgentStarted("boss", 1), AgentActivity("boss", "waiting", "mission.L", 12, "two.lift")
@@ -184,7 +184,7 @@ def test_where_a_coordinator_stands_is_believed_of_the_host_that_has_it() -> Non
     assert (boss.state, boss.file, boss.line, boss.waits) == ("waiting", "mission.L", 12, "two.lift")
 
 
-def test_a_start_that_gave_way_leaves_the_coordinator_to_the_earlier_one() -> None:
+def test_a_superseded_start_leaves_the_coordinator_to_the_earlier_one() -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 2))
     story.tell("beta", AgentStarted("boss", 1))
@@ -200,7 +200,7 @@ def test_a_start_that_gave_way_leaves_the_coordinator_to_the_earlier_one() -> No
     assert (boss.host, boss.generation, boss.finished) == ("beta", 1, "")
 
 
-def test_a_snapshot_says_where_coordinators_are() -> None:
+def test_a_snapshot_sets_the_hosts_of_coordinators() -> None:
     story = Story()
     copies = [CoordinatorState("boss", 2, 9, 5, "IN DOUBT", "beta", "", "beta is gone")]
     status = snapshot("alpha")
@@ -213,7 +213,7 @@ def test_a_snapshot_says_where_coordinators_are() -> None:
     assert (boss.host, boss.doubt, boss.hops, boss.generation) == ("beta", "", 5, 2)
 
 
-def test_a_host_names_its_bundle_what_its_start_waits_for_and_whom_it_refuses() -> None:
+def test_a_snapshot_has_the_bundle_the_delayed_start_and_refused_hosts() -> None:
     story = Story()
     status = snapshot("alpha")
     more = {
@@ -232,7 +232,7 @@ def _fields(status: object) -> dict[str, object]:
     return {name: getattr(status, name) for name in status.__struct_fields__}  # type: ignore[attr-defined]
 
 
-def test_a_latch_is_told_confirmed_at_rest_and_released() -> None:
+def test_a_latch_is_shown_confirmed_at_rest_and_released() -> None:
     story = Story()
     story.tell("alpha", DeviceLatched("one.fc", "land", "the link is lost"))
     (fc,) = story.seen.vehicles["one"].devices
@@ -248,14 +248,14 @@ def test_a_latch_is_told_confirmed_at_rest_and_released() -> None:
     assert not story.seen.vehicles["one"].latched
 
 
-def test_a_snapshot_before_the_safe_state_was_seen_confirms_nothing() -> None:
+def test_a_snapshot_before_the_safe_state_confirms_nothing() -> None:
     story = Story()
     story.tell("alpha", snapshot=snapshot("alpha", device("one.fc", "the link is lost", UNCONFIRMED)))
     (fc,) = story.seen.vehicles["one"].devices
     assert (fc.latched, fc.confirmed, fc.moving) == ("the link is lost", False, "")
 
 
-def test_a_stop_shows_who_has_confirmed_and_who_has_not() -> None:
+def test_a_stop_shows_confirmed_and_unconfirmed_devices() -> None:
     story = Story()
     story.tell("alpha", EmergencyStopChanged("anna", "a child"), DeviceLatched("one.fc", "land", "a child"))
     story.tell("beta", LinkUp("alpha"))
@@ -282,7 +282,7 @@ def test_a_stop_shows_who_has_confirmed_and_who_has_not() -> None:
     assert story.seen.stop == StopState()
 
 
-def test_a_pause_and_offers_come_and_go() -> None:
+def test_pauses_and_offers_appear_and_disappear() -> None:
     story = Story()
     story.tell("alpha", PauseChanged("anna"), OfferPublished("two"), OfferWithdrawn("one", "it has died"))
     story.tell("beta", OfferWithdrawn("two", "unreachable"))
@@ -294,7 +294,7 @@ def test_a_pause_and_offers_come_and_go() -> None:
     assert story.seen.paused == ()
 
 
-def test_links_that_are_missed_grow_older() -> None:
+def test_a_missing_link_ages() -> None:
     story = Story()
     story.tell("alpha", LinkUp("beta"))
     story.tell("alpha", LinkDown("beta"))
@@ -303,7 +303,7 @@ def test_links_that_are_missed_grow_older() -> None:
     assert (alpha.links, alpha.away) == ({}, {"beta": pytest.approx(3.0, abs=0.01)})
 
 
-def test_what_is_measured_of_a_link_is_shown_while_there_is_one() -> None:
+def test_link_figures_are_shown_while_the_link_exists() -> None:
     story = Story()
     story.tell("alpha", LinkUp("beta"), LinkTelemetry("beta", 0.2, 0.05, 1000, 2000))
     assert story.seen.hosts["alpha"].links == {"beta": LinkState(0.2, 0.05, 1000, 2000)}
@@ -314,7 +314,7 @@ def test_what_is_measured_of_a_link_is_shown_while_there_is_one() -> None:
     assert story.seen.hosts["alpha"].links == {"beta": LinkState()}
 
 
-def test_the_log_has_lines_whatever_pieces_programs_write() -> None:
+def test_the_log_has_whole_lines_for_any_pieces_of_output() -> None:
     story = Story()
     story.tell("alpha", LineLogged("up"), Printed("boss", "hi", "log"))
     story.tell("alpha", Printed("boss", "a b", "out"), Printed("boss", " c\nd\n", "out"))
@@ -327,14 +327,14 @@ def test_the_log_has_lines_whatever_pieces_programs_write() -> None:
     ]
 
 
-def test_what_was_lost_is_counted_by_kind() -> None:
+def test_lost_events_are_counted_by_kind() -> None:
     story = Story()
     story.tell("alpha", EventsDropped("began", 40), lost={"measured": 2})
     story.tell("alpha", lost={"measured": 3})
     assert story.seen.hosts["alpha"].lost == {"began": 40, "measured": 5}
 
 
-def test_another_life_of_a_host_begins_anew() -> None:
+def test_a_restarted_host_starts_with_an_empty_state() -> None:
     story = Story()
     story.tell(
         "alpha",
@@ -350,7 +350,7 @@ def test_another_life_of_a_host_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("by_snapshot", [False, True])
-def test_another_run_of_the_mission_begins_anew(by_snapshot: bool) -> None:
+def test_another_run_of_the_mission_starts_with_an_empty_state(by_snapshot: bool) -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 2))
     for sequence in range(1, 41):
@@ -377,7 +377,7 @@ def test_another_run_of_the_mission_begins_anew(by_snapshot: bool) -> None:
     assert (boss.host, boss.hops, [hop.number for hop in boss.trail]) == ("beta", 1, [1])
 
 
-def test_a_host_that_was_started_again_alone_changes_nothing_of_what_others_know() -> None:
+def test_a_restart_of_one_host_does_not_change_the_state_of_others() -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 1), HOP["left"][1])
     story.tell(
@@ -390,7 +390,7 @@ def test_a_host_that_was_started_again_alone_changes_nothing_of_what_others_know
     assert (boss.host, [hop.number for hop in boss.trail]) == ("beta", [4, 5])
 
 
-def test_clocks_that_differ_by_minutes_are_told_and_change_no_age() -> None:
+def test_clock_differences_are_shown_and_change_no_age() -> None:
     story = Story()
     story.hosts["alpha"].wall = 1.7e9 + 600.0 - (story.now - 50.0)
     story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0))
@@ -406,7 +406,7 @@ def test_metres_become_degrees_by_the_origin_and_back() -> None:
     story.tell("alpha", DeviceTelemetry("one.fc", {"position": [1000.0, -500.0, -20.0]}, 0.0))
     earth = story.seen.vehicles["one"].earth
     assert earth.altitude == 508.0
-    # What geographiclib has there; a metre is 1e-5 degrees.
+    # The result of geographiclib; a metre is 1e-5 degrees.
     assert earth.latitude == pytest.approx(47.40669434, abs=1e-6)
     assert earth.longitude == pytest.approx(8.53897546, abs=2e-6)
     story.tell("beta", DeviceTelemetry("two.fc", {"globalPosition": list(earth)}, 0.0))
@@ -414,7 +414,7 @@ def test_metres_become_degrees_by_the_origin_and_back() -> None:
     assert (north, east, down) == (pytest.approx(1000.0), pytest.approx(-500.0), -20.0)
 
 
-def test_vehicles_that_only_know_the_earth_are_apart_on_a_map_without_an_origin() -> None:
+def test_vehicles_with_global_positions_only_are_apart_without_an_origin() -> None:
     story = Story()
     here, there = [47.3977, 8.5456, 488.0], [47.3987, 8.5456, 489.0]
     story.tell("alpha", DeviceTelemetry("one.fc", {"globalPosition": here, "position": [0.0, 0.0, 0.0]}, 0.0))
@@ -425,7 +425,7 @@ def test_vehicles_that_only_know_the_earth_are_apart_on_a_map_without_an_origin(
     assert two.down == -1.0
 
 
-def test_a_vehicle_without_a_position_is_where_its_file_says_or_nowhere() -> None:
+def test_without_a_position_a_vehicle_is_at_its_stated_pose_or_unplaced() -> None:
     story = Story(Frames(agents={"one": Pose(3.0, 4.0)}))
     story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.4}, 0.0), DeviceTelemetry("two.fc", {}, 0.0))
     one, two = (story.seen.vehicles[name] for name in ("one", "two"))
@@ -434,7 +434,7 @@ def test_a_vehicle_without_a_position_is_where_its_file_says_or_nowhere() -> Non
 
 
 @pytest.mark.parametrize("value", [[1.0], [math.nan, 0.0], [1.0] * 5, "here", True, [200.0, 0.0, 0.0]])
-def test_nonsense_of_a_host_is_no_position(value: object) -> None:
+def test_invalid_values_of_a_host_are_not_a_position(value: object) -> None:
     story = Story()
     nonsense = {"position": value, "globalPosition": value, "heading": value, "battery": math.inf}
     if value == [200.0, 0.0, 0.0]:
@@ -444,7 +444,7 @@ def test_nonsense_of_a_host_is_no_position(value: object) -> None:
     assert (vehicle.place, vehicle.earth, vehicle.heading, vehicle.battery) == (None, None, None, None)
 
 
-def test_curves_have_a_point_a_second_and_forget_what_is_old() -> None:
+def test_curves_have_a_point_per_second_and_drop_old_points() -> None:
     story = Story()
     for _ in range(700):
         story.tell("alpha", DeviceTelemetry("one.fc", {"battery": 0.5, "altitude": 7.0}, 0.0))
@@ -457,7 +457,7 @@ def test_curves_have_a_point_a_second_and_forget_what_is_old() -> None:
     assert curves["hops", "boss"][-1] == (1.0, 0.0)
 
 
-def test_hops_a_minute_are_those_of_the_last_one() -> None:
+def test_hops_per_minute_count_the_last_minute() -> None:
     story = Story()
     for sequence in range(30):
         story.tell("alpha", MigrationArrived("boss", 1, sequence, "beta", 900))
@@ -467,7 +467,7 @@ def test_hops_a_minute_are_those_of_the_last_one() -> None:
     assert hops.points[-1][1] == 6.0
 
 
-def test_a_revision_grows_with_what_is_told_and_not_with_time() -> None:
+def test_the_revision_grows_with_events_and_not_with_time() -> None:
     story = Story()
     before = story.seen.revision
     story.now += 5.0
@@ -476,7 +476,7 @@ def test_a_revision_grows_with_what_is_told_and_not_with_time() -> None:
     assert story.seen.revision > before
 
 
-def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
+def test_events_older_than_a_snapshot_change_nothing() -> None:
     story = Story()
     host = story.hosts["alpha"]
     old = host.batch(
@@ -491,18 +491,18 @@ def test_what_a_snapshot_has_told_the_end_of_changes_nothing_any_more() -> None:
     assert [line.text for line in story.seen.log] == ["hi"]
 
 
-def test_a_line_of_the_log_has_the_timestamp_of_its_event() -> None:
+def test_a_log_line_has_the_timestamp_of_its_event() -> None:
     story = Story()
     host = story.hosts["beta"]
     batch = host.batch(5.0, LineLogged("hi"))
-    # The clock of beta is 90.25 s behind those of hosts that it has heard of.
+    # The clock of beta is 90.25 s behind the clocks of hosts from which it has received messages.
     event = replace(batch.events[0], ahead=90_250, tick=3)
     story.picture.feed("beta", replace(batch, events=[event]), story.now, 1.7e9)
     (line,) = story.seen.log
     assert (line.at - host.wall, line.tick) == (pytest.approx(95.25), 3)
 
 
-def test_no_line_of_a_host_goes_back_when_it_was_started_again_with_an_earlier_clock() -> None:
+def test_log_times_of_a_host_do_not_go_back_after_a_restart_with_an_earlier_clock() -> None:
     story = Story()
     story.tell("alpha", LineLogged("one"))
     host = ScriptedHost(99, wall=5.0)
@@ -512,7 +512,7 @@ def test_no_line_of_a_host_goes_back_when_it_was_started_again_with_an_earlier_c
     assert first.at <= second.at
 
 
-def test_a_coordinator_that_ended_before_anybody_looked_has_the_hops_that_its_last_host_tells() -> None:
+def test_an_ended_coordinator_has_the_hop_count_of_its_last_host() -> None:
     story = Story()
     ended = CoordinatorState("boss", 1, 9, 9, "EXITED", "beta", "done")
     other = snapshot("alpha")
@@ -527,7 +527,7 @@ def test_a_coordinator_that_ended_before_anybody_looked_has_the_hops_that_its_la
     assert (boss.finished, boss.hops) == ("done", 9)
 
 
-def test_the_log_begins_with_what_was_said_before_and_has_nothing_twice() -> None:
+def test_the_log_starts_with_earlier_lines_and_repeats_none() -> None:
     story = Story()
     host = story.hosts["alpha"]
     before = [
@@ -536,7 +536,7 @@ def test_the_log_begins_with_what_was_said_before_and_has_nothing_twice() -> Non
     story.picture.hold_log()
     story.tell("alpha", Printed("boss", "e\n", "out"), LineLogged("now"))
     assert story.seen.log == ()
-    # Whoever reads the past may read on into what comes here as well.
+    # The reader of the past may read events that also arrive here.
     again = [Event(3, 0.0, 3.0, 0, Printed("boss", "e\n", "out")), Event(4, 0.0, 3.0, 0, LineLogged("now"))]
     past = [("alpha", INCARNATION, event) for event in (*before, *again)]
     story.picture.start_log(past, story.now, 1.7e9 + story.now)
@@ -547,7 +547,7 @@ def test_the_log_begins_with_what_was_said_before_and_has_nothing_twice() -> Non
     assert story.seen.log[-1].text == "later"
 
 
-def test_of_a_host_that_is_not_heard_itself_all_that_was_said_before_counts() -> None:
+def test_earlier_lines_of_a_host_without_contact_are_kept() -> None:
     story = Story()
     story.picture.hold_log()
     event = story.hosts["alpha"].event(1.0, LineLogged("up"))
@@ -556,7 +556,7 @@ def test_of_a_host_that_is_not_heard_itself_all_that_was_said_before_counts() ->
     assert not story.seen.hosts["alpha"].linked
 
 
-def test_what_was_not_told_is_a_line_at_its_place_and_counted_whoever_looks_since_when() -> None:
+def test_dropped_lines_are_shown_in_place_and_counted_from_any_start() -> None:
     story = Story()
     host = story.hosts["alpha"]
     story.picture.hold_log()
@@ -571,7 +571,7 @@ def test_what_was_not_told_is_a_line_at_its_place_and_counted_whoever_looks_sinc
     assert story.seen.hosts["alpha"].lost == {"printed": 42, "left": 2}
 
 
-def test_what_a_snapshot_is_newer_than_is_missing_all_the_same() -> None:
+def test_dropped_events_older_than_a_snapshot_still_count() -> None:
     story = Story()
     host = story.hosts["alpha"]
     old = host.batch(1.0, EventsDropped("left", 5))
@@ -580,7 +580,7 @@ def test_what_a_snapshot_is_newer_than_is_missing_all_the_same() -> None:
     assert story.seen.hosts["alpha"].lost == {"left": 5}
 
 
-def test_a_coordinator_whose_hops_are_too_many_to_tell_is_where_it_stands() -> None:
+def test_a_coordinator_with_dropped_hops_is_at_the_host_that_reports_it() -> None:
     story = Story()
     story.tell("alpha", AgentStarted("boss", 1))
     story.now += 10.0
@@ -589,7 +589,7 @@ def test_a_coordinator_whose_hops_are_too_many_to_tell_is_where_it_stands() -> N
     assert (boss.host, boss.line, boss.to) == ("beta", 7, "")
 
 
-def test_where_a_coordinator_stands_as_before_is_not_told_again_and_known_all_the_same() -> None:
+def test_an_unchanged_position_of_a_returning_coordinator_is_kept() -> None:
     story = Story()
     story.tell(
         "alpha", AgentStarted("boss", 1), AgentActivity("boss", "waiting", "mission.L", 12, "two.lift")
@@ -602,12 +602,12 @@ def test_where_a_coordinator_stands_as_before_is_not_told_again_and_known_all_th
     assert story.seen.agents["boss"].line == 12
 
 
-def test_a_host_that_names_more_than_there_can_be_fills_no_memory() -> None:
+def test_a_host_that_names_too_many_agents_does_not_fill_the_memory() -> None:
     story = Story()
     for number in range(MAX_AGENTS + 50):
         story.tell("alpha", AgentStarted(f"a{number}", 1), DeviceTelemetry(f"a{number}.fc", {}, 0.0))
     assert len(story.seen.agents) == MAX_AGENTS
-    # Nor does it crowd out the device of another host.
+    # The device of another host keeps its place.
     assert len(story.seen.vehicles) == MAX_DEVICES + 1
     assert "two" in story.seen.vehicles
 
@@ -622,12 +622,12 @@ def test_a_host_that_names_more_than_there_can_be_fills_no_memory() -> None:
         ("globalPosition", "", True),
     ],
 )
-def test_only_degrees_of_latitude_and_longitude_are_a_place(name: str, unit: str, is_earth: bool) -> None:
+def test_only_degrees_of_latitude_and_longitude_are_a_position(name: str, unit: str, is_earth: bool) -> None:
     told = (Quantity(name, "real[]", unit=unit),)
     assert instruments_of(DeviceManifest("Motors", "x", (), told)).earth == (name if is_earth else "")
 
 
-def test_a_servo_stands_where_its_frame_is_and_one_that_nobody_placed_nowhere() -> None:
+def test_a_servo_is_at_its_frame_and_unplaced_without_one() -> None:
     pose = Pose(2.0, 0.5)
     story = Story(Frames(ZURICH, agents={"one": pose}))
     warm = {"temperatures": [28.0, 28.0], "positions": [0.1, 0.2]}

@@ -1,4 +1,4 @@
-"""Events of hosts whose clocks differ, in one order: by timestamp, host and number, causes first."""
+"""Events of hosts with different clocks in one order: by timestamp, host and number, causes first."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ YEAR_2024 = 1.7e9
 
 @dataclass
 class Computer:
-    """A host: its clocks at true time 0, and what happened there."""
+    """A host: its clocks at true time 0, and its events."""
 
     up: float
     wall: float
@@ -35,7 +35,7 @@ class Computer:
         self.clock = HybridClock(self.up, self.wall)
 
     def happens(self, now: float, what: StateEvent) -> int:
-        """An event; its timestamp, as a message would carry it."""
+        """An event; returns its timestamp, as a message would carry it."""
         stamp = self.clock.tick(self.up + now)
         event = stamped_event(len(self.stream) + 1, max(0.0, self.wall + now), self.up + now, 0, what, stamp)
         self.stream.append(event)
@@ -47,7 +47,7 @@ class Computer:
 
 
 def journey(computers: list[Computer], seed: int, hops: int) -> None:
-    """A coordinator hops about; some hops are never confirmed, and other things happen meanwhile."""
+    """A coordinator migrates; some hops are never confirmed, and other events happen in between."""
     dice = random.Random(seed)
     at, now = 0, 0.0
     for sequence in range(1, hops + 1):
@@ -95,7 +95,7 @@ def computers_apart(most: float) -> st.SearchStrategy[list[Computer]]:
 
 @settings(max_examples=100, deadline=None)
 @given(computers_apart(MAX_AHEAD), st.integers(0, 10**6))
-def test_clocks_minutes_apart_change_no_order(computers: list[Computer], seed: int) -> None:
+def test_clocks_minutes_apart_do_not_change_the_order(computers: list[Computer], seed: int) -> None:
     journey(computers, seed, 30)
     told = merged(computers, seed)
     require_causes_first(told, computers)
@@ -106,7 +106,7 @@ def test_clocks_minutes_apart_change_no_order(computers: list[Computer], seed: i
 
 @settings(max_examples=100, deadline=None)
 @given(computers_apart(2 * YEAR_2024), st.integers(0, 10**6))
-def test_causes_come_first_whatever_clocks_show(computers: list[Computer], seed: int) -> None:
+def test_causes_come_first_with_any_clocks(computers: list[Computer], seed: int) -> None:
     journey(computers, seed, 30)
     require_causes_first(merged(computers, seed), computers)
 
@@ -115,7 +115,7 @@ def event(number: int, at: float, what: StateEvent | None = None, count: int = 0
     return stamped_event(number, at, 5.0, 0, what or LinkUp("x"), timestamp_of(int(at * 1000) + ahead, count))
 
 
-def test_events_of_one_timestamp_are_in_the_order_of_their_hosts_and_numbers() -> None:
+def test_events_of_one_timestamp_are_ordered_by_host_and_number() -> None:
     timeline = EventTimeline()
     for host, number, count in (("b", 1, 7), ("b", 2, 7), ("a", 1, 7), ("c", 1, 6)):
         timeline.add(host, 1, event(number, YEAR_2024, count=count))
@@ -123,7 +123,7 @@ def test_events_of_one_timestamp_are_in_the_order_of_their_hosts_and_numbers() -
     assert told == [("c", 1), ("a", 1), ("b", 1), ("b", 2)]
 
 
-def test_the_time_is_that_of_the_timestamp_and_within_how_far_the_host_is_behind_it() -> None:
+def test_time_is_the_timestamp_and_within_is_the_lag_of_the_host() -> None:
     timeline = EventTimeline()
     timeline.add("a", 1, event(1, YEAR_2024))
     timeline.add("b", 1, event(1, YEAR_2024, ahead=90_250))
@@ -131,7 +131,7 @@ def test_the_time_is_that_of_the_timestamp_and_within_how_far_the_host_is_behind
     assert told == [("a", YEAR_2024, None), ("b", YEAR_2024 + 90.25, 90.25)]
 
 
-def test_an_event_waits_for_earlier_ones_of_other_hosts() -> None:
+def test_an_event_waits_for_earlier_events_of_other_hosts() -> None:
     timeline = EventTimeline()
     timeline.add("b", 1, event(1, YEAR_2024 + 2.0), received=10.0)
     assert timeline.drain_events(9.9) == []
@@ -139,7 +139,7 @@ def test_an_event_waits_for_earlier_ones_of_other_hosts() -> None:
     assert [dated.host for dated in timeline.drain_events(10.0)] == ["a", "b"]
 
 
-def test_a_host_with_an_earlier_clock_that_never_stops_delays_no_other_host() -> None:
+def test_a_busy_host_with_an_earlier_clock_delays_no_other_host() -> None:
     timeline = EventTimeline()
     timeline.add("b", 1, event(1, YEAR_2024 + 500.0), received=10.0)
     for number in range(1, 50):
@@ -150,14 +150,14 @@ def test_a_host_with_an_earlier_clock_that_never_stops_delays_no_other_host() ->
     assert now < 10.7
 
 
-def test_incarnations_of_a_host_follow_one_another_though_its_clock_was_set_back() -> None:
+def test_incarnations_are_in_order_also_after_the_clock_was_set_back() -> None:
     timeline = EventTimeline()
     timeline.add("a", 1, event(1, YEAR_2024))
     timeline.add("a", 2, event(1, 5.0))
     assert [dated.incarnation for dated in timeline.drain_events()] == [1, 2]
 
 
-def test_streams_that_contradict_one_another_are_merged_all_the_same() -> None:
+def test_contradictory_streams_are_merged() -> None:
     timeline = EventTimeline()
     for host, first, then in (("a", 1, 2), ("b", 2, 1)):
         timeline.add(host, 1, event(1, YEAR_2024, MigrationArrived("boss", 1, first, "x", 9)))
@@ -165,7 +165,7 @@ def test_streams_that_contradict_one_another_are_merged_all_the_same() -> None:
     assert len(timeline.drain_events()) == 4
 
 
-def test_an_incarnation_is_forgotten_once_all_its_events_were_given_out() -> None:
+def test_an_incarnation_is_dropped_after_its_last_event() -> None:
     timeline = EventTimeline()
     for incarnation in range(1, 51):
         timeline.add("a", incarnation, event(1, YEAR_2024))

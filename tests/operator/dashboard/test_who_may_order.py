@@ -1,4 +1,4 @@
-"""Which buttons a person has: by the certificate over a network, by the user on this computer."""
+"""The buttons an operator has: by the certificate over a network, by the user on this computer."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def barred(
         ((Right.OBSERVE, Right.STOP, Right.OPERATE), set()),
     ],
 )
-def test_a_certificate_says_which_buttons_there_are(
+def test_rights_of_the_certificate_decide_on_the_buttons(
     may: tuple[Right, ...], not_may: set[str], tmp_path
 ) -> None:
     keys = Keyring(tmp_path).made("person", "anna", *may)
@@ -49,7 +49,7 @@ def test_a_certificate_says_which_buttons_there_are(
     assert all("lfield keys person anna --may" in why for why in found.values())
 
 
-def test_a_mission_leaves_fewer_buttons_and_never_takes_stop(tmp_path: Path) -> None:
+def test_access_rules_remove_buttons_but_never_stop(tmp_path: Path) -> None:
     keys = Keyring(tmp_path).made("person", "anna", Right.OBSERVE, Right.STOP, Right.OPERATE)
     for names in ("anna", "others"):
         access = Access("mission.access.yaml", (PersonRule(names, (Right.OBSERVE,), 2),))
@@ -60,7 +60,9 @@ def test_a_mission_leaves_fewer_buttons_and_never_takes_stop(tmp_path: Path) -> 
     assert barred({"alpha": "10.0.0.5:8181"}, keys, access) == {}
 
 
-def test_the_user_who_runs_a_host_may_all_of_it_and_others_are_told(tmp_path: Path, monkeypatch) -> None:
+def test_the_user_of_a_host_has_all_buttons_and_other_users_get_the_reason(
+    tmp_path: Path, monkeypatch
+) -> None:
     door = tmp_path / "alpha.sock"
     door.write_text("")
     assert barred({"alpha": f"unix:{door}"}) == {}
@@ -71,13 +73,13 @@ def test_the_user_who_runs_a_host_may_all_of_it_and_others_are_told(tmp_path: Pa
     assert "the user who runs the host has it" in found["stop"]
 
 
-def test_what_one_host_takes_is_no_button_less(tmp_path: Path) -> None:
+def test_a_button_that_one_host_accepts_stays(tmp_path: Path) -> None:
     door = tmp_path / "alpha.sock"
     door.write_text("")
     keys = Keyring(tmp_path / "keys").made("person", "anna", Right.OBSERVE)
     assert barred({"alpha": f"unix:{door}", "beta": "10.0.0.5:8181"}, keys) == {}
 
 
-def test_of_whom_nothing_is_known_hosts_decide() -> None:
+def test_with_unknown_rights_the_hosts_decide() -> None:
     assert barred({"alpha": "10.0.0.5:8181"}) == {}
     assert barred({"alpha": "unix:/nowhere/alpha.sock"}) == {}

@@ -1,4 +1,4 @@
-"""Which missions are active on the robots of an inventory, from the states of their services."""
+"""The missions that are active on the robots of an inventory, from the states of their services."""
 
 from __future__ import annotations
 
@@ -51,18 +51,18 @@ def names(statuses: dict[str, ServiceStatus], *without: str) -> list[str]:
     return [mission.name for mission in active_missions(statuses, without)]
 
 
-def test_a_robot_of_no_mission_does_not_count() -> None:
+def test_a_robot_without_a_mission_does_not_count() -> None:
     statuses = team(alpha=TWO, bravo=TWO, carol=None)
     assert names(statuses) == names(statuses, "carol") == ["two"]
     assert divided_hosts(statuses) == []
 
 
-def test_a_host_that_does_not_answer_belongs_to_the_mission_that_names_it() -> None:
+def test_a_host_without_an_answer_belongs_to_the_mission_that_names_it() -> None:
     (found,) = active_missions(team(alpha=TWO, carol=None))
     assert found.hosts == ("alpha", "bravo")
 
 
-def test_a_mission_with_another_bundle_on_one_of_its_hosts_is_divided() -> None:
+def test_a_mission_with_another_bundle_on_one_host_is_divided() -> None:
     statuses = team(alpha=TWO, bravo=NEXT, carol=None)
     assert names(statuses) == []
     assert divided_hosts(statuses) == ["alpha", "bravo"]
@@ -70,18 +70,18 @@ def test_a_mission_with_another_bundle_on_one_of_its_hosts_is_divided() -> None:
     assert divided_hosts(team(alpha=TWO, bravo=None)) == ["alpha", "bravo"]
 
 
-def test_a_bundle_of_an_earlier_mission_on_a_robot_that_is_left_is_no_division() -> None:
+def test_an_earlier_bundle_on_a_robot_outside_the_mission_is_no_division() -> None:
     statuses = team(alpha=TWO, bravo=TWO, carol=THREE)
     assert names(statuses) == ["two"]
     assert divided_hosts(statuses) == []
-    # Unless it runs that mission, which cannot reach the others any more.
+    # It is one if the robot runs that mission, which cannot reach the others any more.
     statuses["carol"] = replace(statuses["carol"], run=RunInfo(THREE.digest, "running"))
     assert divided_hosts(statuses) == ["alpha", "bravo", "carol"]
-    # But a robot of the mission with an earlier bundle is one.
+    # A robot of the mission with an earlier bundle is a division.
     assert divided_hosts(team(alpha=THREE, bravo=THREE, carol=TWO)) == ["alpha", "bravo", "carol"]
 
 
-def test_two_missions_at_once_are_told_apart_by_the_hosts_that_are_left_out() -> None:
+def test_two_active_missions_are_told_apart_by_the_hosts_left_out() -> None:
     statuses = team(alpha=TWO, bravo=TWO, carol=OTHER, dave=OTHER)
     assert names(statuses) == ["two", "other"]
     assert divided_hosts(statuses) == []
@@ -125,23 +125,23 @@ def idle(run: dict[str, str], **where: str) -> tuple[dict[str, tuple[str, bool]]
 BOTH = {"alpha": "running", "bravo": "running"}
 
 
-def test_a_parked_coordinator_does_not_run() -> None:
+def test_a_parked_coordinator_is_idle() -> None:
     assert idle(BOTH, pilot="running", wing="waiting to start") == ({}, False)
     assert idle(BOTH, pilot="running", wing="parked") == ({"wing": ("bravo", True)}, False)
     parked = {"pilot": ("alpha", True), "wing": ("bravo", True)}
     assert idle(BOTH, pilot="parked", wing="parked") == (parked, True)
 
 
-def test_a_coordinator_of_a_host_that_does_not_run_does_not_run_unless_another_host_has_it() -> None:
+def test_a_coordinator_of_a_stopped_host_is_idle_unless_another_host_has_it() -> None:
     assert idle({"alpha": "running"}, pilot="running") == ({"wing": ("bravo", False)}, False)
     assert idle({"alpha": "running", "bravo": "stopped"}, pilot="moved") == (
         {"wing": ("bravo", False)},
         False,
     )
-    # One that has ended is not reported any more.
+    # An ended coordinator is not reported any more.
     assert idle(BOTH, pilot="running") == ({}, False)
     assert idle({"alpha": "stopped", "bravo": "stopped"}) == ({}, False)
-    # A host that restarts goes on with its coordinators.
+    # A restarting host continues with its coordinators.
     assert idle({"alpha": "running", "bravo": "waiting"}, pilot="running") == ({}, False)
     assert idle({"alpha": "ended", "bravo": "running"}) == ({}, False)
 
@@ -159,5 +159,5 @@ def test_a_host_that_runs_alone_after_the_end_is_left_behind() -> None:
     assert left(runs, runs) == left(over, over) == left(runs, replace(over, status=4)) == []
     assert left(replace(runs, reason="it starts"), over) == []
     assert left(runs, over, UnfinishedCoordinator("pilot", "in doubt", "bravo", "two")) == ["alpha"]
-    # Bravo has ended in an earlier run, and is left out of this one.
+    # Bravo ended in an earlier run, and is left out of this one.
     assert left(runs, over, UnfinishedCoordinator("pilot", "running", "alpha", "two")) == []

@@ -1,4 +1,4 @@
-"""Services that do not listen for a while: requests of the desk, and a ballot, in virtual time."""
+"""Services that do not listen for a while: requests of the operator, and a ballot, in virtual time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HOSTS = ["alpha", "bravo"]
 
 
 class ServiceState:
-    """One service: what it answers, and when (s after the start of the loop) it does not listen."""
+    """One service: its answers, and when (s after the start of the loop) it does not listen."""
 
     def __init__(self, host: str, away: tuple[float, float] = (0.0, 0.0)) -> None:
         self._host, self._away = host, away
@@ -73,7 +73,7 @@ async def answered(away: tuple[float, float], restart: float) -> float:
     return elapsed()
 
 
-def test_a_service_that_restarts_is_asked_again_for_a_bounded_time() -> None:
+def test_a_restarting_service_is_asked_again_for_a_bounded_time() -> None:
     assert 2.0 <= run_jumping(answered((0.0, 2.0), RESTART_TIME)) < 4.0
     with pytest.raises(NoListener):
         run_jumping(answered((0.0, 2.0), 0.0))
@@ -82,13 +82,13 @@ def test_a_service_that_restarts_is_asked_again_for_a_bounded_time() -> None:
 
 
 async def first_states(away: tuple[float, float]) -> tuple[Any, float]:
-    """What a push learns first of a service, and when."""
+    """The first state that a push gets from a service, and when."""
     links = DirectLinks(ServiceState("alpha"), ServiceState("bravo", away))
     return (await service_states(links, ["bravo"]))["bravo"], elapsed()
 
 
-def test_a_push_does_not_wait_for_a_service_that_has_not_listened() -> None:
-    """One that has answered is asked again: it is restarting."""
+def test_a_push_does_not_wait_for_a_service_that_never_listened() -> None:
+    """A service that has answered is asked again: it is restarting."""
     found, end = run_jumping(first_states((0.0, 50.0)))
     assert isinstance(found, NoListener)
     assert end < 1.5
@@ -108,13 +108,13 @@ def test_a_service_that_restarts_during_the_vote_still_votes(start: float) -> No
     assert end < 6.0
 
 
-def test_a_service_that_comes_too_late_votes_no_and_the_reason_names_why_it_had_no_vote() -> None:
+def test_a_late_service_votes_no_and_its_reason_is_reported() -> None:
     found, _ = run_jumping(result((0.0, 0.0), (0.0, VOTE_TIMEOUT + 5.0)))
     assert (found.outcome, found.votes) == ("aborted", {"alpha": "yes", "bravo": "no"})
     assert isinstance(found.late["bravo"], AddressError)
     assert found.unreached == {}
 
 
-def test_a_service_that_is_gone_leaves_the_ballot_open_with_its_error() -> None:
+def test_a_missing_service_leaves_the_ballot_open_with_its_error() -> None:
     found, _ = run_jumping(result((0.0, 0.0), (0.0, 1000.0)))
     assert (found.outcome, list(found.unreached)) == ("open", ["bravo"])

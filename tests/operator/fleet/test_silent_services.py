@@ -1,4 +1,4 @@
-"""Services that take long to answer, or do not answer any more, in virtual time."""
+"""Services that answer late or not at all, in virtual time."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class RobotLink:
 
 
 async def stopped(link: RobotLink) -> float:
-    """When the robot has answered (s)."""
+    """The time of the robot's answer (s)."""
     handler = ServiceLink("bravo", None)
     link.handler = handler
     handler.greet(link)  # type: ignore[arg-type]
@@ -56,7 +56,7 @@ async def stopped(link: RobotLink) -> float:
     return asyncio.get_running_loop().time() - 1000.0
 
 
-def test_an_order_that_takes_long_is_waited_for() -> None:
+def test_a_long_order_is_waited_for() -> None:
     assert run_jumping(stopped(RobotLink(busy=120.0))) == pytest.approx(120.0)
 
 
@@ -70,7 +70,7 @@ def test_a_robot_that_leaves_the_network_during_an_order_is_reported() -> None:
 
 
 class SilentLinks(ServiceLinks):
-    """A port that accepts connections, at which no handshake succeeds."""
+    """A port that accepts connections, at which each handshake fails."""
 
     def __init__(self) -> None:
         super().__init__(None, {"bravo": "bravo"}, None)  # type: ignore[arg-type]
@@ -82,7 +82,7 @@ class SilentLinks(ServiceLinks):
         yield
 
 
-def test_a_robot_that_no_link_reaches_is_reported_before_the_time_for_the_order_ends() -> None:
+def test_an_unreachable_robot_is_reported_before_the_time_of_the_order_ends() -> None:
     async def story() -> float:
         with pytest.raises(AddressError, match="no answer within 8 s"):
             await SilentLinks().ask("bravo", STOP, CommandResult, LONG, LONG)

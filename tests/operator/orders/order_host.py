@@ -1,4 +1,4 @@
-"""The part of a host that takes orders; a subclass brings the network and the time."""
+"""The part of a host that receives orders; a subclass adds the network and the time."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class OrderHost:
         raise NotImplementedError
 
     def boot(self, kept: dict[bytes, tuple[OrderKind, bool]] | None = None) -> None:
-        """A new life: epochs and certificates that it knew are gone."""
+        """A restart: known epochs and certificates are lost."""
         self.life += 1
         self.signer, self.certificates = OrderSigner(self.own), CertificateCache(self.own.authority)
         self.orders = ExecutedOrders(self.rng.randbytes, kept)

@@ -43,9 +43,8 @@ def keys(holder: Any, name: str, may: frozenset[Right] = frozenset()) -> Keys:
 
 class Network:
     """Datagrams and messages of connections take `trip`/2 seconds; datagrams are lost with a probability.
-
-    Host number n is at 10.0.0.n. `udp` and `tcp` say whether the desk reaches a host that way; a connection
-    that is `refused` fails at once.
+    Host number n is at 10.0.0.n. `udp` and `tcp` decide if the operator reaches a host that way; a `refused`
+    connection fails at once.
     """
 
     def __init__(self, count: int = 1, *, trip: float = 0.1, loss: float = 0.0, seed: int = 1) -> None:
@@ -56,7 +55,8 @@ class Network:
         self.twice = False
         self.hosts = {f"h{n}": Host(self, f"h{n}") for n in range(1, count + 1)}
         self.addresses = {name: f"10.0.0.{name[1:]}:6000" for name in self.hosts}
-        #: Datagrams of the desk as (time, host, bytes), and the connections that it began, as (time, host).
+        # : Datagrams of the operator as (time, host, bytes), and the connections that it started, as (time,
+        # host).
         self.sent: list[tuple[float, str, bytes]] = []
         self.dialled: list[tuple[float, str]] = []
         self.on_datagram: Callable[[bytes, Any], None] = lambda data, sender: None
@@ -111,7 +111,7 @@ class Network:
 
 
 class Connection:
-    """The desk's end of a connection with a host. It loses nothing."""
+    """The operator's end of a connection with a host. It loses nothing."""
 
     def __init__(self, network: Network, host: Host, handler: Any) -> None:
         self.peer, self.closed = host.name, False

@@ -1,4 +1,4 @@
-"""Datagrams of an order go to each address of a host, also while the name of another one is looked up."""
+"""Datagrams of an order go to each address of a host, also while the name of another address is resolved."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ async def test_a_name_server_that_does_not_answer_delays_no_other_address(
     await until(sent, 1)
     assert sent == ["127.0.0.2"]
     blocked.set()
-    # The next repetition is sent to both.
+    # The next repetition goes to both.
     async with asyncio.timeout(30.0):
         while "127.0.0.9" not in sent:
             orders.finish("alpha")
@@ -90,7 +90,7 @@ async def test_a_name_server_that_does_not_answer_delays_no_other_address(
     orders.close()
 
 
-async def test_an_address_that_cannot_be_read_is_left_to_the_link() -> None:
+async def test_an_invalid_address_is_left_to_the_link() -> None:
     sent: list[str] = []
     orders = OrderDatagrams(Orders(), {"alpha": "127.0.0.2:x"}, lambda _: Sockets(sent))
     orders.start()

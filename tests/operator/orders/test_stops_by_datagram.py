@@ -1,4 +1,4 @@
-"""Orders from a desk by datagrams and connections at once: whichever confirms first counts."""
+"""Orders of an operator by datagrams and connections at once: the first confirmation counts."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lfield.wire.observer_messages import EmergencyStopResult
 
 
 def given(network, request=None, desk=None, standing=None):
-    """What each host answers to an order, and after how many seconds each answer came."""
+    """The answer of each host to an order, and the time of each answer (s)."""
     took = {}
 
     async def story():
@@ -40,7 +40,7 @@ def given(network, request=None, desk=None, standing=None):
 
 
 def taught(network):
-    """A desk that has talked to the hosts before, over connections."""
+    """An operator that has had connections with the hosts before."""
     desk = network.sender()
     for name, host in network.hosts.items():
         host.certificates.add_der(OrderSigner(keys("person", "anna", frozenset(Right))).certificate)
@@ -54,7 +54,7 @@ def all_confirmed(network, answers):
     return all(answers[name].devices == host.devices for name, host in network.hosts.items())
 
 
-def test_a_stop_takes_one_round_trip_of_a_desk_that_knows_the_hosts():
+def test_a_stop_to_known_hosts_takes_one_round_trip():
     network = Network(5)
     answers, took = given(network, desk=taught(network))
     assert all_confirmed(network, answers)
@@ -62,7 +62,7 @@ def test_a_stop_takes_one_round_trip_of_a_desk_that_knows_the_hosts():
     assert not network.dialled
 
 
-def test_a_stop_takes_two_round_trips_of_a_desk_that_knows_nothing():
+def test_a_stop_to_unknown_hosts_takes_two_round_trips():
     network = Network(1)
     answers, took = given(network)
     assert all_confirmed(network, answers)
@@ -70,7 +70,7 @@ def test_a_stop_takes_two_round_trips_of_a_desk_that_knows_nothing():
     assert [kind for kind, _ in network.hosts["h1"].executed] == ["stop"]
 
 
-def test_what_one_order_has_taught_makes_the_next_one_take_one_round_trip():
+def test_the_order_after_a_first_one_takes_one_round_trip():
     network, desk = Network(3), None
     desk = network.sender()
     given(network, desk=desk)
@@ -78,7 +78,7 @@ def test_what_one_order_has_taught_makes_the_next_one_take_one_round_trip():
     assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
 
 
-def test_a_host_that_was_started_again_costs_a_second_round_trip():
+def test_a_stop_to_a_restarted_host_takes_two_round_trips():
     network = Network(1)
     desk = taught(network)
     network.hosts["h1"].boot()
@@ -87,7 +87,7 @@ def test_a_host_that_was_started_again_costs_a_second_round_trip():
     assert took["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
 
 
-def test_a_stop_that_was_ended_by_somebody_else_is_challenged_and_signed_again():
+def test_a_stop_after_a_lift_of_another_operator_is_challenged_and_signed_again():
     network = Network(1)
     desk = taught(network)
     network.hosts["h1"].orders.mark_executed("lift", bytes(16))
@@ -96,7 +96,7 @@ def test_a_stop_that_was_ended_by_somebody_else_is_challenged_and_signed_again()
     assert [kind for kind, _ in network.hosts["h1"].executed] == ["stop"]
 
 
-def test_a_lift_names_the_state_that_the_host_tells_and_not_one_that_was_kept():
+def test_a_lift_names_the_state_of_the_host_and_not_a_cached_one():
     network = Network(1)
     desk = taught(network)
     network.hosts["h1"].orders.mark_executed("stop", bytes(16))
@@ -109,7 +109,7 @@ def test_a_lift_names_the_state_that_the_host_tells_and_not_one_that_was_kept():
 
 @pytest.mark.parametrize("order", [emergency_stop, lambda reason: emergency_stop(reason, lift=True)])
 @pytest.mark.parametrize("seed", range(10))
-def test_lost_and_doubled_datagrams_execute_an_order_once(order, seed):
+def test_lost_and_repeated_datagrams_execute_an_order_once(order, seed):
     network = Network(5, loss=0.3, seed=seed)
     network.twice = True
     answers, _ = given(network, order("fire"))
@@ -117,7 +117,7 @@ def test_lost_and_doubled_datagrams_execute_an_order_once(order, seed):
     assert all(len(host.executed) == 1 for host in network.hosts.values())
 
 
-def test_at_20_per_cent_loss_few_of_200_stops_take_half_a_second():
+def test_at_20_percent_loss_99_percent_of_stops_take_under_half_a_second():
     slow, late = [], 0
     for seed in range(40):
         network = Network(5, trip=0.02, loss=0.2, seed=seed)
@@ -128,7 +128,7 @@ def test_at_20_per_cent_loss_few_of_200_stops_take_half_a_second():
     assert late <= 40
 
 
-def test_a_connection_answers_where_no_datagram_passes():
+def test_a_connection_confirms_where_datagrams_are_blocked():
     network = Network(2)
     network.udp = lambda host: False
     answers, took = given(network)
@@ -137,14 +137,14 @@ def test_a_connection_answers_where_no_datagram_passes():
     assert max(took.values()) <= 1.0
 
 
-def test_no_connection_is_begun_while_datagrams_are_answered():
+def test_no_connection_starts_while_datagrams_are_answered():
     network = Network(1)
     network.tcp = lambda host: False
     given(network)
     assert not network.dialled
 
 
-def test_datagrams_answer_where_connections_time_out_or_are_refused():
+def test_datagrams_confirm_where_connections_fail():
     for refused in (True, False):
         network = Network(1, trip=0.8)
         network.tcp, network.refused = (lambda host: False), (lambda host, refused=refused: refused)
@@ -152,7 +152,7 @@ def test_datagrams_answer_where_connections_time_out_or_are_refused():
         assert all_confirmed(network, answers)
 
 
-def test_hosts_that_are_not_reached_are_asked_through_those_that_are():
+def test_unreached_hosts_are_ordered_through_reached_hosts():
     network = Network(4)
     network.udp = network.tcp = lambda host: host != "h3"
     answers, took = given(network)
@@ -160,7 +160,7 @@ def test_hosts_that_are_not_reached_are_asked_through_those_that_are():
     assert took["h3"] <= 2.0
 
 
-def test_a_host_that_is_not_there_is_told_by_the_connection():
+def test_a_refused_connection_reports_a_missing_host():
     network = Network(2)
     network.udp, network.refused = (lambda host: host != "h2"), (lambda host: host == "h2")
     network.hosts["h1"].linked = list
@@ -170,7 +170,7 @@ def test_a_host_that_is_not_there_is_told_by_the_connection():
     assert answers["h1"].devices == {"h1.fc": ""}
 
 
-def test_nobody_answers_at_all_within_the_time_of_the_request():
+def test_an_order_without_any_answer_ends_within_its_timeout():
     network = Network(1)
     network.udp = network.tcp = lambda host: False
     answers, took = given(network)
@@ -178,7 +178,7 @@ def test_nobody_answers_at_all_within_the_time_of_the_request():
     assert took["h1"] <= emergency_stop("").timeout + path_race.DATAGRAM_TIME + path_race.GRACE + 2.0
 
 
-def test_who_lacks_the_right_is_refused_at_once():
+def test_an_operator_without_the_right_is_refused_at_once():
     network = Network(1)
     answers, took = given(network, desk=network.sender(may=frozenset({Right.OBSERVE})))
     assert isinstance(answers["h1"], HandshakeError)
@@ -187,7 +187,7 @@ def test_who_lacks_the_right_is_refused_at_once():
     assert not network.hosts["h1"].executed
 
 
-def test_devices_that_have_no_room_in_a_datagram_are_told_by_the_connection():
+def test_a_device_list_too_long_for_a_datagram_comes_by_connection():
     network = Network(1)
     network.hosts["h1"].devices = {f"h1.{'x' * 60}{n}": "" for n in range(40)}
     answers, _ = given(network)
@@ -198,18 +198,18 @@ def test_devices_that_have_no_room_in_a_datagram_are_told_by_the_connection():
     assert "does not say how" in str(answers["h1"])
 
 
-def test_fifty_hosts_are_stopped():
+def test_fifty_hosts_are_stopped_at_loss():
     network = Network(50, loss=0.2, seed=3)
     answers, _ = given(network)
     assert all_confirmed(network, answers)
     assert all(len(host.executed) == 1 for host in network.hosts.values())
 
 
-# --- connections that stand ---------------------------------------------------------------------------------
+# --- open connections ----------------------------------------------------------------------------
 
 
 def standing_of(network, after):
-    """A connection that stands answers after so many seconds, or fails then."""
+    """An open connection answers after so many seconds, or fails then."""
 
     async def order(host, message):
         await asyncio.sleep(abs(after))
@@ -220,7 +220,7 @@ def standing_of(network, after):
     return order
 
 
-def test_a_connection_that_stands_answers_first_and_no_other_is_made():
+def test_an_open_connection_answers_first_and_no_other_is_made():
     network = Network(3)
     network.udp = lambda host: False
     answers, took = given(network, standing=standing_of(network, 0.4))
@@ -229,7 +229,7 @@ def test_a_connection_that_stands_answers_first_and_no_other_is_made():
     assert not network.dialled
 
 
-def test_a_new_connection_is_made_when_the_one_that_stood_is_lost_or_mute():
+def test_a_new_connection_replaces_a_lost_or_silent_one():
     for after in (-0.3, 60.0):
         network = Network(1)
         network.udp = lambda host: False
@@ -239,7 +239,7 @@ def test_a_new_connection_is_made_when_the_one_that_stood_is_lost_or_mute():
         assert len(network.dialled) == 1
 
 
-# --- what is kept -------------------------------------------------------------------------------------------
+# --- cache of known hosts ------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -248,7 +248,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "lfield" / "hosts"
 
 
-def test_what_was_learned_is_there_for_the_next_command_and_damage_costs_a_round_trip(cache):
+def test_known_hosts_are_cached_and_a_damaged_cache_costs_a_round_trip(cache):
     network, own = Network(2), keys("person", "anna", frozenset(Right))
     given(network, desk=network.sender(KnownHosts.read(own.authority)))
     assert KnownHosts.read(own.authority).host("h1").epochs == network.hosts["h1"].orders.epochs
@@ -260,7 +260,7 @@ def test_what_was_learned_is_there_for_the_next_command_and_damage_costs_a_round
         assert all_confirmed(network, answers)
 
 
-def test_a_file_of_which_others_could_be_the_author_is_not_read_and_not_followed(cache, tmp_path):
+def test_a_cache_file_that_others_may_write_is_neither_read_nor_followed(cache, tmp_path):
     own = keys("person", "anna", frozenset(Right))
     known = KnownHosts(own.authority)
     known.learn("h1", trip=0.2)
@@ -290,7 +290,7 @@ def test_a_host_with_a_new_certificate_is_asked_for_it():
     assert not network.dialled
 
 
-# --- with sockets -------------------------------------------------------------------------------------------
+# --- with sockets --------------------------------------------------------------------------------
 
 
 def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
@@ -319,6 +319,7 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
 
     host, received = asyncio.run(story())
     assert [kind for kind, _ in host.executed] == ["stop", "pause"]
-    # The first order asks for the host's state and shows the certificate, unless a repeat came in between.
+    # The first order asks for the host's state and shows the certificate, unless a repetition arrives in
+    # between.
     assert received.index(None) >= 2
     assert cache.exists()

@@ -22,7 +22,7 @@ class Page:
         self.link = self.line()
 
     def line(self) -> str:
-        """The next line that it prints: a link, or which button was pressed."""
+        """The next line that it prints: a link, or the button that was pressed."""
         assert self.process.stdout is not None
         return self.process.stdout.readline().strip()
 

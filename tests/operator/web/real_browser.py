@@ -1,4 +1,4 @@
-"""Chromium without a window, cut off from everything but this computer, and what a person does with it."""
+"""Chromium without a window, cut off from everything but this computer, and the actions of a user."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lfield.authority.web_ca.web_keys import read_web_keys
 
 T = TypeVar("T")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-#: Seconds for anything that is only a matter of time on a busy machine.
+# : Seconds for anything that depends on the load of the machine.
 PATIENCE = 60.0
 
 needs_browser = pytest.mark.skipif(
@@ -34,7 +34,7 @@ needs_browser = pytest.mark.skipif(
 
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
-    # What the browser itself would ask for, and where nobody listens for whatever a page asks for.
+    # Requests of the browser itself, and an address without a listener for any other request of a page.
     *(
         "--disable-background-networking",
         "--disable-component-update",
@@ -47,14 +47,14 @@ _OPTIONS = (
 
 
 def believing(keys: Path) -> list[str]:
-    """Options that have a browser believe the certificate of a page, by the folder of its keys, alone."""
+    """Options that make a browser trust only the certificate of a page, by the folder of its keys."""
     info = x509.load_pem_x509_certificate(read_web_keys(keys).certificate).public_key()
     spki = info.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     return [f"--ignore-certificate-errors-spki-list={b64encode(sha256(spki).digest()).decode()}"]
 
 
 class Thing:
-    """What has a `data-testid`. It is found anew for all that is done with it: the page may redraw it."""
+    """An element with a `data-testid`. It is looked up again for each action: the page may redraw it."""
 
     def __init__(self, browser: Browser, id: str) -> None:
         self._browser, self._id = browser, id
@@ -76,7 +76,7 @@ class Thing:
         return self._do(lambda found: found.is_displayed())
 
     def click(self, within: str = "") -> None:
-        """Click it, or what is within by a selector of CSS."""
+        """Click it, or an element within by a CSS selector."""
         self._do(lambda found: (found.find_element(By.CSS_SELECTOR, within) if within else found).click())
 
     def clear(self) -> None:
@@ -86,12 +86,12 @@ class Thing:
         self._do(lambda found: found.send_keys(*keys))
 
     def parts(self, css: str, told: Callable[[WebElement], T]) -> list[T]:
-        """What all have to tell that are within by a selector of CSS."""
+        """The results for all elements within by a CSS selector."""
         return self._do(lambda found: [told(part) for part in found.find_elements(By.CSS_SELECTOR, css)])
 
 
 class Browser:
-    """One window. Things are found by their `data-testid`."""
+    """One window. Elements are found by their `data-testid`."""
 
     def __init__(self, *more: str) -> None:
         options = ChromeOptions()
@@ -103,7 +103,7 @@ class Browser:
         self.driver.set_window_size(1440, 1000)
 
     def open(self, link: str) -> None:
-        # What was open before asks for nothing any more, and what it said is forgotten.
+        # The previous page is closed, and its requests and errors are dropped.
         self.driver.get("about:blank")
         _ = self.asked_hosts(), self.errors
         self.driver.get(link)
@@ -117,7 +117,7 @@ class Browser:
         return Thing(self, id)
 
     def evaluate(self, expression: Callable[[], T]) -> T:
-        """What one look at the page gives; where it is drawn anew meanwhile, the next look."""
+        """The value of an expression; it is evaluated again if the page is redrawn meanwhile."""
         found: list[T] = []
         self.wait(lambda: found.append(expression()) or True)
         return found[0]
@@ -126,12 +126,12 @@ class Browser:
         return self.thing(id).text
 
     def wait(self, told: Callable[[], object]) -> None:
-        """Until it is so; what the page redraws meanwhile is looked at anew."""
+        """Until it is true; elements that the page redraws are looked up again."""
         ignored = (StaleElementReferenceException, IndexError)
         WebDriverWait(self.driver, PATIENCE, 0.05, ignored).until(lambda _: told())
 
     def says(self, id: str, words: str) -> None:
-        """Wait until it says so."""
+        """Wait until the element contains these words."""
         try:
             self.wait(lambda: words in self.text(id))
         except WebDriverException:
@@ -139,11 +139,11 @@ class Browser:
 
     @property
     def errors(self) -> list[str]:
-        """What the console of the page has complained of since this was asked last."""
+        """The errors on the page's console since the last call."""
         return [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
 
     def asked_hosts(self) -> set[str]:
-        """The hosts that pages have asked for something since this was asked last."""
+        """The hosts that pages have requested since the last call."""
         found = set()
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]

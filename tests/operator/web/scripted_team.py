@@ -1,6 +1,5 @@
-"""A team that is not there: what a follower would see of copters in circles and a coordinator between them.
-
-Run as a program it serves the page of that team; words on its stdin change it (`Script.do`).
+"""A scripted team: the view a follower would have of copters in circles and a coordinator between them. Run
+as a program it serves the page of that team; words on its stdin change it (`Script.do`).
 """
 
 from __future__ import annotations
@@ -56,14 +55,14 @@ class Script:
     dead: set[str] = field(default_factory=set)
     unplaced: set[str] = field(default_factory=set)
     stubborn: set[str] = field(default_factory=set)
-    #: Hosts that hang: they are linked, and answer nothing.
+    # : Hosts that hang: they are linked, and do not answer.
     hung: set[str] = field(default_factory=set)
     denied_orders: dict[OrderKind, str] = field(default_factory=dict)
-    #: Hosts that no link can be made with, each with the reason.
+    # : Hosts with which no link is possible, each with the reason.
     refused: dict[str, str] = field(default_factory=dict)
     stopped: float | None = None
     paused: bool = False
-    #: Hosts that a vote about an activation holds.
+    # : Hosts that the vote on an activation holds.
     voting: set[str] = field(default_factory=set)
     #: The agent of each host that waits for a line of input.
     reading: dict[str, str] = field(default_factory=dict)
@@ -81,7 +80,7 @@ class Script:
         self.revision = 0
         self.ways = TeamTracks()
 
-    # --- what changes it ----------------------------------------------------------------------------------
+    # --- commands -------------------------------------------------------------------------------
 
     def do(self, words: list[str]) -> None:
         match words:
@@ -120,7 +119,7 @@ class Script:
     def say(self, host: str, text: str, agent: str = "") -> None:
         self.lines.append(ShownLogLine(len(self.lines) + 1, host, time.time(), 0.0, agent, text))
 
-    # --- Actions ------------------------------------------------------------------------------------------
+    # --- Actions --------------------------------------------------------------------------------
 
     async def stop(self, reason: str = "") -> OrderOutcome:
         self.reason = f"the emergency stop was pressed: {reason}"
@@ -131,7 +130,7 @@ class Script:
         return OrderOutcome("stop")
 
     def order(self, order: OrderKind) -> set[str]:
-        """The hosts that hear it."""
+        """The hosts that receive it."""
         names = [self.host_of(number) for number in range(self.count)]
         number = self.presses.on_order(order, names, self.now())
         for name in set(names) - self.hung:
@@ -174,7 +173,7 @@ class Script:
             )
         return QueryAnswer(text, mistakes=f'error: nobody knows what "{text}" is')
 
-    # --- Sight --------------------------------------------------------------------------------------------
+    # --- Sight ----------------------------------------------------------------------------------
 
     def host_of(self, number: int) -> str:
         return ("alpha", "bravo")[number] if self.count <= 2 else f"robot{number + 1}"
@@ -337,7 +336,7 @@ class Script:
         return self.ways.since(after)
 
     def curves(self) -> tuple[Curve, ...]:
-        """Of the last five minutes, as the product has them."""
+        """The curves of the last five minutes, as the product has them."""
         now, curves = self.now(), CurveHistory()
         for ago in range(300, -1, -5):
             seconds = now - self.began - ago

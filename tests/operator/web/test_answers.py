@@ -1,4 +1,4 @@
-"""What came of a question or an order, as the page reads it."""
+"""The result of a query or an order, as the page reads it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def primitive() -> Primitive:
     return read_registry().primitives["Lift"]
 
 
-def test_an_order_tells_whether_all_is_well():
+def test_an_order_result_reports_full_success():
     assert json.loads(order_json(OrderOutcome("stop", ("lead.fc",))))["well"] is True
     told = json.loads(
         order_json(OrderOutcome("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"}))

@@ -1,4 +1,4 @@
-"""How long strangers are held at the page's socket, and how many; and who stays."""
+"""How long and how many unauthenticated connections the page's socket keeps; authenticated ones stay."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import pytest
 
 from lfield.operator.web.accept_limiter import MAX_CALLERS, AcceptLimiter
 
-#: Seconds for anything that is only a matter of time on a busy machine.
+# : Seconds for anything that depends on the load of the machine.
 PATIENCE = 60.0
-#: How long a stranger is held; no other timer of a test is as long.
+# : The time limit of an unauthenticated connection; no other timer of a test is as long.
 HELD = 1234.5
 
 
 class Echo(asyncio.Protocol):
-    """Says what it hears."""
+    """Sends back what it receives."""
 
     def connection_made(self, transport) -> None:
         self.transport = transport
@@ -29,14 +29,14 @@ class Echo(asyncio.Protocol):
 
 
 class Caller:
-    """Somebody who has called, and was heard."""
+    """A client that was accepted and has received an answer."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self.writer = reader, writer
         self.peer = writer.get_extra_info("sockname")
 
     async def heard(self) -> bool:
-        """Whether the other end is still there."""
+        """If the other end is still connected."""
         try:
             self.writer.write(b"?")
             return await asyncio.wait_for(self._reader.read(1), PATIENCE) == b"?"
@@ -44,13 +44,15 @@ class Caller:
             return False
 
     async def gone(self) -> None:
-        """Until the other end has hung up."""
+        """Until the other end has closed the connection."""
         with suppress(ConnectionError):
             assert await asyncio.wait_for(self._reader.read(1), PATIENCE) == b""
 
 
 def tried(story: Callable[..., Awaitable[None]]) -> None:
-    """A story of calls at a socket: `call` is one that was taken, `late` lets the strangers' time be over."""
+    """A story of connections at a socket: `call` makes an accepted connection, `late` ends the time of
+    unauthenticated ones.
+    """
 
     async def run() -> None:
         loop, timers = asyncio.get_running_loop(), []
@@ -93,7 +95,7 @@ def runner():
     return tried
 
 
-async def test_a_stranger_is_shown_out_and_who_is_known_stays(callers, call, late, /):
+async def test_unauthenticated_connections_are_closed_and_authenticated_stay(callers, call, late, /):
     guest, stranger = await call(), await call()
     callers.on_authenticated(guest.peer)
     late()
@@ -104,7 +106,7 @@ async def test_a_stranger_is_shown_out_and_who_is_known_stays(callers, call, lat
     await later.gone()
 
 
-async def test_so_many_strangers_are_held_and_the_next_is_let_in(callers, call, late, /):
+async def test_unauthenticated_connections_are_limited_and_the_oldest_is_closed(callers, call, late, /):
     guest = await call()
     callers.on_authenticated(guest.peer)
     strangers = [await call() for _ in range(3 * MAX_CALLERS)]
@@ -114,7 +116,7 @@ async def test_so_many_strangers_are_held_and_the_next_is_let_in(callers, call, 
     assert await guest.heard()
 
 
-async def test_who_leaves_first_is_missed_by_nobody(callers, call, late, /):
+async def test_a_closed_connection_leaves_no_state(callers, call, late, /):
     for _ in range(3):
         caller = await call()
         caller.writer.close()

@@ -1,4 +1,4 @@
-"""Who is let in to the page: by a link, once each; and nobody else, whatever they send."""
+"""Access to the page: by a link, once each; any other request is refused."""
 
 from __future__ import annotations
 
@@ -39,40 +39,40 @@ def test_a_link_opens_one_browser(door):
 
 
 @pytest.mark.parametrize("token", ["", "secret", "sécret-0", "secret-00"])
-def test_other_words_open_nothing(door, token):
+def test_a_wrong_token_opens_no_session(door, token):
     assert door.log_in(token) is None
     assert door.token == "secret-0"
 
 
-def test_without_a_session_nothing_is_answered(door):
+def test_without_a_session_a_request_is_refused(door):
     assert door.refusal(PageRequest(HERE)) == NO_SESSION
     assert door.refusal(PageRequest(HERE, sessions=("guessed",))) == NO_SESSION
 
 
-def test_a_name_that_was_made_to_point_here_is_refused(door):
+def test_a_foreign_host_header_is_refused(door):
     session = door.log_in(door.token)
     assert door.refusal(PageRequest("evil.example:8000", sessions=(session,))) == FOREIGN_ADDRESS
     assert door.refusal(PageRequest("127.0.0.1:9000", sessions=(session,))) == FOREIGN_ADDRESS
 
 
 @pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:9000"])
-def test_only_our_page_acts(door, origin):
+def test_only_our_page_may_act(door, origin):
     session = door.log_in(door.token)
     assert door.refusal(PageRequest(HERE, origin, (session,), is_action=True)) == FOREIGN_PAGE
     assert door.refusal(PageRequest(HERE, OURS, (session,), is_action=True)) == ""
 
 
-def test_of_too_many_browsers_the_first_goes(door):
+def test_the_oldest_of_too_many_sessions_ends(door):
     sessions = [door.log_in(door.token) for _ in range(MAX_SESSIONS + 1)]
     assert door.refusal(PageRequest(HERE, sessions=(sessions[0],))) == NO_SESSION
     assert all(not door.refusal(PageRequest(HERE, sessions=(session,))) for session in sessions[1:])
 
 
-# --- the gate in front of an application -----------------------------------------------------------------
+# --- the middleware in front of an application ---------------------------------------------------
 
 
 class Inside:
-    """An application that says what it was asked."""
+    """An application that records its requests."""
 
     def __init__(self) -> None:
         self.asked: list[str] = []
@@ -87,7 +87,7 @@ class Inside:
 def knock(
     gate: AuthMiddleware, path: str, method: str = "GET", kind: str = "http", **headers: str
 ) -> list[dict]:
-    """What the gate answers."""
+    """The answers of the middleware."""
     path, _, query = path.partition("?")
     given = {"host": HERE, **headers}
     scope = {
@@ -128,7 +128,7 @@ def gate(inside, door, known) -> AuthMiddleware:
 
 
 def entered(gate: AuthMiddleware, door: PageSessions) -> str:
-    """The cookie of a browser that was let in."""
+    """The cookie of a browser with a session."""
     (start, _) = knock(gate, f"/?token={quote(door.token)}")
     headers = dict(start["headers"])
     assert (start["status"], headers[b"location"]) == (303, b"/")
@@ -138,7 +138,7 @@ def entered(gate: AuthMiddleware, door: PageSessions) -> str:
     return cookie.partition(";")[0]
 
 
-def test_the_link_is_changed_for_a_cookie(gate, door, inside, known):
+def test_a_link_is_exchanged_for_a_cookie(gate, door, inside, known):
     cookie = entered(gate, door)
     assert known == []
     start, _ = knock(gate, "/look", cookie=cookie)
@@ -190,14 +190,14 @@ def policies(gate, door, app) -> list[dict[str, str]]:
     return [dict(part.strip().split(" ", 1) for part in text.split(";")) for text in texts]
 
 
-def test_all_that_is_answered_forbids_the_browser_to_ask_others(gate, door):
+def test_every_answer_forbids_the_browser_to_contact_other_hosts(gate, door):
     for policy in policies(gate, door, SecurityHeaders(gate)):
         assert policy["default-src"] == policy["connect-src"] == "'self'"
         assert policy["img-src"] == "'self' data:"
         assert not any("http" in each or "*" in each for each in policy.values())
 
 
-def test_a_named_tile_server_may_be_asked_for_pictures_alone(gate, door):
+def test_a_named_tile_server_is_allowed_for_images_only(gate, door):
     plain, named = (
         policies(gate, door, SecurityHeaders(gate, origin))[0]
         for origin in ("", "https://tiles.example:8443")
@@ -216,7 +216,9 @@ def test_a_named_tile_server_may_be_asked_for_pictures_alone(gate, door):
         ("/act", "POST", {"origin": OURS}),
     ],
 )
-def test_strangers_hear_a_sentence_and_nothing_else(gate, inside, known, path, method, headers):
+def test_a_request_without_a_session_gets_one_sentence_and_status_403(
+    gate, inside, known, path, method, headers
+):
     start, body = knock(gate, path, method, **headers)
     assert start["status"] == 403
     assert b"'lfield watch'" in body["body"]

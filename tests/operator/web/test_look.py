@@ -1,4 +1,4 @@
-"""A look at a team: made as often as it may be, and whole for a page that was away."""
+"""A snapshot for the page: made at most at a limited rate, and complete for a page that was suspended."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def looks_of(script: Script, time: Time) -> PageSnapshots:
     return PageSnapshots(script, lambda: script.denied_orders, None, time)
 
 
-def test_never_more_than_twenty_a_second_however_many_ask():
+def test_snapshots_are_made_at_most_twenty_times_a_second_for_any_number_of_requests():
     time = Time()
     script = Script(2, now=time)
     looks = looks_of(script, time)
@@ -39,7 +39,7 @@ def test_never_more_than_twenty_a_second_however_many_ask():
     assert script.revision <= 1 + 1.0 / MIN_INTERVAL
 
 
-def test_a_page_that_was_asleep_needs_one_look():
+def test_a_resumed_page_needs_one_snapshot():
     time = Time()
     script = Script(2, now=time)
     looks = looks_of(script, time)
@@ -51,19 +51,19 @@ def test_a_page_that_was_asleep_needs_one_look():
     assert after["look"]["vehicles"][0]["place"] != before["look"]["vehicles"][0]["place"]
 
 
-def test_what_no_page_shows_is_not_sent():
+def test_readings_that_no_page_shows_are_not_sent():
     time = Time()
     vehicle = json.loads(looks_of(Script(1, now=time), time).snapshot(0))["look"]["vehicles"][0]
     assert vehicle["devices"][0]["readings"] == {}
     assert vehicle["height"] > 0
 
 
-def test_fifty_vehicles_take_tens_of_kilobytes():
+def test_a_snapshot_of_fifty_vehicles_is_under_68_kilobytes():
     time = Time()
     assert len(looks_of(Script(50, now=time), time).snapshot(0)) < 68_000
 
 
-def test_lines_are_those_that_a_page_does_not_have():
+def test_log_lines_are_sent_once_and_limited_in_number():
     log = [ShownLogLine(serial, "alpha", 0.0, 0.0, "", f"line {serial}") for serial in range(5, 2005)]
     assert [line["serial"] for line in json.loads(log_json(log, 2002))] == [2003, 2004]
     assert json.loads(log_json(log, 2004)) == []
@@ -71,7 +71,7 @@ def test_lines_are_those_that_a_page_does_not_have():
     assert newest == list(range(2005 - MAX_LOG_LINES, 2005))
 
 
-def test_curves_keep_the_newest_point():
+def test_thinned_curves_keep_the_newest_point():
     curve = Curve("height", "lead", tuple((float(n), float(n)) for n in range(1000, -1, -1)))
     (drawn,) = json.loads(plots_json([curve]))
     assert len(drawn["points"]) <= MAX_POINTS

@@ -1,4 +1,4 @@
-"""Backgrounds of the map: the tile that was asked for, and a sentence for a file or address that is none."""
+"""Backgrounds of the map: the requested tile, and a sentence for an invalid file or address."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield.operator.web.tiles.map_tiles import MapTile
 from lfield.operator.web.tiles.mbtiles import MbtilesSource
 
 PNG = b"\x89PNG\r\n\x1a\n"
-#: A whole picture, of one transparent pixel.
+# : A complete image of one transparent pixel.
 PICTURE = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c489"
     "0000000d49444154789c6360606060000000050001a5f645400000000049454e44ae426082"
@@ -35,7 +35,7 @@ def made(path, rows, metadata=(("attribution", "a survey"),)):
     return path
 
 
-def test_rows_are_counted_from_the_north(tmp_path):
+def test_tile_rows_are_counted_from_the_north(tmp_path):
     path = made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG + b"south"), (2, 1, 3, PNG + b"north")])
     with closing(MbtilesSource(path)) as tiles:
         assert tiles.tile(2, 1, 0).data == PNG + b"north"
@@ -47,18 +47,18 @@ def test_rows_are_counted_from_the_north(tmp_path):
 @pytest.mark.parametrize(
     "at", [(2, 0, 0), (3, 1, 0), (-1, 0, 0), (25, 0, 0), (2, 4, 0), (2, 0, -1), (2, 0, 1 << 70)]
 )
-def test_what_is_not_there_is_no_tile(tmp_path, at):
+def test_a_missing_tile_is_none(tmp_path, at):
     with closing(MbtilesSource(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG)]))) as tiles:
         assert tiles.tile(*at) is None
 
 
-def test_what_is_no_picture_is_no_tile(tmp_path):
+def test_a_tile_that_is_not_an_image_is_none(tmp_path):
     rows = [(1, 0, 1, PNG), (1, 1, 1, b"<script>"), (1, 0, 0, "text")]
     with closing(MbtilesSource(made(tmp_path / "a.mbtiles", rows))) as tiles:
         assert [tiles.tile(1, 1, 0), tiles.tile(1, 0, 1)] == [None, None]
 
 
-def test_a_file_is_read_where_it_lies(tmp_path):
+def test_a_read_only_file_is_read_in_place(tmp_path):
     path = made(tmp_path / "a ?#%.mbtiles", [(0, 0, 0, PNG)])
     path.chmod(0o444)
     with closing(MbtilesSource(path)) as tiles:
@@ -98,13 +98,13 @@ def words_for_numbers(folder):
 
 
 @pytest.mark.parametrize("zooms", [(-3,), (30,), (25, 26, 27), (-1, 25)])
-def test_zooms_that_no_map_has_are_refused_with_a_sentence(tmp_path, zooms):
+def test_zooms_outside_the_map_range_are_refused_with_a_sentence(tmp_path, zooms):
     path = made(tmp_path / "far.mbtiles", [(zoom, 0, 0, PNG) for zoom in zooms])
     with pytest.raises(InputFileError, match=f"it has no tiles of zoom 0 to 24, only of zoom {zooms[0]}"):
         MbtilesSource(path)
 
 
-def test_of_many_zooms_those_count_that_a_map_has(tmp_path):
+def test_only_zooms_of_the_map_range_count(tmp_path):
     path = made(tmp_path / "a.mbtiles", [(zoom, 0, 0, PNG) for zoom in (-3, 2, 9, 30)])
     with closing(MbtilesSource(path)) as tiles:
         assert (tiles.min_zoom, tiles.max_zoom) == (2, 9)
@@ -119,7 +119,7 @@ def pmtiles(path, tiles, kind=TileType.PNG, metadata=None):
     return path
 
 
-def test_pmtiles_with_directories_of_several_levels(tmp_path):
+def test_pmtiles_with_directories_of_several_levels_are_read(tmp_path):
     tiles = {(6, x, y): PNG + bytes([x, y, x * y % 251]) for x in range(64) for y in range(64)}
     path = pmtiles(tmp_path / "a.pmtiles", {(0, 0, 0): PNG, **tiles}, metadata={"attribution": "a survey"})
     with closing(open_background(str(path))) as background:
@@ -129,7 +129,7 @@ def test_pmtiles_with_directories_of_several_levels(tmp_path):
         assert [background.tile(*at) for at in ((5, 0, 0), (6, 64, 0), (6, -1, 0), (25, 0, 0))] == [None] * 4
 
 
-def test_pmtiles_that_are_damaged_or_no_pictures(tmp_path):
+def test_damaged_pmtiles_are_refused(tmp_path):
     path = pmtiles(tmp_path / "a.pmtiles", {(0, 0, 0): PNG, (1, 0, 0): b"<script>"})
     with closing(open_background(str(path))) as background:
         assert background.tile(1, 0, 0) is None
@@ -140,14 +140,14 @@ def test_pmtiles_that_are_damaged_or_no_pictures(tmp_path):
             open_background(str(path))
     with pytest.raises(InputFileError, match="vector tiles are not supported"):
         open_background(str(pmtiles(tmp_path / "v.pmtiles", {(0, 0, 0): PNG}, TileType.MVT)))
-    # A damaged directory, and lengths that no file has: no tile.
+    # A damaged directory, and lengths beyond the file: no tile.
     for at, value in ((16, b"\0" * 8), (130, b"\xff" * 20), (16, b"\xff" * 8)):
         path.write_bytes(whole[:at] + value + whole[at + len(value) :])
         with closing(open_background(str(path))) as background:
             assert background.tile(0, 0, 0) is None
 
 
-def test_an_address_is_requested_by_browsers():
+def test_tiles_of_an_address_are_requested_by_browsers():
     background = open_background("https://tiles.example.org:8443/a/{z}/{x}/{y}.png?key=1")
     assert (background.origin, background.tile(0, 0, 0)) == ("https://tiles.example.org:8443", None)
     assert "tiles.example.org" in background.credit
@@ -166,12 +166,12 @@ def test_an_address_is_requested_by_browsers():
         *("https://[::1/{z}/{x}/{y}", "https://a 'unsafe'/{z}/{x}/{y}", "https://*/{z}/{x}/{y}"),
     ],
 )
-def test_an_address_that_is_none_of_tiles_is_refused(address):
+def test_an_invalid_tile_address_is_refused(address):
     with pytest.raises(UsageError):
         open_background(address)
 
 
-def test_a_folder_is_no_file(tmp_path):
+def test_a_folder_as_background_is_refused(tmp_path):
     with pytest.raises(InputFileError, match="not a file; expected an MBTiles or PMTiles file"):
         open_background(str(tmp_path))
 
@@ -179,6 +179,6 @@ def test_a_folder_is_no_file(tmp_path):
 @pytest.mark.parametrize(
     "make", [no_file, text, empty, other_database, no_rows, vectors, words_for_numbers, lambda f: f]
 )
-def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
+def test_an_invalid_background_file_is_refused_with_a_sentence(tmp_path, make):
     with pytest.raises(InputFileError, match=r"(no such file|not a file|not an MBTiles file)"):
         open_background(str(make(tmp_path)))

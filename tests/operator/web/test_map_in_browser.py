@@ -36,7 +36,7 @@ def overlap(one, other):
     return one[1] < other[2] and other[1] < one[2] and one[3] < other[4] and other[3] < one[4]
 
 
-def test_the_pure_parts_of_the_map(browser, page_of):
+def test_map_geometry_and_label_placement(browser, page_of):
     page = page_of()
     browser.open(page.link)
     # A pixel of zoom 0 is 40,075 km / 256 at the equator; at 60 degrees it is half as wide.
@@ -78,7 +78,7 @@ def test_the_pure_parts_of_the_map(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_five_robots_close_together_have_five_labels(browser, page_of):
+def test_five_robots_close_together_have_five_separate_labels(browser, page_of):
     page = page_of("--count", 5, "--earth")
     for number in range(5):
         page.do(f"place copter{number + 1} 0 {number * 0.5}")
@@ -112,7 +112,7 @@ def test_tracks_limits_and_files_are_drawn_with_a_legend(browser, page_of):
     assert float(browser.thing("shape-limit").get_attribute("r")) == pytest.approx(
         40 * width / metres, rel=0.06
     )
-    # Another browser gets the whole track at once.
+    # A second browser gets the whole track at once.
     first = browser.thing("track-lead").get_attribute("d").count("L")
     page.link = page.line()
     browser.open(page.link)
@@ -121,7 +121,7 @@ def test_tracks_limits_and_files_are_drawn_with_a_legend(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_background_from_a_file(browser, page_of, tmp_path):
+def test_a_background_from_a_file_is_drawn(browser, page_of, tmp_path):
     rows = [(zoom, x, y, PICTURE) for zoom in range(4) for x in range(1 << zoom) for y in range(1 << zoom)]
     page = page_of("--earth", "--tiles", made(tmp_path / "field.mbtiles", rows))
     browser.open(page.link)
@@ -143,7 +143,7 @@ class _TileServer(BaseHTTPRequestHandler):
         """Nothing is printed."""
 
 
-def test_tiles_come_from_the_server_that_was_named_and_from_no_other(browser, page_of):
+def test_tiles_are_requested_only_from_the_named_server(browser, page_of):
     server = ThreadingHTTPServer(("127.0.0.1", 0), _TileServer)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     host = f"127.0.0.1:{server.server_port}"

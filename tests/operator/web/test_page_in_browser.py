@@ -1,4 +1,4 @@
-"""What a person sees and does on the page, in a real browser; the team is scripted."""
+"""The page in a real browser, as a user sees and operates it; the team is scripted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.operator.web.page_snapshots import MAX_LOG_LINES
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
 
-def test_two_copters_move(browser, page_of):
+def test_two_copters_move_on_the_page(browser, page_of):
     page = page_of()
     browser.open(page.link)
     for agent in ("lead", "wing"):
@@ -38,7 +38,7 @@ def test_two_copters_move(browser, page_of):
     assert browser.errors == []
 
 
-def test_a_line_is_entered_where_an_agent_waits_for_one(browser, page_of):
+def test_an_input_line_is_entered_for_an_agent_that_waits(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -52,7 +52,7 @@ def test_a_line_is_entered_where_an_agent_waits_for_one(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_nothing_leaves_this_computer(browser, page_of):
+def test_the_page_contacts_only_its_own_server(browser, page_of):
     page = page_of("--earth")
     browser.open(page.link)
     browser.thing("plots").click("summary")
@@ -61,7 +61,7 @@ def test_nothing_leaves_this_computer(browser, page_of):
     assert browser.errors == []
 
 
-def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
+def test_stop_is_one_press_and_shows_confirmations(browser, page_of):
     page = page_of()
     page.do("stubborn wing")
     browser.open(page.link)
@@ -76,13 +76,13 @@ def test_stop_is_one_press_and_tells_who_has_confirmed(browser, page_of):
     browser.says("confirmed-wing.fc", "safe")
     browser.says("halt", "every device is safe, not yet at rest")
     browser.says("halt", "every device is safe and at rest")
-    # It keeps telling after the stop.
+    # The reports continue after the stop.
     browser.says("latch-lead-fc", "at rest")
     first = browser.text("place-lead")
     browser.wait(lambda: browser.text("place-lead") != first)
 
 
-def test_no_stop_is_complete_while_a_host_has_not_answered(browser, page_of):
+def test_a_stop_is_incomplete_while_a_host_has_not_answered(browser, page_of):
     page = page_of()
     page.do("hang bravo")
     browser.open(page.link)
@@ -94,7 +94,7 @@ def test_no_stop_is_complete_while_a_host_has_not_answered(browser, page_of):
     assert "bravo not answered yet" in browser.text("state")
 
 
-def test_lifting_and_resuming_ask_once_more(browser, page_of):
+def test_lift_and_resume_ask_for_confirmation(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -116,7 +116,7 @@ def test_lifting_and_resuming_ask_once_more(browser, page_of):
     browser.wait(lambda: not browser.all("halt"))
 
 
-def test_a_start_that_waits_names_the_hosts_the_reasons_and_the_bundles(browser, page_of):
+def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.says("host-alpha", "bundle 5cde09b1f2a37c44")
@@ -128,7 +128,7 @@ def test_a_start_that_waits_names_the_hosts_the_reasons_and_the_bundles(browser,
 
 
 @pytest.mark.few(0)
-def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
+def test_a_dead_host_is_shown_with_its_last_state(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.do("kill bravo")
@@ -151,7 +151,7 @@ def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
 
 
-def test_a_stop_that_reaches_nobody_says_so_as_long_as_it_is_true(browser, page_of):
+def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
     page = page_of()
     page.do("kill alpha")
     page.do("kill bravo")
@@ -176,7 +176,7 @@ def test_a_stop_that_reaches_nobody_says_so_as_long_as_it_is_true(browser, page_
 
 
 @pytest.mark.few(0)
-def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
+def test_the_last_state_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.thing("stop").click()
@@ -199,7 +199,7 @@ def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of):
+def test_a_press_is_shown_at_once_on_a_server_that_does_not_answer(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -220,7 +220,7 @@ def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of
 
 
 @pytest.mark.few(0)
-def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, page_of):
+def test_a_stop_that_the_page_gave_up_is_executed_late_and_reported(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -237,7 +237,7 @@ def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, pag
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("order", ["lift", "resume"])
-def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_of, order):
+def test_a_releasing_order_that_the_page_gave_up_is_not_executed(browser, page_of, order):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -260,7 +260,7 @@ def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_o
 
 
 @pytest.mark.few(0)
-def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
+def test_stopped_and_paused_are_shown_together(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.thing("stop").click()
@@ -269,7 +269,7 @@ def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_host_that_a_vote_holds_is_named(browser, page_of):
+def test_a_host_held_by_a_vote_is_named(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.says("state", "2 of 2 hosts linked")
@@ -295,7 +295,7 @@ return counts;
 
 
 @pytest.mark.few(0)
-def test_whoever_has_a_colour_has_it_in_all_plots(browser, page_of):
+def test_an_agent_has_one_colour_in_all_plots(browser, page_of):
     page = page_of()
     page.do("low lead")
     browser.open(page.link)
@@ -318,7 +318,7 @@ def test_whoever_has_a_colour_has_it_in_all_plots(browser, page_of):
     assert drawn("hops") == [False, False, True]
 
 
-def test_who_may_not_press_a_button_reads_why(browser, page_of):
+def test_a_denied_button_shows_the_reason(browser, page_of):
     page = page_of()
     page.do("bar lift your keys let you stop, not operate: ask for --may operate")
     page.do("bar resume your keys let you stop, not operate: ask for --may operate")
@@ -330,7 +330,7 @@ def test_who_may_not_press_a_button_reads_why(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_on_a_phone_everything_is_below_one_another_and_stop_stays(browser, page_of):
+def test_on_a_phone_the_page_is_one_column_and_stop_stays_visible(browser, page_of):
     page = page_of("--count", 6)
     size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
     browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -353,13 +353,13 @@ def test_on_a_phone_everything_is_below_one_another_and_stop_stays(browser, page
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_with_a_keyboard_alone(browser, page_of):
+def test_the_page_is_operable_by_keyboard_alone(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
 
     def press(*keys: str) -> str:
-        """What has the focus then."""
+        """The focused element after these keys."""
         ActionChains(browser.driver).send_keys(*keys).perform()
         return browser.evaluate(
             lambda: browser.driver.switch_to.active_element.get_attribute("data-testid") or ""
@@ -383,14 +383,14 @@ def test_with_a_keyboard_alone(browser, page_of):
     assert "stop" in seen, "it goes round, and there is no trap"
 
 
-def test_a_question_that_is_none_is_answered_with_its_mistakes(browser, page_of):
+def test_an_invalid_query_is_answered_with_its_mistakes(browser, page_of):
     browser.open(page_of().link)
     browser.thing("query").send_keys("Lift whree payload", Keys.ENTER)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
 
 @pytest.mark.few(0)
-def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_of):
+def test_an_answer_ages_and_offers_of_a_dead_host_are_grey(browser, page_of):
     page = page_of()
     browser.open(page.link)
     browser.thing("query").send_keys("Lift", Keys.ENTER)
@@ -404,7 +404,7 @@ def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_
 
 
 @pytest.mark.few(0)
-def test_on_the_earth_places_are_degrees(browser, page_of):
+def test_with_an_origin_positions_are_in_degrees(browser, page_of):
     page = page_of("--earth")
     page.do("place lead 0 0")
     browser.open(page.link)
@@ -420,7 +420,7 @@ def test_on_the_earth_places_are_degrees(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_coordinators_are_in_sight_below_their_vehicles_on_a_phone(browser, page_of):
+def test_coordinators_are_visible_below_their_vehicles_on_a_phone(browser, page_of):
     page = page_of()
     page.do("place lead -50 0")
     page.do("place wing 50 20")
@@ -442,7 +442,7 @@ return document.querySelector(".map").clientHeight - place;
         browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_what_is_printed_is_shown_and_never_run(browser, page_of):
+def test_printed_text_is_shown_and_never_executed(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.do("say alpha <img src=x onerror=document.title='run'> {{ 6 * 7 }}")
@@ -451,7 +451,7 @@ def test_what_is_printed_is_shown_and_never_run(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
+def test_a_vehicle_without_a_position_is_only_in_the_table(browser, page_of):
     page = page_of()
     page.do("unplace wing")
     browser.open(page.link)
@@ -461,9 +461,9 @@ def test_a_vehicle_without_a_position_is_in_the_table_alone(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_link_opens_one_browser_and_the_next_is_printed(browser, page_of):
+def test_a_link_opens_one_browser_and_the_next_link_is_printed(browser, page_of):
     page = page_of()
-    # Another program on 127.0.0.1 has left cookies in this browser, as no grammar of cookies allows them.
+    # Another program on 127.0.0.1 has left malformed cookies in this browser.
     browser.driver.get(page.address)
     for cookie in ("a[]=b", 'x={"a":1}', "theme=dark mode", "alone"):
         browser.driver.execute_script("document.cookie = arguments[0]", cookie)
@@ -495,7 +495,7 @@ def test_two_pages_watch_at_once(browser, page_of):
     browser.says("halt", "Stopped")
 
 
-def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
+def test_a_page_without_its_server_shows_it(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.close()
@@ -506,7 +506,7 @@ def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_page_that_was_asleep_catches_up(browser, page_of):
+def test_a_suspended_page_catches_up(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.line()
@@ -515,7 +515,7 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
     page.do("kill bravo")
     page.do("count alpha 1100")
-    # Only then: of a page that wakes in between nothing is missing.
+    # Only then: a page that resumes in between misses nothing.
     assert page.line() == "counted"
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
     browser.says("log", "line 1099")
@@ -526,8 +526,8 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_what_would_load_the_page_anew_is_off(browser, page_of):
-    """A page that cannot reach its server must stay: it has what was known last, and STOP."""
+def test_automatic_reload_of_the_page_is_off(browser, page_of):
+    """A page that cannot reach its server must stay: it has the last known state, and STOP."""
     browser.open(page_of().link)
     browser.wait(lambda: browser.driver.execute_script("return !window.socket.connected"))
     place = browser.text("place-lead")
@@ -541,7 +541,7 @@ REDRAWN = """data:text/html,<p data-testid=state>here</p><script>
 
 
 @pytest.mark.few(0)
-def test_what_a_page_draws_anew_all_the_time_is_read(browser):
+def test_elements_that_a_page_redraws_continuously_are_read(browser):
     """The helpers of these tests themselves."""
     browser.driver.get(REDRAWN)
     browser.wait(lambda: browser.thing("state").get_attribute("class"))

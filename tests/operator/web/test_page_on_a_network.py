@@ -1,6 +1,5 @@
-"""The page by https at an address that is not 127.0.0.1: who reaches it, and what nobody gets without keys.
-
-127.0.0.2 is another address to all that is tried here; browsers have no exception for http there.
+"""The page by https at an address other than 127.0.0.1: access with and without keys. 127.0.0.2 serves as
+such an address here; browsers have no exception for http there.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ def page(page_of, folder: Path):
 
 
 class Client:
-    """A browser's place: it believes one root, and sends what it is told."""
+    """A browser's requests: it trusts one root."""
 
     def __init__(self, link: str, root: bytes) -> None:
         address = urlsplit(link)
@@ -60,7 +59,7 @@ class Client:
         self._context = ssl.create_default_context(cadata=root.decode())
 
     def asks(self, path: str, method: str = "GET", body: str = "", **headers: str) -> tuple[int, str, str]:
-        """Status, text, and the cookie that came."""
+        """Status, text, and the received cookie."""
         made = http.client.HTTPSConnection(self.host, self.port, context=self._context, timeout=60.0)
         try:
             made.connect()
@@ -78,7 +77,7 @@ def client(page, root: BrowserCa) -> Client:
 
 
 @pytest.mark.process
-def test_the_link_opens_the_page_for_whoever_has_the_root(page, client: Client) -> None:
+def test_the_link_opens_the_page_for_a_browser_with_the_root(page, client: Client) -> None:
     assert page.link.startswith(f"https://{ADDRESS}:")
     status, _, cookie = client.asks(client.path)
     assert status == 303
@@ -87,14 +86,14 @@ def test_the_link_opens_the_page_for_whoever_has_the_root(page, client: Client) 
     assert {"Secure", "HttpOnly", "SameSite=Strict", "Path=/"} < set(rest.split("; "))
     session = cookie.partition(";")[0]
     assert client.asks("/look", Cookie=session)[0] == 200
-    # The certificate's other name is the page's too.
+    # The certificate's other name is valid for the page too.
     assert client.asks("/look", Cookie=session, Host=f"{NAME}:{client.port}")[0] == 200
     origin = f"https://{ADDRESS}:{client.port}"
     assert client.asks("/act", "POST", '{"action":"stop"}', Cookie=session, Origin=origin)[0] == 200
     assert page.line() != page.link
     assert page.line() == "pressed stop"
 
-    # A link that was used, no cookie, a foreign page, a foreign name, http as the page's own origin.
+    # A used link, no cookie, a foreign page, a foreign name, http as the page's own origin.
     assert client.asks(client.path)[:2] == (403, OLD_LINK)
     for path in ("/", "/look", "/_nicegui/"):
         assert client.asks(path)[:2] == (403, NO_SESSION)
@@ -106,10 +105,10 @@ def test_the_link_opens_the_page_for_whoever_has_the_root(page, client: Client) 
 
 
 @pytest.mark.process
-def test_who_may_not_press_a_button_cannot_press_it_without_the_page_either(page, client: Client) -> None:
+def test_a_denied_order_is_refused_without_the_page_too(page, client: Client) -> None:
     page.do("bar stop your keys let you observe, not stop")
     own = client.asks(client.path)[2].partition(";")[0]
-    # Beside it stand cookies of other programs on that address, as no grammar of cookies allows them.
+    # Malformed cookies of other programs on that address are sent too.
     cookie = f'a[]=b; x={{"a":1}}; theme=dark mode; alone; {own}; ümlaut="'
     page.line()
     origin = f"https://{ADDRESS}:{client.port}"
@@ -120,7 +119,7 @@ def test_who_may_not_press_a_button_cannot_press_it_without_the_page_either(page
 
 
 @pytest.mark.process
-def test_a_websocket_is_opened_beside_many_cookies_of_other_programs(page, client: Client) -> None:
+def test_a_websocket_opens_beside_many_cookies_of_other_programs(page, client: Client) -> None:
     own = client.asks(client.path)[2].partition(";")[0]
     handshake = {
         "Connection": "Upgrade",
@@ -134,7 +133,7 @@ def test_a_websocket_is_opened_beside_many_cookies_of_other_programs(page, clien
 
 
 @pytest.mark.process
-def test_without_tls_nothing_is_answered_and_strangers_believe_nobody(page, client: Client) -> None:
+def test_requests_without_tls_or_with_another_root_get_no_answer(page, client: Client) -> None:
     with socket.create_connection((client.host, client.port), 60.0) as plain:
         plain.sendall(f"GET {client.path} HTTP/1.1\r\nHost: {ADDRESS}:{client.port}\r\n\r\n".encode())
         assert b"HTTP" not in b"".join(iter(lambda: plain.recv(1 << 12), b""))
@@ -148,14 +147,14 @@ def test_without_tls_nothing_is_answered_and_strangers_believe_nobody(page, clie
     )
     with socket.create_connection((client.host, client.port), 60.0) as made, pytest.raises(ssl.SSLError):
         old.wrap_socket(made)
-    # The link is as good as it was.
+    # The link is still valid.
     assert client.asks(client.path)[0] == 303
 
 
 @pytest.mark.process
 @needs_browser
 @pytest.mark.browser
-def test_a_browser_opens_it_and_presses_stop(page_of, folder: Path) -> None:
+def test_a_browser_opens_the_page_and_presses_stop(page_of, folder: Path) -> None:
     page = page_of("--listen", ADDRESS, "--page-keys", folder)
     browser = Browser(*believing(folder), f"--proxy-bypass-list={ADDRESS}")
     try:
@@ -175,7 +174,7 @@ def test_a_browser_opens_it_and_presses_stop(page_of, folder: Path) -> None:
         browser.close()
 
 
-# --- sites ------------------------------------------------------------------------------------------------
+# --- sites ---------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -192,7 +191,7 @@ async def test_a_site_has_the_names_of_its_certificate(keys: WebKeys) -> None:
 
 
 class Echo(asyncio.Protocol):
-    """Sends back what comes."""
+    """Sends back what it receives."""
 
     def connection_made(self, transport) -> None:
         self.transport = transport
@@ -202,7 +201,7 @@ class Echo(asyncio.Protocol):
 
 
 async def answers(address: str, port: int, root: BrowserCa) -> bool:
-    """Whether a browser that believes this root reaches the page at an address."""
+    """If a browser that trusts this root reaches the page at an address."""
     context = ssl.create_default_context(cadata=root.certificate.decode())
     try:
         reader, writer = await asyncio.open_connection(address, port, ssl=context, server_hostname=NAME)
@@ -214,8 +213,10 @@ async def answers(address: str, port: int, root: BrowserCa) -> bool:
     return answered
 
 
-async def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserCa, monkeypatch) -> None:
-    """Also at the other family, and where an address of the name is not there yet."""
+async def test_the_page_is_served_at_the_current_addresses_of_its_name(
+    keys: WebKeys, root: BrowserCa, monkeypatch
+) -> None:
+    """Also for the other address family, and where an address of the name does not exist yet."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
     def found(host, port, *words, flags=0, **more):
@@ -249,7 +250,7 @@ async def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: Br
         (80, "http", ["10.0.0.1", "[fd00::2]"]),
     ],
 )
-def test_browsers_leave_out_the_usual_port(port: int, scheme: str, addresses: list[str]) -> None:
+def test_the_default_port_is_left_out_of_addresses(port: int, scheme: str, addresses: list[str]) -> None:
     assert addresses_of(("10.0.0.1", "fd00::2"), port, scheme) == addresses
     assert PageSessions(addresses, str, scheme).secure is (scheme == "https")
 
@@ -262,7 +263,7 @@ def unknown(*words: object, **more: object) -> list[object]:
     raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
 
-def test_what_is_no_address_of_this_computer_is_told(keys: WebKeys, monkeypatch) -> None:
+def test_an_address_that_is_not_of_this_computer_is_reported(keys: WebKeys, monkeypatch) -> None:
     with pytest.raises(AddressError, match="not an address of this computer"):
         site_at("10.99.99.99", keys)
     for address in ("fe80::1", "fe80::1%eth0"):
@@ -275,7 +276,7 @@ def test_what_is_no_address_of_this_computer_is_told(keys: WebKeys, monkeypatch)
         site_at(NAME, keys)
 
 
-def test_keys_that_openssl_cannot_use_are_told(keys: WebKeys) -> None:
+def test_keys_that_openssl_cannot_use_are_reported(keys: WebKeys) -> None:
     broken = WebKeys(keys.names, keys.valid_from, keys.valid_until, keys.certificate, b"")
     with pytest.raises(KeysError, match="the keys of the page cannot be used"):
         site_at(ADDRESS, broken)

@@ -1,4 +1,4 @@
-"""What was pressed while the server did not run, by a browser that has given up since."""
+"""Button presses while the server did not run, of a browser that has given up since."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.process
 
 
 class Client:
-    """A browser's place at a page: it presses buttons, each on a connection of its own."""
+    """A browser's requests at a page: each press on a connection of its own."""
 
     def __init__(self, page) -> None:
         link = urlsplit(page.link)
@@ -51,7 +51,7 @@ def page(page_of):
     return page_of()
 
 
-def test_a_press_is_dated_by_the_clock_of_the_looks(page) -> None:
+def test_a_press_is_dated_by_the_clock_of_the_snapshots(page) -> None:
     client = Client(page)
     at = client.look["at"]
     assert abs(at - SystemClock().monotonic()) < 60.0
@@ -71,14 +71,14 @@ def test_a_press_is_dated_by_the_clock_of_the_looks(page) -> None:
     assert page.line() == "pressed lift"
 
 
-def test_a_stop_of_a_browser_that_has_given_up_is_done_and_a_lift_is_not(page) -> None:
+def test_a_stop_of_a_browser_that_gave_up_is_executed_and_a_lift_is_not(page) -> None:
     client = Client(page)
     at = client.look["at"]
     os.kill(page.process.pid, signal.SIGSTOP)
     try:
         for action in ("lift", "stop", "resume"):
             client.asks("POST", "/act", action=action, pressed=at - MAX_DELAY).close()
-        # All that was sent has arrived: this computer is the other end.
+        # All requests have arrived: this computer is the other end.
         time.sleep(0.1)
     finally:
         os.kill(page.process.pid, signal.SIGCONT)

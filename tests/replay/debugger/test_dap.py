@@ -109,7 +109,7 @@ def _started(editor: Editor, lines: list[dict], **options: object) -> list[dict]
     return found
 
 
-def test_breakpoints_variables_and_steps_in_both_directions(editor):
+def test_breakpoints_variables_and_steps_work_in_both_directions(editor):
     rows = _started(editor, [{"line": LEG}, {"line": LEG - 2}], stopOnEntry=False)
     assert [row["verified"] for row in rows] == [True, True]
     assert editor.event("stopped")["reason"] == "breakpoint"
@@ -131,7 +131,7 @@ def test_breakpoints_variables_and_steps_in_both_directions(editor):
     assert editor.variables()["leg"]["value"] == "0"
 
 
-def test_a_conditional_breakpoint_and_an_evaluation(editor):
+def test_a_conditional_breakpoint_stops_and_an_expression_is_evaluated(editor):
     rows = _started(
         editor,
         [{"line": LEG, "condition": "leg == 2"}, {"line": LEG, "condition": "leg =="}, {"line": 10_000}],
@@ -172,7 +172,7 @@ def test_a_search_is_cancelled(editor, monkeypatch, command):
     assert editor.move("search", kind="portal")["reason"] == "goto"
 
 
-def test_times_and_searches(editor):
+def test_times_and_searches_are_reached(editor):
     _started(editor, [])
     assert editor.event("stopped")["reason"] == "entry"
     assert editor.move("gotoTime", seconds=12.5)["description"].startswith("12.5")
@@ -187,7 +187,7 @@ def test_times_and_searches(editor):
 
 
 @pytest.mark.parametrize("seconds", ["x", None, True, [1], float("nan")])
-def test_a_time_that_is_no_number_has_one_response_and_moves_nothing(editor, seconds):
+def test_an_invalid_time_has_one_error_response_and_moves_nothing(editor, seconds):
     _started(editor, [])
     editor.event("stopped")
     place = editor.move("gotoTime", seconds=3.0)["description"]
@@ -205,7 +205,7 @@ def test_a_time_that_is_no_number_has_one_response_and_moves_nothing(editor, sec
         ("setBreakpoints", {"source": {"path": FILE}, "breakpoints": [5]}),
     ],
 )
-def test_arguments_of_another_type_are_refused_without_words_of_python(editor, command, arguments):
+def test_arguments_of_another_type_are_refused_without_text_of_python(editor, command, arguments):
     _started(editor, [])
     answer = editor.request(command, **arguments)
     assert not answer["success"]
@@ -219,7 +219,7 @@ def test_one_wrong_breakpoint_does_not_refuse_the_others(editor):
     assert editor.event("stopped")["reason"] == "breakpoint"
 
 
-def test_requests_in_the_wrong_order_and_unknown_ones_are_refused(editor):
+def test_requests_in_the_wrong_order_and_unknown_requests_are_refused(editor):
     for command in ("threads", "next", "evaluate", "stackTrace", "scopes", "dance"):
         assert not editor.request(command)["success"]
 
@@ -235,7 +235,7 @@ def test_another_protocol_is_refused(data):
             DapStream(source, sink).read()
 
 
-def test_the_end_of_the_stream_within_a_message_is_its_end():
+def test_the_end_of_the_stream_within_a_message_ends_the_session():
     near, far = socket.socketpair()
     with far, far.makefile("rb") as source, far.makefile("wb") as sink:
         near.sendall(b'Content-Length: 50\r\n\r\n{"a"')
@@ -243,7 +243,7 @@ def test_the_end_of_the_stream_within_a_message_is_its_end():
         assert DapStream(source, sink).read() is None
 
 
-def test_a_source_that_was_changed_since_is_shown_as_it_ran(first_flight, tmp_path):
+def test_a_source_changed_after_the_recording_is_shown_as_recorded(first_flight, tmp_path):
     at = SourceLine("mission.L", LEG)
     text = (FOLDER / "mission.L").read_bytes()
     values = DapValues(Debugger(first_flight), tmp_path)

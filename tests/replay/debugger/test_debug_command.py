@@ -26,7 +26,7 @@ def test_a_deployment_runs_in_virtual_time_and_is_debugged(capsys):
     assert "> 0" in capsys.readouterr().out
 
 
-def test_commands_are_read_from_stdin_and_a_mistake_ends_nothing(capsys, monkeypatch):
+def test_commands_are_read_from_stdin_and_a_mistake_does_not_end_the_session(capsys, monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO("dance\nportal\nwhere\nquit\nnever read\n"))
     assert main(["debug", SERVER, "--seconds", "5"]) == exit_status.DONE
     printed = capsys.readouterr()
@@ -45,16 +45,16 @@ def test_commands_are_read_from_stdin_and_a_mistake_ends_nothing(capsys, monkeyp
         (["missing.dL"], exit_status.NO_INPUT),
     ],
 )
-def test_bad_arguments_have_their_statuses(arguments, status, tmp_path, monkeypatch):
+def test_bad_arguments_have_their_exit_statuses(arguments, status, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["debug", *arguments]) == status
 
 
-def test_an_empty_directory_is_no_recording(tmp_path):
+def test_an_empty_directory_is_refused_as_recording(tmp_path):
     assert main(["debug", str(tmp_path)]) == exit_status.DATA
 
 
-def test_a_port_in_use_is_unavailable():
+def test_a_port_in_use_has_the_status_unavailable():
     with socket.create_server(("127.0.0.1", 0)) as other:
         assert main(["debug", "--dap", "--port", str(other.getsockname()[1])]) == exit_status.UNAVAILABLE
 

@@ -47,14 +47,14 @@ def printed(debugger: Debugger, expression: str) -> list[str]:
 
 
 def lines(debugger: Debugger, move) -> list[int]:
-    """Those of the coordinator at which a move stops."""
+    """The lines of the coordinator at which a move stops."""
     found = []
     while move(debugger):
         found.append(debugger.stack()[0].line.line)
     return found
 
 
-def test_a_future_shows_its_call_and_how_it_has_ended(lifting):
+def test_a_future_shows_its_call_and_its_result(lifting):
     debugger = Debugger(lifting)
     debugger.add_breakpoint(Breakpoint("mission.L", RACE))
     assert debugger.resume()

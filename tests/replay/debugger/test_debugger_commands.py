@@ -27,7 +27,7 @@ def _run(commands: DebuggerCommands, *texts: str) -> list[str]:
     return lines
 
 
-def test_a_session_in_both_directions(commands):
+def test_a_session_moves_in_both_directions(commands):
     _run(commands, "break mission.L:87 if leg == 1", "continue")
     assert "int leg = 1" in _run(commands, "vars")
     assert "real step = 4.0" in _run(commands, "print step")
@@ -39,7 +39,7 @@ def test_a_session_in_both_directions(commands):
     assert _run(commands, "delete 1") == []
 
 
-def test_threads_and_frames_are_chosen(commands):
+def test_threads_and_frames_are_selected(commands):
     _run(commands, "portal")
     assert len(_run(commands, "threads")) >= 1
     assert "pilot" in _run(commands, "thread pilot")[0]
@@ -54,7 +54,7 @@ def test_an_object_is_printed_with_its_parts(commands):
     assert _run(commands, "print nothing")[0].startswith("no value")
 
 
-def test_quit_ends(commands):
+def test_quit_ends_the_session(commands):
     _run(commands, "quit")
     assert commands.is_done
 
@@ -74,7 +74,7 @@ def test_a_mistake_is_reported_and_moves_nothing(commands, text):
     assert commands.debugger.place == place
 
 
-def test_a_command_that_has_no_way_back_is_not_called_unknown(commands):
+def test_the_error_for_a_command_without_a_way_back_says_so(commands):
     with pytest.raises(UsageError) as refused:
         commands.execute("back start")
     assert "does not go backward" in str(refused.value)
@@ -101,7 +101,7 @@ def test_the_windows_show_the_position(commands):
     assert "dance" in screen.lines("output")[-1]
 
 
-def test_an_interrupt_ends_a_search_and_not_the_debugger(debugger, monkeypatch):
+def test_an_interrupt_ends_a_search_but_not_the_debugger(debugger, monkeypatch):
     monkeypatch.setattr(host_timeline, "REPORT_EVERY", 0.0)
     monkeypatch.setattr(search_watch, "SHOWN_AFTER", 0.0)
     debugger.enter()

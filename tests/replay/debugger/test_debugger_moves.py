@@ -39,7 +39,7 @@ def test_a_condition_of_a_breakpoint_is_evaluated_in_its_frame(debugger):
     assert not debugger.resume()
 
 
-def test_a_step_over_stays_in_the_frame_and_back_again(debugger):
+def test_a_step_over_stays_in_the_frame_in_both_directions(debugger):
     debugger.add_breakpoint(Breakpoint("mission.L", LEG))
     debugger.resume()
     lines = [_line(debugger)]
@@ -66,7 +66,7 @@ def test_steps_by_line_stop_at_the_same_places_in_both_directions(debugger, move
     assert back == found[::-1]
 
 
-def test_a_step_backward_from_within_a_line_goes_to_its_beginning(debugger):
+def test_a_step_backward_from_within_a_line_goes_to_its_start(debugger):
     debugger.add_breakpoint(Breakpoint("mission.L", LEG))
     assert debugger.resume()
     while True:
@@ -103,7 +103,7 @@ def test_a_step_out_of_the_outermost_frame_searches_nothing(debugger, monkeypatc
     assert not debugger.step_out(backward=True)
 
 
-def test_portals_hops_devices_and_events_are_found(debugger):
+def test_searches_find_portals_hops_devices_and_events(debugger):
     assert debugger.search(debugger.portal_target())
     assert debugger.stack()[0].method == "Copter.takeoff"
     assert debugger.search(debugger.hop_target("pilot"))
@@ -128,7 +128,7 @@ def test_every_hop_is_found_in_both_directions(debugger):
     assert backward == forward[::-1]
 
 
-def test_a_condition_over_a_device_reading_is_found_where_it_becomes_true(debugger):
+def test_a_condition_on_a_device_reading_is_found_where_it_becomes_true(debugger):
     assert debugger.search(debugger.condition_target("lead.fc.battery < 0.98"))
     assert debugger.evaluate("lead.battery < 0.98")[0] is True
     place = debugger.place
@@ -137,7 +137,7 @@ def test_a_condition_over_a_device_reading_is_found_where_it_becomes_true(debugg
     assert debugger.place == place
 
 
-def test_the_changes_of_a_variable_are_found(debugger):
+def test_changes_of_a_variable_are_found(debugger):
     debugger.add_breakpoint(Breakpoint("mission.L", LEG))
     debugger.resume()
     debugger.choose(debugger.find_thread("pilot").key)
@@ -157,20 +157,20 @@ def places(debugger, target, *, backward):
     return found
 
 
-def test_an_object_that_is_assigned_is_a_change_at_any_place_of_the_heap(debugger):
+def test_an_assigned_object_is_a_change_at_any_address(debugger):
     debugger.enter()
     found = places(debugger, lambda: debugger.change_target("first"), backward=False)
     heights = []
     for place in found:
         debugger.go_to(place)
-        # A hop and a record keep no value that is not read any more: then it is null.
+        # A hop and a record keep no value that is not read any more: it is null.
         if debugger.evaluate("first")[0] is not None:
             heights.append(debugger.evaluate("first.height")[0])
     assert len(heights) == len(set(heights)) == 4
     assert places(debugger, lambda: debugger.change_target("first"), backward=True) == found[::-1]
 
 
-def test_a_hop_is_no_change_of_a_value_and_no_condition_becomes_true_by_it(debugger):
+def test_a_hop_is_neither_a_change_of_a_value_nor_of_a_condition(debugger):
     debugger.enter()
     found = places(debugger, lambda: debugger.change_target("leg"), backward=False)
     assert len(found) == 3
@@ -178,7 +178,7 @@ def test_a_hop_is_no_change_of_a_value_and_no_condition_becomes_true_by_it(debug
     assert places(debugger, lambda: debugger.condition_target("leg == 1"), backward=True) == found[:1]
 
 
-def test_a_coordinator_is_followed_when_the_thread_of_its_portal_has_ended(debugger):
+def test_a_coordinator_is_followed_after_the_end_of_its_portal_thread(debugger):
     debugger.add_breakpoint(Breakpoint("mission.L", FLY))
     assert debugger.resume()
     assert debugger.focus.agent != "pilot"
@@ -222,14 +222,14 @@ def test_a_reading_of_another_host_has_its_name(debugger):
         lambda debugger: debugger.event_target(["nosuch"]),
     ],
 )
-def test_a_search_for_what_no_mission_has_is_refused(debugger, target):
+def test_a_search_for_an_unknown_name_is_refused(debugger, target):
     with pytest.raises(UsageError):
         target(debugger)
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["event", "hop", "portal", "device"])
-def test_a_search_backward_finds_what_it_finds_forward(debugger, kind):
+def test_backward_and_forward_searches_find_the_same_places(debugger, kind):
     targets = {
         "event": debugger.event_target, "hop": debugger.hop_target,
         "portal": debugger.portal_target, "device": debugger.device_target,
@@ -285,7 +285,7 @@ def test_an_expression_has_the_value_that_the_program_computes(debugger, text, v
         "true + 1", "leg == true", "leg == first", "9223372036854775807 + 1", "!5", "leg && true", "-true",
     ],
 )  # fmt: skip
-def test_an_expression_without_a_value_says_so(debugger, text):
+def test_an_expression_without_a_value_is_reported(debugger, text):
     debugger.add_breakpoint(Breakpoint("mission.L", LEG))
     debugger.resume()
     with pytest.raises(ValueUnknown):
@@ -314,7 +314,7 @@ def test_the_changes_of_a_reading_are_found_in_both_directions(debugger):
     assert places(debugger, lambda: debugger.change_target("wing.fc.position"), backward=True) == found[::-1]
 
 
-def test_it_begins_at_a_coordinator_and_finds_its_last_statement_from_the_end(debugger):
+def test_debugging_starts_at_a_coordinator_and_finds_its_last_statement(debugger):
     assert debugger.enter()
     assert debugger.focus.agent == "pilot"
     debugger.go_to(debugger.team.end)

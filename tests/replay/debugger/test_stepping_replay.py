@@ -56,7 +56,7 @@ def test_forward_and_backward_pass_the_same_statements(first_flight):
     assert forward == backward[::-1]
 
 
-def test_a_position_is_the_same_state_whichever_way_it_is_reached(first_flight):
+def test_a_position_has_the_same_state_from_either_direction(first_flight):
     place = first_flight.find(StatementTarget("pilot"), first_flight.end, backward=True)
     moment, _ = first_flight.moment_at(place)
     images = {name: bytes(agent.block.image()) for name, agent in moment.agents.items()}

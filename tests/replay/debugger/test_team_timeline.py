@@ -1,4 +1,4 @@
-"""The order of several recordings: no coordinator arrives before its departure, whatever the clocks say."""
+"""The order of several recordings: no coordinator arrives before its departure, with any clocks."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_hops_are_in_order_and_short(first_flight, rate, ahead):
 
 @pytest.mark.parametrize("ahead", [-YEARS, -0.001, 0.0, 0.001, YEARS])
 def test_hops_in_one_direction_do_not_move_a_host(ahead):
-    """A run of five seconds: the coordinator has gone to the other host, and not returned."""
+    """A run of five seconds: the coordinator has migrated to the other host, and not returned."""
     (one, other), mission = record_mission(EXAMPLES / "01-first-flight" / "mission.dL", 5.0)
     team = TeamTimeline([one, _with_clock(other, 1.0, ahead)], mission)
     assert len(_transits(team)) == 1
@@ -63,7 +63,7 @@ def test_hops_in_one_direction_do_not_move_a_host(ahead):
     assert 4.5 < team.duration <= 5.0
 
 
-def test_the_times_of_each_host_never_go_back(first_flight):
+def test_times_of_each_host_never_go_back(first_flight):
     one, other = (host.recording for host in first_flight.hosts)
     team = TeamTimeline([_with_clock(one, 1.05, YEARS), other], first_flight.mission)
     for times in team.times:
@@ -71,12 +71,12 @@ def test_the_times_of_each_host_never_go_back(first_flight):
     assert min(times[0] for times in team.times) == 0.0
 
 
-def test_one_host_alone_has_an_order(first_flight):
+def test_a_single_host_has_an_order(first_flight):
     team = TeamTimeline([first_flight.hosts[1].recording], first_flight.mission)
     assert team.start[:2] == (0, 0)
     assert team.end.turn == team.hosts[0].turns
 
 
-def test_without_a_turn_there_is_nothing_to_debug(first_flight):
+def test_a_recording_without_a_turn_is_refused(first_flight):
     with pytest.raises(RecordingError):
         TeamTimeline([], first_flight.mission)

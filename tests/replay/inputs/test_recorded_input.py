@@ -1,4 +1,4 @@
-"""Lines of input are inputs of the core: a replay has them, from the start and from checkpoints."""
+"""Input lines are inputs of the core: a replay has them, from the start and from checkpoints."""
 
 from __future__ import annotations
 

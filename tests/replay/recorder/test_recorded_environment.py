@@ -72,7 +72,7 @@ def test_an_answer_that_follows_an_equal_one_is_replayed(pair) -> None:
             assert repr(found) == repr(replayed)
 
 
-def test_a_reading_that_was_lost_meanwhile_is_replayed() -> None:
+def test_a_reading_lost_between_turns_is_replayed() -> None:
     world = World()
     reading = Reading()
     reading.update(7, 1.0)
@@ -96,7 +96,7 @@ def test_two_calls_with_one_reading_are_replayed() -> None:
         assert replayed.word == 7
 
 
-def test_a_reading_that_is_asked_for_between_two_turns_is_not_recorded() -> None:
+def test_a_reading_requested_between_two_turns_is_not_recorded() -> None:
     world = World()
     reading = Reading()
     world.readings[world.calls[0]] = reading

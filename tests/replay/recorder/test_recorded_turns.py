@@ -1,4 +1,4 @@
-"""When a turn is recorded: after its effects, and without an effect on its host."""
+"""The time at which a turn is recorded: after its effects, and without an effect on its host."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.text import log_messages
 
 
-def test_a_turn_is_encoded_after_what_it_sends(tmp_path, monkeypatch) -> None:
+def test_a_turn_is_encoded_after_its_messages_are_sent(tmp_path, monkeypatch) -> None:
     steps: list[tuple[str, float]] = []
     execute, add_turn = Host._execute, FrameBuffer.add_turn
 
@@ -38,8 +38,8 @@ def test_a_turn_is_encoded_after_what_it_sends(tmp_path, monkeypatch) -> None:
     assert all(steps.index(("sent", at)) < steps.index(("recorded", at)) for at in sent)
 
 
-def test_a_turn_within_the_effects_of_another_one_is_recorded_after_it(tmp_path, monkeypatch) -> None:
-    """As when a link that an effect requests asks the core for the hosts to have links with."""
+def test_a_turn_within_the_effects_of_another_is_recorded_after_it(tmp_path, monkeypatch) -> None:
+    """As when an effect requests a link, and the link asks the core for its planned links."""
     execute, run, asked = Host._execute, HostCore.run, []
 
     def executed(host, effect):
@@ -62,7 +62,7 @@ def test_a_turn_within_the_effects_of_another_one_is_recorded_after_it(tmp_path,
 
 
 @pytest.mark.parametrize("fails", [FrameBuffer.add_turn, FrameBuffer.add])
-def test_a_fault_of_the_recorder_ends_the_recording_and_not_the_host(fails, tmp_path, monkeypatch) -> None:
+def test_an_error_of_the_recorder_ends_the_recording_but_not_the_host(fails, tmp_path, monkeypatch) -> None:
     memory = RecordingMemory()
     fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=memory))
     fleet.run(2.0)
@@ -111,7 +111,7 @@ def test_the_last_turn_is_in_the_recording_if_its_effects_fail(tmp_path, monkeyp
     fleet.close()
 
 
-def test_a_batch_is_written_when_it_is_large(tmp_path, monkeypatch) -> None:
+def test_a_large_batch_is_written_at_once(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(flight_recorder, "BATCH_BYTES", 1)
     each_turn = run_recorded(walk_mission(tmp_path), 1.0)
     frames = [len(frames) for _, frames in each_turn.hosts]

@@ -1,4 +1,4 @@
-"""`lfield watch --replay`: the page of recordings, its requests, and what it refuses."""
+"""`lfield watch --replay`: the page of recordings, its requests, and its refusals."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def page_of() -> Iterator[Callable[..., ReplayPage]]:
             page.process.communicate(timeout=60)
 
 
-def test_a_recording_is_moved_and_nothing_can_be_sent(records, page_of):
+def test_a_recording_is_moved_and_no_order_can_be_sent(records, page_of):
     page = page_of(records)
     assert page.post("replay", {"go": "hop"}) == 403
     assert '"recorded":true' in page.open().replace(" ", "")
@@ -115,7 +115,7 @@ def test_options_of_a_running_team_are_refused(records, more):
 @pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
-def test_the_buttons_move_the_map_the_line_and_the_variables(records, page_of):
+def test_buttons_move_the_map_the_line_and_the_variables(records, page_of):
     page = page_of(records)
     browser = Browser()
     try:

@@ -1,4 +1,6 @@
-"""A recorded team at a time: poses, hops, log, stacks; moves in both directions; the newest command wins."""
+"""A recorded team at a time: poses, hops, log, stacks; moves in both directions; the newest command
+counts.
+"""
 
 from __future__ import annotations
 
@@ -80,7 +82,7 @@ def test_a_log_has_another_epoch_after_a_move_back(shown):
     assert shown.session.published().epoch != later
 
 
-def test_hops_statements_and_variables_in_both_directions(shown):
+def test_hops_statements_and_variables_are_shown_in_both_directions(shown):
     position = shown.go("hop")
     at = position["seconds"]
     boss = shown.state.coordinators["boss"]
@@ -99,7 +101,7 @@ def test_hops_statements_and_variables_in_both_directions(shown):
     assert shown.go("hop", backward=True)["trouble"] != ""
 
 
-def test_events_are_reached_one_after_another_and_back(shown):
+def test_events_are_reached_in_order_in_both_directions(shown):
     times = []
     while not (position := shown.go("event"))["trouble"]:
         times.append(position["seconds"])
@@ -111,7 +113,7 @@ def test_events_are_reached_one_after_another_and_back(shown):
     assert back[::-1] == times[:-1]
 
 
-def test_playing_follows_the_clock_and_ends_at_the_end(shown):
+def test_playback_follows_the_clock_and_stops_at_the_end(shown):
     shown.go("time", seconds=1.0)
     start = shown.go("play", speed=2.0)["seconds"]
     shown.time.now += 1.5
@@ -123,7 +125,7 @@ def test_playing_follows_the_clock_and_ends_at_the_end(shown):
     assert shown.position["seconds"] == shown.position["duration"]
 
 
-def test_the_newest_command_is_executed(shown):
+def test_only_the_newest_command_is_executed(shown):
     shown.session.request({"go": "hop"})
     shown.session.request({"go": "time", "seconds": 3.0})
     shown.session.advance()
@@ -132,7 +134,7 @@ def test_the_newest_command_is_executed(shown):
     assert position["seconds"] == pytest.approx(3.0, abs=0.2)
 
 
-def test_a_search_ends_for_a_newer_command(shown):
+def test_a_newer_command_cancels_a_search(shown):
     session = shown.session
     player = ReplayPlayer(session._debugger, session._events, lambda: True)
     command = command_of({"go": "hop"})
@@ -157,7 +159,7 @@ def test_a_search_ends_for_a_newer_command(shown):
         {"go": "hop", "more": 1},
     ],
 )
-def test_other_requests_are_refused(body):
+def test_invalid_requests_are_refused(body):
     assert isinstance(command_of(body), str)
 
 

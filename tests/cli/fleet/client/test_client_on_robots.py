@@ -60,7 +60,7 @@ def test_the_program_of_the_page_starts_calls_and_stops(active, lfield, alone) -
     assert ended.stdout.splitlines() == ["2", "alpha stopped", "bravo stopped"]
 
 
-def test_a_person_without_rights_is_refused_and_the_mission_continues(active, lfield, here) -> None:
+def test_a_client_without_rights_is_refused_and_the_mission_continues(active, lfield, here) -> None:
     assert here("start").status == 0
     keys = lfield.keys.folder / "eve"
     lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
@@ -126,7 +126,7 @@ COUNT = ("call", {"agent": "post", "portal": "count", "arguments": [2]})
 HOLD = ("call", {"agent": "post", "portal": "hold", "arguments": [600.0], "timeout": 600.0})
 
 
-def test_rights_and_the_access_file_decide_what_an_assistant_may_start(active, assistant, lfield, here):
+def test_rights_and_the_access_file_limit_an_assistant(active, assistant, lfield, here):
     lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
     (_, status), (_, started), *wrong = assistant("--keys", lfield.keys.folder / "eve")(
         ("status", {}), ("start", {}), ("start", {"with": []}), ("query", {"query": 5}), ("fly", {}), COUNT
@@ -165,7 +165,7 @@ def test_rights_and_the_access_file_decide_what_an_assistant_may_start(active, a
     assert called == {"post.count() called by assistant of person operator"}
 
 
-def test_without_the_package_it_names_the_extra(here, monkeypatch):
+def test_mcp_without_its_package_names_the_extra(here, monkeypatch):
     monkeypatch.setitem(sys.modules, "lfield.client.assistants.assistant_server", None)
     refused = here("mcp")
     assert (refused.status, "lfield[mcp]" in refused.err[0]) == (69, True)

@@ -1,4 +1,6 @@
-"""The hold of a vote without a result and a person's pause, with real processes: neither ends the other."""
+"""The hold of a vote without a result and an operator's pause, with real processes: neither ends
+the other.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ TEAM = "//Post:post@alpha\n//Post:other@bravo\n//Walker:tom@carol?post\n"
 
 
 def vote_of_alpha(digest: str) -> BallotState:
-    """Propose to all; the desk ends after the vote of alpha."""
+    """Propose to all; the operator's program ends after the vote of alpha."""
     desk = open_desk(argparse.Namespace(inventory=None, keys=None))
 
     async def propose() -> BallotState:
@@ -37,7 +39,7 @@ def vote_of_alpha(digest: str) -> BallotState:
 
 
 @pytest.mark.few(0)
-def test_a_resume_does_not_end_the_hold_and_its_end_not_a_pause(lfield, here, robots) -> None:
+def test_a_resume_does_not_end_the_hold_and_the_end_of_the_hold_no_pause(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()
     lfield.mission(PROGRAM.replace("TEXT", 'write("2");'), TEAM, name="second")

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.process
 FIRST, SECOND = "//Walker:tom@alpha?post\n//Post:post@bravo\n", "//Walker:tom@bravo?post\n//Post:post@carol\n"
 
 
-def test_a_rollback_names_for_each_robot_the_command_that_returns_to_its_bundle(lfield, here, robots) -> None:
+def test_a_rollback_names_for_each_robot_the_command_to_its_previous_bundle(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()
     first, second = (
@@ -34,7 +34,7 @@ def test_a_rollback_names_for_each_robot_the_command_that_returns_to_its_bundle(
 
 
 @pytest.mark.few(0)
-def test_a_rollback_names_a_push_where_the_mission_has_another_robot(lfield, here, robots) -> None:
+def test_a_rollback_names_a_push_for_a_mission_with_another_robot(lfield, here, robots) -> None:
     """Its bundle is not the previous one there."""
     team = robots("alpha", "bravo")
     team.up()

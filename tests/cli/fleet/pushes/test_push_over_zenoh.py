@@ -29,7 +29,7 @@ def command_lines() -> Iterator[bytes]:
 
 
 @pytest.mark.few(0)
-def test_a_bundle_is_pushed_and_started_over_a_router_that_dies_in_between(lfield, robots, router):
+def test_a_bundle_is_pushed_and_started_over_a_restarted_router(lfield, robots, router):
     team = robots("alpha", "bravo", router=router.endpoint)
     team.up()
     team.mission(pause=3.0)

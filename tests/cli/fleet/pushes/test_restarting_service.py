@@ -18,7 +18,7 @@ def test_a_push_waits_for_a_service_that_restarts(lfield, here, robots, monkeypa
     team.up()
     team.mission()
     team.kill("bravo")
-    # However long the start of a process lasts here.
+    # For any start time of a process here.
     monkeypatch.setattr(service_link, "RESTART_TIME", 60.0)
     monkeypatch.setattr(push, "FIRST_CONTACT", 60.0)
     restart = threading.Timer(1.0, lambda: team.up("bravo"))
@@ -27,7 +27,7 @@ def test_a_push_waits_for_a_service_that_restarts(lfield, here, robots, monkeypa
     restart.join()
 
 
-def test_a_service_that_does_not_listen_is_named_in_the_end(lfield, here, robots, monkeypatch) -> None:
+def test_a_service_that_does_not_listen_is_named_at_the_end(lfield, here, robots, monkeypatch) -> None:
     team = robots("alpha", "bravo")
     team.up("alpha")
     team.mission()

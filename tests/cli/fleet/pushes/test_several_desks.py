@@ -9,7 +9,7 @@ pytestmark = pytest.mark.process
 
 
 @pytest.mark.few(0)
-def test_uploads_of_several_desks_do_not_remove_each_other(lfield, here, robots) -> None:
+def test_uploads_of_several_operators_do_not_remove_each_other(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     for number in range(4):

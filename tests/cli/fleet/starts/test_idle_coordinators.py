@@ -11,9 +11,7 @@ from robots import told
 pytestmark = pytest.mark.process
 
 
-def test_a_start_without_the_home_of_the_only_coordinator_says_that_nothing_runs(
-    lfield, here, robots
-) -> None:
+def test_a_start_without_the_home_of_the_only_coordinator_reports_idle(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission()
@@ -21,14 +19,12 @@ def test_a_start_without_the_home_of_the_only_coordinator_says_that_nothing_runs
     began = here("start", "--without", "alpha", "--json")
     assert (began.status, told(began)["started"]) == (1, False)
     assert "tom" in told(began)["waits"]["alpha"]
-    # What it says to do.
+    # The remedy of the message.
     assert here("start").status == 0
 
 
 @pytest.mark.few(0)
-def test_a_start_with_a_parked_coordinator_says_that_nothing_runs_and_how_to_end_it(
-    lfield, here, robots
-) -> None:
+def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=100, pause=1.0)

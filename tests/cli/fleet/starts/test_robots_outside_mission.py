@@ -11,7 +11,7 @@ pytestmark = pytest.mark.process
 
 
 @pytest.mark.few(0)
-def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(lfield, here, robots) -> None:
+def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()
     team.mission()
@@ -40,9 +40,7 @@ def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(
     assert told(here("rollback", "--json"))["outcome"] == "activated"
 
 
-def test_a_start_names_robots_or_mission_where_a_mission_runs_on_this_computer_too(
-    lfield, here, robots
-) -> None:
+def test_start_asks_for_robots_or_mission_if_a_local_mission_runs_too(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission()

@@ -24,7 +24,7 @@ agents:
 
 
 @pytest.mark.few(0)
-def test_a_start_reports_why_the_host_of_a_robot_ends_again_and_again(lfield, here, robots) -> None:
+def test_a_start_reports_why_a_host_ends_repeatedly(lfield, here, robots) -> None:
     team = robots("alpha")
     team.up()
     lfield.mission(PROGRAM, TEAM, DEVICES)

@@ -13,9 +13,7 @@ from lfield import exit_status
 pytestmark = pytest.mark.process
 
 
-def test_a_host_that_is_killed_while_it_stops_is_reported_and_nothing_is_discarded(
-    lfield, here, robots
-) -> None:
+def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.2)
@@ -32,7 +30,7 @@ def test_a_host_that_is_killed_while_it_stops_is_reported_and_nothing_is_discard
     assert ("killed by signal 9" in found["bravo"]["trouble"], found["bravo"]["checked"]) == (True, "")
     assert (found["alpha"]["trouble"], found["alpha"]["discarded"]) == ("", [])
     assert told(here("status", "bravo", "--json"))["bravo"]["refusal"]
-    # A person who has read it repeats the command, which says what it has acknowledged.
+    # An operator who has read it repeats the command, which prints the acknowledgement.
     again = here("stop", "--discard", "--json")
     assert again.status == 0
     found = told(again)
