@@ -130,7 +130,7 @@ def test_each_test_exists(table: list[Row], monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_each_production_of_the_grammar_has_a_row(table: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tests/lang"))
-    productions = cases(ROOT / "tests/lang/test_thesis_grammar.py", "test_production")
+    productions = cases(ROOT / "tests/lang/test_thesis_grammar.py", "test_production_compiles")
     assert len(productions) == 42
     assert productions <= {row.cells.get("item", "").strip("`") for row in table}
 
@@ -155,10 +155,10 @@ def test_the_opcodes_are_those_of_the_machine(table: list[Row]) -> None:
     [
         ("tests/golden/programs/arrays.L", ""),
         ("tests/golden/programs/nothing.L", "tests/golden/programs/nothing.L"),
-        ("tests/lang/test_thesis_grammar.py::test_production", ""),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles", ""),
         ("tests/lang/test_thesis_grammar.py::test_nothing", "test_nothing"),
-        ("tests/lang/test_thesis_grammar.py::test_production[PARAM]", ""),
-        ("tests/lang/test_thesis_grammar.py::test_production[NOTHING]", "NOTHING]"),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles[PARAM]", ""),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles[NOTHING]", "NOTHING]"),
     ],
 )
 def test_what_does_not_exist_is_found(name: str, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
