@@ -43,7 +43,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(run_dirs, "SERVICE", tmp_path / "run" / "lfield")
     monkeypatch.setattr(run_dirs, "SESSIONS", tmp_path / "run" / "user")
     monkeypatch.setattr(user_dirs, "SHARED", tmp_path / "shared")
-    # What is open to the group is in test_nodes_have_their_places.
+    # What is open to the group is in test_places.
     monkeypatch.setattr(run_dirs, "shared_group_id", lambda: None)
     monkeypatch.delenv("LFIELD_RUNS", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
