@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from engine_fuzzer.engine_trial import registry_of
 from engine_fuzzer.program_generator import random_program
 from lfield.editor.layout.formatter import format_deployment, format_program
 from lfield.editor.layout.source_items import source_items
@@ -77,11 +78,12 @@ def scrambled(text: str, rng: random.Random) -> str:
 
 def check_layouts(text: str, rng: random.Random) -> None:
     """Check a program in its own layout and in a random one."""
-    compiled = compile_text(text).digest
+    registry = registry_of(text)
+    compiled = compile_text(text, registry=registry).digest
     for written in (text, scrambled(text, rng)):
         formatted = format_program(Source("p.L", written))
         assert format_program(Source("p.L", formatted)) == formatted
-        assert compile_text(formatted).digest == compiled
+        assert compile_text(formatted, registry=registry).digest == compiled
 
 
 @pytest.mark.few(12)
