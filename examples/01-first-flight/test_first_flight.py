@@ -7,7 +7,7 @@ import math
 import pytest
 
 
-def test_the_two_copters_mirror_each_other_and_keep_apart(lfield_mission):
+def test_copters_mirror_each_other_and_keep_their_distance(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"pilot": "done"}
@@ -15,19 +15,19 @@ def test_the_two_copters_mirror_each_other_and_keep_apart(lfield_mission):
     assert [(call.resource, call.arguments[2]) for call in legs] == [("lead", 2.0), ("wing", 3.5)] * 3
     for lead, wing in zip(legs[::2], legs[1::2], strict=True):
         assert lead.arguments[:2] == tuple(-part for part in wing.arguments[:2])
-        assert lead.at < wing.at < lead.ended, "both fly at one time"
+        assert lead.at < wing.at < lead.ended, "both fly at the same time"
     # Takeoff, three legs, landing: one hop to start each and one to fetch; the summary runs on the other
     # host.
     assert len(team.hops) == 11
     lead, wing = (team.tracks[name] for name in ("lead.fc", "wing.fc"))
-    # They are switched on at one place, each with its own frame: separated by height there.
+    # They start at one place, each with its own frame: separated by height there.
     flying = [(a, b) for a, b in zip(lead, wing, strict=True) if legs[0].at < a.at < legs[-1].ended]
     assert min(math.dist(a[1:], b[1:]) for a, b in flying) > 1.1
     assert lead[-1].up < 0.05
     assert wing[-1].up < 0.05
 
 
-def test_when_one_cannot_fly_on_the_other_is_brought_down(lfield_mission):
+def test_failure_of_one_copter_lands_the_other(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: any(call.portal == "fly" for call in team.calls))
     team.run(1.0)
@@ -41,7 +41,7 @@ def test_when_one_cannot_fly_on_the_other_is_brought_down(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_half_the_charge_makes_shorter_legs(lfield_mission):
+def test_half_the_charge_gives_shorter_legs(lfield_mission):
     longest = {}
     for charge in ("1.0", "0.45"):
         team = lfield_mission("mission.dL", fakes={"wing.fc": [f"battery={charge}"]})
@@ -51,7 +51,7 @@ def test_half_the_charge_makes_shorter_legs(lfield_mission):
     assert 2.0 < longest["0.45"] < 3.0
 
 
-def test_a_link_that_is_cut_in_flight_costs_time_and_nothing_else(lfield_mission):
+def test_cut_link_in_flight_costs_only_time(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="lead: at")
     team.cut("alpha", "bravo")

@@ -7,14 +7,14 @@ import re
 import demo
 import pytest
 
-#: Seconds after which every host knows of a fault.
+#: Seconds after which every host has detected a fault.
 NOTICED = 8.0
-#: Each run includes the failures of those before.
+#: Each run includes the failures of the previous ones.
 FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
 
 
 def run(lfield_mission, failures):
-    """Runs the mission with failures of these robots once the hook is down; returns the team."""
+    """Run the mission with failures of these robots once the hook is down; returns the team."""
     team = lfield_mission("mission.dL")
     team.crash(demo.CART)
     team.run(until="the parcel is coming")
@@ -28,7 +28,7 @@ def run(lfield_mission, failures):
 
 
 def lifts(team):
-    """Where the foreman was when the parcel was up, and its height in metres."""
+    """The foreman's host when the parcel was up, and its height in metres."""
     found = [(line.host, re.match(r"foreman: the parcel went up by (.*) m$", line.text)) for line in team.log]
     return [(host, match[1]) for host, match in found if match]
 
@@ -43,7 +43,7 @@ def lifts(team):
         (3, None, "no agent can lift the parcel"),
     ],
 )
-def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield_mission, count, lift, way):
+def test_best_then_equivalent_then_composed_lift_then_none(lfield_mission, count, lift, way):
     team = run(lfield_mission, FAILURES[:count])
     assert team.said(way)
     found = lifts(team)
@@ -54,11 +54,11 @@ def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield_mission
         return
     ((host, height),) = found
     assert host == lift[0]
-    # The crane and the arm are exact, a copter is not.
+    # The crane and the arm are exact; a copter is not.
     assert height == lift[1] or (lift[1] is None and abs(float(height) - 0.8) < 0.3)
 
 
-def test_the_demonstration_knows_whether_the_right_robot_came():
+def test_demonstration_detects_the_wrong_robot():
     up, stale = "foreman: the parcel went up by 0.8 m\n", "foreman: crane could not: it is lost\n"
     crane, sky = "foreman: crane shall lift (direct)\n", "foreman: sky shall lift (equivalent)\n"
     assert demo.wrong([crane, up], "crane") == ""
@@ -70,7 +70,7 @@ def test_the_demonstration_knows_whether_the_right_robot_came():
 
 
 @pytest.mark.few(0)
-def test_the_copter_that_stands_in_has_lifted_in_truth(lfield_mission):
+def test_substitute_copter_has_flown_the_lift(lfield_mission):
     team = run(lfield_mission, FAILURES[:1])
     assert max(point.up for point in team.tracks["sky.fc"]) > 1.0
     assert team.fake("sky.fc").facts["airborne"] is False

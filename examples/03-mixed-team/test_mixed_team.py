@@ -7,7 +7,7 @@ import re
 import pytest
 
 
-def test_the_parcel_goes_from_the_copter_to_the_hand_under_the_hook(lfield_mission):
+def test_parcel_passes_from_the_copter_to_the_hand_under_the_hook(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"courier": "done"}
@@ -26,12 +26,12 @@ def test_the_parcel_goes_from_the_copter_to_the_hand_under_the_hook(lfield_missi
     far = max(point.north**2 + point.east**2 for point in team.tracks["carrier.fc"]) ** 0.5
     assert far == pytest.approx(5.0, abs=0.5)
     track = team.tracks["carrier.fc"]
-    assert track[0][1:3] == pytest.approx((-4.0, -2.0), abs=0.1), "it starts somewhere else"
+    assert track[0][1:3] == pytest.approx((-4.0, -2.0), abs=0.1), "it starts away from the dock"
     assert track[-1][1:3] == pytest.approx((0.0, 0.0), abs=0.6), "and lands at the dock"
 
 
 @pytest.mark.few(0)
-def test_in_the_end_each_goes_to_its_safe_state(lfield_mission):
+def test_each_device_ends_in_its_safe_state(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     team.stop()
@@ -41,7 +41,7 @@ def test_in_the_end_each_goes_to_its_safe_state(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_a_hoist_that_loses_its_bus_is_an_exception_and_the_copter_comes_down(lfield_mission):
+def test_hoist_without_its_bus_raises_an_exception_and_the_copter_lands(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="the copter has the parcel")
     team.fake("hoist.axis").set("silence=true")

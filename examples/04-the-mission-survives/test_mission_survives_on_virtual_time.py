@@ -6,12 +6,12 @@ import pytest
 
 
 def acts(team, portal):
-    """The calls of a portal that have started."""
+    """The started calls of a portal."""
     return [call for call in team.calls if call.portal == portal]
 
 
 @pytest.mark.few(0)
-def test_without_failures_every_part_is_made_once(lfield_mission):
+def test_every_part_is_executed_once_without_failures(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.said("survivor: complete; the coordinator migrated 5 times")
@@ -28,9 +28,7 @@ def test_without_failures_every_part_is_made_once(lfield_mission):
         ("the hook is down", 0.3, "bench", 5),
     ],
 )
-def test_a_host_that_dies_in_a_call_costs_that_call_and_the_program_is_told(
-    lfield_mission, said, later, host, step
-):
+def test_failed_host_costs_one_call_and_the_program_is_informed(lfield_mission, said, later, host, step):
     team = lfield_mission("mission.dL")
     team.run(until=said)
     team.run(later)
@@ -44,7 +42,7 @@ def test_a_host_that_dies_in_a_call_costs_that_call_and_the_program_is_told(
 
 
 @pytest.mark.few(0)
-def test_all_three_computers_lose_their_power_at_once(lfield_mission):
+def test_mission_completes_after_power_loss_of_all_computers(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="the truck is there")
     team.run(1.0)
@@ -59,9 +57,9 @@ def test_all_three_computers_lose_their_power_at_once(lfield_mission):
     assert team.said("survivor: complete") == 1
 
 
-def test_a_majority_goes_on_when_the_host_of_the_coordinator_never_comes_back(lfield_mission):
+def test_majority_continues_when_the_coordinators_host_is_lost(lfield_mission):
     team = lfield_mission("table.dL")
-    # It has been at the other arm, where its shadow is.
+    # The coordinator has visited the other arm, where its copy is.
     team.run(until=lambda: len(team.hops) == 2)
     team.run(0.5)
     team.power_off(team.hops[-1].target)

@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 COPTERS = {"ada": "alpha", "bob": "bravo", "cat": "carol", "dan": "delta"}
 #: Metres: length of the beam, and tolerance of the distance and height of its carriers.
 LENGTH, OFF = 4.0, 0.6
-#: The goal of its middle, north and east.
+#: The goal of the beam's middle, north and east.
 GOAL = (16.0, 0.0)
 
 
@@ -46,7 +46,7 @@ def bears(team, start, end, pair):
 
 
 def lies(team):
-    """Where the middle of the beam was put down, from the true positions of the simulated vehicles."""
+    """The place of the beam's middle after it was put down, from the true positions of the vehicles."""
     west, east = list(flown.carried(team))[-1]
     assert max(west.up, east.up) < flown.LOW
     return (west.north + east.north) / 2, (west.east + east.east) / 2
@@ -64,13 +64,13 @@ def carried_on(team):
     assert math.dist(lies(team), GOAL) < OFF
 
 
-def test_two_carry_the_beam_and_two_more_the_crates(lfield_mission):
+def test_two_copters_carry_the_beam_and_two_the_crates(lfield_mission):
     team = flown.shown(lfield_mission("mission.dL"), fails=False)
     assert team.ended == {"beam": "done", "crates": "done"}
     assert carriers(team) == [("ada", "bob")]
     steps = flown.pairs(team)
     for one, other in steps:
-        assert max(one.at, other.at) < min(one.ended, other.ended), "both at one time"
+        assert max(one.at, other.at) < min(one.ended, other.ended), "both at the same time"
     for step, following in pairwise(steps):
         assert max(call.ended for call in step) < min(call.at for call in following), "in step"
     low = [step[0].ended for step in steps if flown.down(step)]
@@ -84,7 +84,7 @@ def test_two_carry_the_beam_and_two_more_the_crates(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_next_best_team_goes_where_another_pilot_has_the_best_one(lfield_mission):
+def test_second_mission_gets_the_next_best_team(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="bring a crate each")
     assert team.said("crates: another team: ada is reserved by beam for ") == 1
@@ -92,7 +92,7 @@ def test_the_next_best_team_goes_where_another_pilot_has_the_best_one(lfield_mis
 
 
 @pytest.mark.few(0)
-def test_when_no_team_is_left_the_crates_wait_for_those_who_carry_the_beam(lfield_mission):
+def test_crates_wait_for_the_carriers_when_no_team_is_left(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"dan.fc": ["battery=0.2"]})
     team.run(until="bring a crate each")
     assert team.ended == {"beam": "done"}
@@ -103,17 +103,17 @@ def test_when_no_team_is_left_the_crates_wait_for_those_who_carry_the_beam(lfiel
 
 
 @pytest.mark.few(0)
-def test_a_motor_fails_and_the_other_one_puts_its_end_down_where_it_is(lfield_mission):
+def test_motor_failure_makes_the_other_carrier_put_the_beam_down(lfield_mission):
     team = flown.shown(lfield_mission("mission.dL"), fails=True)
     assert team.said("beam: bob.fc has failed: fc: goTo ended early: it sinks at ") == 1
     failed = next(call for call in team.calls if call.thrown)
     by_ada = [call for call in team.calls if call.resource == "ada"]
     down = next(call for call in by_ada if call.at > failed.ended)
     last = by_ada[by_ada.index(down) - 1]
-    assert last.arguments[:2] == down.arguments[:2], "where it is"
+    assert last.arguments[:2] == down.arguments[:2], "at its present position"
     assert down.arguments[2] == -flown.ROPE
     assert not any(call.resource == "bob" and call.at > failed.ended for call in team.calls), (
-        "nor moves bob again"
+        "bob gets no further command"
     )
     assert carriers(team) == [("ada", "bob"), ("ada", "cat")]
     carried_on(team)
@@ -123,14 +123,14 @@ def test_a_motor_fails_and_the_other_one_puts_its_end_down_where_it_is(lfield_mi
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("aboard", [False, True], ids=["elsewhere", "aboard"])
-def test_a_computer_is_lost_while_they_carry(lfield_mission, aboard):
+def test_beam_is_delivered_when_a_computer_is_lost(lfield_mission, aboard):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: team.now > 29.0)
     here = [hop.target for hop in team.hops if hop.agent == "beam"][-1]
     lost, left = ("ada", "bob") if (COPTERS["ada"] == here) == aboard else ("bob", "ada")
     team.crash(COPTERS[lost])
     team.run(until_done=True)
-    assert landed(team, lost), "its end is down as well: that is its safe state"
+    assert landed(team, lost), "its end is down too: landing is its safe state"
     assert carriers(team)[0] == ("ada", "bob")
     assert len(carriers(team)) == 2
     assert lost not in carriers(team)[1]

@@ -15,7 +15,7 @@ PERSONS = {(32, -13), (55, 4), (24, 17), (60, -2)}
 
 
 def kits(team):
-    """Where kits were brought, by the log."""
+    """The places that got a kit, by the log."""
     lines = "\n".join(line.text for line in team.log)
     found = re.findall(r"(?:kit at|brought a kit to) (-?\d+), (-?\d+)", lines)
     return sorted((int(north), int(east)) for north, east in found)
@@ -40,17 +40,17 @@ def shown(svg):
     return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
 
-def was_near(team, device, place):
+def has_visited(team, device, place):
     """Whether a vehicle has been within 1.5 m of a place."""
     return any(math.dist((point.north, point.east), place) < 1.5 for point in team.tracks[device])
 
 
-def test_each_person_gets_one_kit_by_one_coordinator(lfield_mission):
+def test_each_person_gets_one_kit_from_one_coordinator(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"rescue": "done"}
     assert kits(team) == sorted(PERSONS)
-    assert all(was_near(team, "r1.fc", place) or was_near(team, "r2.fc", place) for place in PERSONS)
+    assert all(has_visited(team, "r1.fc", place) or has_visited(team, "r2.fc", place) for place in PERSONS)
     assert team.said("rescue: 4 persons found, 0 without a kit, 0 strips not searched") == 1
     searches = [call for call in team.calls if call.portal == "search"]
     deliveries = [call for call in team.calls if call.portal == "deliver"]
@@ -63,7 +63,7 @@ def test_each_person_gets_one_kit_by_one_coordinator(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_program_that_polls_does_the_same_with_more_calls(lfield_mission):
+def test_polling_program_does_the_same_with_more_calls(lfield_mission):
     team = lfield_mission("polling.dL")
     team.run(until_done=True)
     assert set(team.ended.values()) == {"done"}
@@ -74,7 +74,7 @@ def test_the_program_that_polls_does_the_same_with_more_calls(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_another_copter_searches_the_strip_of_one_that_fails(lfield_mission):
+def test_another_copter_searches_the_strip_of_a_failed_one(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="is searched")
     team.fake("c2.fc").set("silence=true")
@@ -87,7 +87,7 @@ def test_another_copter_searches_the_strip_of_one_that_fails(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_other_rover_goes_to_the_person_of_one_whose_computer_dies(lfield_mission):
+def test_other_rover_serves_the_person_of_a_failed_computer(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: any(call.portal == "deliver" for call in team.calls))
     first = next(call for call in team.calls if call.portal == "deliver")

@@ -14,13 +14,13 @@ CLEARANCE, ACCURACY = 0.05, 0.01
 
 
 def shows(svg):
-    """The lines of a picture, to ten pixels."""
+    """The lines of a picture, in units of ten pixels."""
     lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', svg)]
     return [[round(float(number) / 10.0) for number in line] for line in lines]
 
 
 @pytest.mark.parametrize("deployment", ["mission.dL", "dynamixel.dL"])
-def test_all_cubes_come_into_the_box_with_either_kind_of_servos(lfield_mission, deployment):
+def test_all_cubes_are_sorted_with_either_kind_of_servos(lfield_mission, deployment):
     team = lfield_mission(deployment)
     team.run(until_done=True)
     assert team.ended == {"sorter": "done"}
@@ -42,7 +42,7 @@ def test_all_cubes_come_into_the_box_with_either_kind_of_servos(lfield_mission, 
         ("dead@1=true", r"joints: servo 1 \(shoulder_pan\) does not answer"),
     ],
 )
-def test_a_servo_that_fails_in_mid_move_is_named_and_the_arm_stops(lfield_mission, fault, sentence):
+def test_servo_that_fails_in_motion_is_named_and_the_arm_stops(lfield_mission, fault, sentence):
     team = lfield_mission("mission.dL")
     team.run(until="cube 1 is gripped")
     team.run(0.5)
@@ -53,7 +53,7 @@ def test_a_servo_that_fails_in_mid_move_is_named_and_the_arm_stops(lfield_missio
 
 
 @pytest.mark.few(0)
-def test_without_a_cube_between_the_fingers_nothing_is_gripped(lfield_mission):
+def test_missing_cube_is_reported_as_not_gripped(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"arm.jaw": ["obstacle=1000"]})
     team.run(until_done=True)
     assert team.said("cube 2 is not there") == 1

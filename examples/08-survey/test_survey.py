@@ -14,7 +14,7 @@ SMALL = [(-14.0, 12.0), (14.0, 12.0), (14.0, 48.0), (-14.0, 48.0)]
 
 
 def flown(team):
-    """Who has flown which strip, by the log."""
+    """The vehicle of each strip, by the log."""
     lines = "\n".join(line.text for line in team.log)
     return {int(number): who for number, who in re.findall(r"strip (\d+) is flown by (\w+)", lines)}
 
@@ -50,7 +50,7 @@ def finish(team, path, victim, other):
 
 
 @pytest.mark.few(0)
-def test_the_other_vehicle_flies_the_strip_of_one_whose_computer_is_lost(lfield_mission, tmp_path):
+def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, SMALL)
     team = lfield_mission(path)
     victim, other = first_on_a_strip(team)
@@ -60,7 +60,7 @@ def test_the_other_vehicle_flies_the_strip_of_one_whose_computer_is_lost(lfield_
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("fault", ["silence", "motor_failure"])
-def test_the_others_fly_the_strip_of_a_vehicle_that_fails(lfield_mission, tmp_path, fault):
+def test_other_vehicles_fly_the_strip_of_a_failed_one(lfield_mission, tmp_path, fault):
     path = deployment(tmp_path, 2, SMALL)
     team = lfield_mission(path)
     victim, other = first_on_a_strip(team)
@@ -69,7 +69,7 @@ def test_the_others_fly_the_strip_of_a_vehicle_that_fails(lfield_mission, tmp_pa
 
 
 @pytest.mark.few(0)
-def test_four_vehicles_that_the_registry_chooses_share_the_field(lfield_mission, tmp_path):
+def test_four_vehicles_chosen_by_the_registry_share_the_field(lfield_mission, tmp_path):
     path = deployment(tmp_path, 4)
     team = lfield_mission(path)
     team.run(until_done=True, at_most=survey_times.AT_MOST)

@@ -12,7 +12,7 @@ def _sums(lines, rover):
     return [sum(amounts[: n + 1]) for n in range(len(amounts))]
 
 
-def test_each_rover_gets_what_it_asked_for_from_the_fullest_shelf(lfield_mission):
+def test_each_rover_gets_its_order_from_the_fullest_shelf(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     lines = {
@@ -32,7 +32,7 @@ def test_each_rover_gets_what_it_asked_for_from_the_fullest_shelf(lfield_mission
     assert min(stock) >= 0
 
 
-def test_the_depot_may_be_anything_that_answers(lfield_mission):
+def test_depot_may_be_a_double(lfield_mission):
     class Depot:
         def __init__(self):
             self.asked = []

@@ -24,7 +24,7 @@ def test_every_question_gets_its_answer(lfield_mission):
         assert f"{who} {verdict} target {target}" in lines
 
 
-def test_a_peer_that_is_cut_off_for_a_while_is_asked_all_the_same(lfield_mission):
+def test_disconnected_peer_is_asked_after_its_return(lfield_mission):
     team = lfield_mission("mission.dL")
     team.at(0.09, lambda: [team.cut("hill", other) for other in ("west", "east")])
     team.at(3.0, lambda: [team.heal("hill", other) for other in ("west", "east")])

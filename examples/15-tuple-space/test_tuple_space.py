@@ -61,7 +61,7 @@ def clients(tmp_path, lfield_mission):
 
 
 def deeds(team, verb: str) -> list[tuple[str, str]]:
-    """Who has written, taken, read or returned which tuple, in order."""
+    """The agent and tuple of each operation of a kind, in order."""
     found = (re.match(rf"(\S+) {verb} (\(.*)", line.text) for line in team.log)
     return [(match[1], match[2]) for match in found if match]
 
@@ -81,7 +81,7 @@ def assert_weeded(team) -> None:
 # --- the field ----------------------------------------------------------------------------------------
 
 
-def test_every_weed_is_pulled_once_and_everybody_goes_home(field):
+def test_every_weed_is_pulled_once_and_all_agents_return(field):
     field.run(until_done=True)
     assert_weeded(field)
     assert len(field.ended) == 5
@@ -93,7 +93,7 @@ def test_every_weed_is_pulled_once_and_everybody_goes_home(field):
     assert sorted(who for who, _ in deeds(field, "reads")) == ["fork", "hoe1", "hoe2"]
 
 
-def test_the_page_states_the_hops_of_this_run_and_the_messages_of_a_broadcast(field):
+def test_page_states_the_hops_and_the_messages_of_a_broadcast(field):
     field.run(until_done=True)
     hosts = len(field.mission.team.hosts)
     writes, removals = len(deeds(field, "writes")), len(deeds(field, "takes"))
@@ -107,7 +107,7 @@ def test_the_page_states_the_hops_of_this_run_and_the_messages_of_a_broadcast(fi
     assert [line for line in rows if line not in page] == []
 
 
-def test_waiting_needs_no_radio(clients):
+def test_waiting_needs_no_messages(clients):
     team = clients("//Taker:a@north?0", "//Taker:b@south?0", "//Writer:w@shed?60&1&2")
     team.run(5.0)
     assert len(team.hops) == 2
@@ -123,7 +123,7 @@ def test_waiting_needs_no_radio(clients):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("back", [1.0, 8.0, None], ids=["soon", "late", "never"])
 @pytest.mark.parametrize(("client", "host"), [("hoe1", "north"), ("fork", "east")])
-def test_what_a_host_had_taken_when_it_died_is_done_once(field, client, host, back):
+def test_tuple_taken_by_a_failed_host_is_processed_once(field, client, host, back):
     field.run(until=f'{client} takes ("weed"')
     field.run(0.7)
     field.crash(host)
@@ -137,14 +137,14 @@ def test_what_a_host_had_taken_when_it_died_is_done_once(field, client, host, ba
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("moment", [1.0, 2.6, 3.65, 5.0])
-def test_the_scout_dies_and_no_row_is_lost_or_seen_twice(field, moment):
+def test_scout_failure_neither_loses_nor_repeats_a_row(field, moment):
     field.at(moment, lambda: field.crash("sky"))
     field.at(moment + 2.0, lambda: field.boot("sky"))
     field.run(until_done=True)
     assert_weeded(field)
 
 
-def test_a_robot_that_was_only_cut_off_writes_nothing_of_what_was_given_back(field):
+def test_disconnected_robot_cannot_report_a_returned_tuple(field):
     """It pulls a weed while disconnected, which others pull again; its own report comes too late."""
     field.run(until='hoe1 takes ("weed"')
     field.run(0.5)
@@ -158,10 +158,10 @@ def test_a_robot_that_was_only_cut_off_writes_nothing_of_what_was_given_back(fie
     assert_weeded(field)
     assert field.said("hoe1-carrier recovered on this host", "farm") == 1
     assert field.ended["hoe1-carrier"] == "done"
-    assert field.said("once more: ", "north") <= 5, "who is refused does not try again all the time"
+    assert field.said("once more: ", "north") <= 5, "a refused agent retries at intervals"
 
 
-def test_a_wait_that_was_broken_off_goes_on_in_its_place(field):
+def test_interrupted_wait_is_resumed(field):
     """Without a majority no operation is possible, so waiting clients get an error; their call in the space
     remains.
     """
@@ -177,7 +177,7 @@ def test_a_wait_that_was_broken_off_goes_on_in_its_place(field):
     assert_weeded(field)
 
 
-def test_a_space_that_was_started_again_is_empty_and_tells_everybody(field):
+def test_restarted_space_is_empty_and_informs_all_agents(field):
     field.at(4.0, lambda: field.crash("farm"))
     field.at(5.0, lambda: field.boot("farm"))
     field.run(until_done=True)
@@ -188,7 +188,7 @@ def test_a_space_that_was_started_again_is_empty_and_tells_everybody(field):
 # --- the space ----------------------------------------------------------------------------------------
 
 
-def test_of_two_takers_at_the_same_time_one_has_it_and_the_other_waits(clients):
+def test_one_of_two_simultaneous_takers_gets_the_tuple(clients):
     team = clients("//Taker:a@north?1", "//Taker:b@south?1", "//Writer:w@shed?0&1", "//Writer:v@shed?9&2")
     team.run(until=" has ")
     team.run(5.0)
@@ -198,7 +198,7 @@ def test_of_two_takers_at_the_same_time_one_has_it_and_the_other_waits(clients):
     assert {who for who, _ in deeds(team, "takes")} == {"a", "b"}
 
 
-def test_who_has_waited_longest_is_served_first_and_the_oldest_tuple_goes_first(clients):
+def test_longest_waiting_taker_and_oldest_tuple_come_first(clients):
     team = clients(
         "//Taker:c@north?0.2", "//Taker:a@south?0.4", "//Taker:b@east?0.6", "//Writer:w@shed?3&7&8&9",
         "//Taker:late@shed?5", "//Writer:v@shed?4&10&11",
@@ -208,20 +208,20 @@ def test_who_has_waited_longest_is_served_first_and_the_oldest_tuple_goes_first(
     assert [f"{who} {tuple_[9:-1]}" for who, tuple_ in deeds(team, "takes")] == parts
 
 
-def test_who_waits_for_something_else_is_not_in_the_way(clients):
+def test_taker_of_another_tuple_does_not_block(clients):
     team = clients("//Taker:first@north?0&5", "//Taker:second@south?1", "//Writer:w@shed?3&4&5")
     team.run(until_done=True)
     assert deeds(team, "takes") == [("second", '("part", 4)'), ("first", '("part", 5)')]
 
 
-def test_readers_wake_and_leave_the_tuple_to_the_next(clients):
+def test_readers_wake_and_leave_the_tuple(clients):
     team = clients("//Reader:a@north?0", "//Taker:b@south?1", "//Reader:c@east?2", "//Writer:w@shed?3&1&2")
     team.run(until_done=True)
     assert deeds(team, "reads") == [("a", '("part", 1)'), ("c", '("part", 2)')]
     assert deeds(team, "takes") == [("b", '("part", 1)')]
 
 
-def test_who_asks_again_gets_the_same_answer_and_takes_nothing_more(clients):
+def test_repeated_request_gets_the_same_answer_and_takes_nothing_more(clients):
     """A client whose call may have been executed repeats it with the same number."""
     program = """
     coordinator Again {
@@ -243,7 +243,7 @@ def test_who_asks_again_gets_the_same_answer_and_takes_nothing_more(clients):
     assert [tuple_[9:-1] for _, tuple_ in deeds(team, "writes")] == ["1", "2", "3"]
     assert [tuple_[9:-1] for _, tuple_ in deeds(team, "takes")] == ["1", "2", "3"]
     assert deeds(team, "reads") == [("b", '("part", 1)')]
-    assert deeds(team, "gives back") == [("a", '("part", 1)')], "what was read was never away"
+    assert deeds(team, "gives back") == [("a", '("part", 1)')], "a read tuple stays in the space"
 
 
 # --- forms --------------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ FORMS = [
 ]
 
 
-def test_templates_match_tuples_of_their_number_types_and_values(clients):
+def test_templates_match_by_number_types_and_values(clients):
     asked = "".join(f"print(new Tuple(){like}.matches(new Tuple(){that}));\n" for like, that, _ in FORMS)
     team = clients("//Asker:asker@shed", program=f"coordinator Asker {{ init(string[] arg) {{ {asked} }} }}")
     team.run(until_done=True)
@@ -303,7 +303,7 @@ def test_templates_match_tuples_of_their_number_types_and_values(clients):
         ("string none; new Tuple().with(none);", "NullException"),
     ],
 )
-def test_an_impossible_space_is_reported(clients, statement, problem):
+def test_invalid_use_of_a_space_is_reported(clients, statement, problem):
     declaration = 'Space space = new Space(findTupleServer("space"), "bad");'
     program = f"coordinator Bad {{ init(string[] arg) {{ {declaration} {statement} }} }}"
     team = clients("//Bad:bad@shed", program=program)
@@ -315,11 +315,11 @@ def test_an_impossible_space_is_reported(clients, statement, problem):
 # --- the picture --------------------------------------------------------------------------------------
 
 
-def test_the_picture_shows_the_run_of_the_page(field):
+def test_picture_shows_the_run_of_the_page(field):
     drawn = carried.draw(carried.shown(field))
     assert_weeded(field)
     assert deeds(field, "gives back")
-    assert drawn.count("<rect") - 1 == 5 + WEEDS + 1, "the weed that was given back is worked on twice"
+    assert drawn.count("<rect") - 1 == 5 + WEEDS + 1, "the returned weed is worked on twice"
 
     def shows(svg: str) -> list[str]:
         return sorted(re.findall(r"<text[^>]*>([^<]*)<", svg))

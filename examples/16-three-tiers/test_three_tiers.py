@@ -25,7 +25,7 @@ def shows(svg):
 
 
 def inspected(team):
-    """Who has inspected what, in order."""
+    """Agents and inspected sites, in order."""
     lines = (line.text.split() for line in team.log)
     return [(said[0], said[2]) for said in lines if said[1:2] == ["inspects"]]
 
@@ -41,7 +41,7 @@ def at_home(team):
 
 
 @pytest.mark.few(0)
-def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
+def test_copter_takes_the_site_that_the_rover_cannot_reach(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}
@@ -61,7 +61,7 @@ def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
 
 
 def gone(team, device, metres):
-    """Whether a device is so far from home."""
+    """Whether a device is farther from home than this."""
     track = team.tracks[device]
     return bool(track) and math.hypot(track[-1].north, track[-1].east) > metres
 
@@ -80,7 +80,7 @@ def test_tier_one_stops_for_obstacles_without_a_query(lfield_mission):
     assert nearest(team) > RADIUS + 2.0
 
 
-def test_tier_one_returns_while_the_battery_lasts_without_a_query(lfield_mission):
+def test_tier_one_returns_on_low_battery_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: gone(team, "copter.fc", 8.0))
     asked = [call for call in team.calls if call.resource == "copter"]
@@ -95,7 +95,7 @@ def test_tier_one_returns_while_the_battery_lasts_without_a_query(lfield_mission
 
 
 @pytest.mark.few(0)
-def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
+def test_battery_drained_by_wind_gives_a_new_plan(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"copter.fc": ["wind=9", "wind_from=0.5"]})
     team.run(until="copter is home", at_most=100.0)
     said = [line.text for line in team.log if "copter" in line.text]
@@ -114,7 +114,7 @@ def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
         ("slow=1e6", "no plan in time: "),
     ],
 )
-def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfield_mission, fault, problem):
+def test_old_plan_is_used_until_the_planner_answers_again(lfield_mission, fault, problem):
     team = lfield_mission("mission.dL")
     team.run(until="rover can go")
     team.fake("strategist.planner").set(fault)
@@ -134,7 +134,7 @@ def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfi
         ("nonsense=42", "no plan: planner: its answer is invalid: '42'"),
     ],
 )
-def test_without_any_plan_no_vehicle_moves(lfield_mission, fault, problem):
+def test_no_vehicle_moves_without_a_plan(lfield_mission, fault, problem):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}
@@ -143,7 +143,7 @@ def test_without_any_plan_no_vehicle_moves(lfield_mission, fault, problem):
     assert not team.has_moved
 
 
-def test_a_slow_planner_is_waited_for(lfield_mission):
+def test_mission_waits_for_a_slow_planner(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": ["slow=4"]})
     team.run(until="rover can go")
     (planned,) = (call for call in team.calls if call.portal == "plan")
@@ -158,7 +158,7 @@ def test_sequencing_coordinators_are_activated_and_deactivated(lfield_mission):
     assert [team.said(text) for text in ("survey leg", "landed", "homing is done")] == [2, 1, 1]
 
 
-def test_without_the_operator_nothing_begins(lfield_mission):
+def test_nothing_starts_without_the_operator(lfield_mission):
     team = lfield_mission("sequences.dL")
     team.run(until_done=True)
     assert team.ended == {"director": "done"}

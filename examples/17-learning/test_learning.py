@@ -19,7 +19,7 @@ def held(team):
     return [int(one[1]) for one in found if one]
 
 
-def test_the_mission_learns(lfield_mission):
+def test_success_rate_rises_during_the_mission(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"teacher": "done"}
@@ -32,17 +32,17 @@ def test_the_mission_learns(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_what_is_shared_is_learnt_sooner_at_the_same_number_of_hops():
+def test_shared_experience_is_learnt_sooner_with_the_same_hops():
     (alone, alone_hops), (shared, shared_hops) = (learning.run(4, shares, 0) for shares in (False, True))
     assert sum(shared[:10]) > 1.3 * sum(alone[:10])
     assert shared_hops == alone_hops
 
 
-def test_a_run_is_repeated_exactly():
+def test_same_seed_repeats_a_run_exactly():
     assert learning.run(2, True, 3) == learning.run(2, True, 3)
 
 
-def test_a_picker_keeps_its_own_experience_apart(lfield_mission):
+def test_picker_keeps_its_own_experience_apart(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="shift 5")
     picks = Counter()
@@ -54,7 +54,7 @@ def test_a_picker_keeps_its_own_experience_apart(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_table_and_the_picture_are_those_of_the_script():
+def test_table_and_picture_equal_those_of_the_script():
     learnt = learning.measured()
     assert learning.table(learnt) in README
     assert learning.draw(learnt) == (HERE / "learning.svg").read_text(encoding="utf-8"), "draw it again"

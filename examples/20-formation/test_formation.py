@@ -12,7 +12,7 @@ COPTERS, ROVERS = ("ada", "bob", "cat"), ("dan", "eve")
 HOSTS = dict(zip((*COPTERS, *ROVERS), ("alpha", "bravo", "carol", "delta", "echo"), strict=True))
 #: Metres: spacing, and tolerance of a slot at the end of a leg.
 SPACING, OFF = 4.0, 0.6
-#: Where each leg ends, north and east, and the heading there.
+#: The end of each leg, north and east, and the heading there.
 LEGS = {"wedge": (18.0, 0.0, 0.0), "column": (18.0, 18.0, math.pi / 2), "line": (0.0, 18.0, math.pi)}
 #: Seconds since the start: in the middle of the second leg, which is flown as a column.
 MID = 38.0
@@ -62,7 +62,7 @@ def agreements(team):
     return max(sum(call.resource == who for call in team.calls) for who in HOSTS)
 
 
-def keeps_step(team):
+def assert_in_step(team):
     """During the march no vehicle is farther from the others than half a step allows."""
     start, end = reported_size(team, "wedge")[1] + 10.0, reported_size(team, "column")[1]
     for tenth in range(int(start * 10), int(end * 10)):
@@ -70,7 +70,7 @@ def keeps_step(team):
         assert column[-1] - column[0] < 4 * SPACING + 6.0, "a step is 6 m"
 
 
-def moves_at_one_time(team):
+def assert_simultaneous_steps(team):
     """In each step one visit to start and one to fetch, except for the coordinator's host."""
     goes = [call for call in team.calls if call.portal in ("flyTo", "driveTo")]
     steps = [goes[i : i + 5] for i in range(0, len(goes), 5)]
@@ -106,13 +106,13 @@ def test_every_formation_is_reached_without_a_collision(lfield_mission):
     assert closest(team, ROVERS) > SPACING / 2
     assert 3.5 < max(point.up for point in team.tracks["ada.fc"]) < 4.5
     assert not any(team.fake(f"{who}.fc").facts["airborne"] for who in COPTERS), "they have landed"
-    keeps_step(team)
-    moves_at_one_time(team)
+    assert_in_step(team)
+    assert_simultaneous_steps(team)
 
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("who", ["bob", "cat", "dan"])
-def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_mission, who):
+def test_formation_closes_after_a_motor_failure(lfield_mission, who):
     team = stopped(lfield_mission, lambda team: team.fake(f"{who}.fc").set("motor_failure=true"))
     others = [each for each in HOSTS if each != who]
     assert team.said(f"march: {who}.fc is left behind") == 1
@@ -122,7 +122,7 @@ def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_miss
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("group", [COPTERS, ROVERS])
-def test_a_host_that_is_lost_is_left_behind(lfield_mission, group):
+def test_lost_host_is_left_behind(lfield_mission, group):
     lost = []
 
     def act(team):
@@ -141,7 +141,7 @@ def test_a_host_that_is_lost_is_left_behind(lfield_mission, group):
 @pytest.mark.parametrize(
     ("moment", "many"), [(MID, 2), (MID + 2.0, 3)], ids=["both rovers drive", "one rover drives"]
 )
-def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_mission, moment, many):
+def test_march_continues_when_the_coordinators_host_is_lost(lfield_mission, moment, many):
     lost = []
 
     def act(team):
@@ -163,7 +163,7 @@ def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_missio
 
 
 @pytest.mark.few(0)
-def test_two_fail_at_once(lfield_mission):
+def test_two_simultaneous_failures(lfield_mission):
     def act(team):
         team.fake("bob.fc").set("motor_failure=true")
         (
@@ -179,28 +179,28 @@ def test_two_fail_at_once(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_wind_and_gusts_do_not_cost_the_formation(lfield_mission):
+def test_formation_holds_in_wind_and_gusts(lfield_mission):
     wind = ["wind=7", "gusts=4", "wind_from=0.8"]
     blown = marched(lfield_mission, fakes={f"{who}.fc": wind for who in COPTERS})
     assert [worst(blown, formation) < OFF for formation in LEGS] == [True] * 3
 
 
 @pytest.mark.few(0)
-def test_one_who_is_taken_along_by_a_storm_is_left_behind(lfield_mission):
+def test_vehicle_carried_off_by_a_storm_is_left_behind(lfield_mission):
     team = stopped(lfield_mission, lambda team: team.fake("ada.fc").set("wind=20"))
     assert team.said("march: ada.fc is left behind") == 1
     assert worst(team, "line", ["bob", "cat", "dan", "eve"]) < OFF
 
 
 @pytest.mark.few(0)
-def test_a_low_battery_does_not_march(lfield_mission):
+def test_vehicle_with_a_low_battery_does_not_march(lfield_mission):
     team = marched(lfield_mission, fakes={"bob.fc": ["battery=0.25"]})
     assert worst(team, "line", [who for who in HOSTS if who != "bob"]) < OFF
     assert not any(point.up > 0.1 for point in team.tracks["bob.fc"])
 
 
 @pytest.mark.few(0)
-def test_one_seed_is_one_march(lfield_mission):
+def test_same_seed_gives_the_same_march(lfield_mission):
     first, again = (marched(lfield_mission, seed=1) for _ in range(2))
     assert first.tracks == again.tracks
     assert first.log == again.log
@@ -208,7 +208,7 @@ def test_one_seed_is_one_march(lfield_mission):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("ground", [terrain_marches.mud, terrain_marches.hill, terrain_marches.valley])
-def test_they_march_over_terrain(ground):
+def test_formation_holds_over_terrain(ground):
     """Mud slows rovers and wind moves copters: the step takes longer, and the formation holds."""
     found = terrain_marches.march(ground)
     assert found.arrived == 5

@@ -1,4 +1,4 @@
-"""How far a boat has gone, on virtual time: `lfield test examples/20-gps-driver`."""
+"""The distance travelled by a boat, on virtual time: `lfield test examples/20-gps-driver`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def survey_result(team):
     return float(way), int(places)
 
 
-def test_the_way_of_the_boat_is_measured(lfield_mission):
+def test_distance_of_the_boat_is_measured(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"surveyor": "done"}
@@ -30,7 +30,7 @@ def test_the_way_of_the_boat_is_measured(lfield_mission):
     assert [hop.target for hop in team.hops] == ["afloat"]
 
 
-def test_it_goes_as_its_fake_says(lfield_mission):
+def test_boat_moves_as_its_fake_reports(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     track = [point for point in team.tracks["boat.gps"] if point.at > 1.0]
@@ -41,7 +41,7 @@ def test_it_goes_as_its_fake_says(lfield_mission):
     assert north == pytest.approx(max(p.north for p in track) - min(p.north for p in track), abs=2.0)
 
 
-def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_line(lfield_mission):
+def test_missing_positions_are_bridged_by_a_straight_line(lfield_mission):
     team = lfield_mission("mission.dL")
     team.at(8.0, lambda: team.fake("boat.gps").set("no_fix=true"))
     team.at(14.0, lambda: team.fake("boat.gps").set("no_fix=false"))
@@ -54,7 +54,7 @@ def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_lin
     assert 35.0 < way < 20.0 * SPEED
 
 
-def test_without_satellites_no_vehicle_starts(lfield_mission):
+def test_no_vehicle_starts_without_satellites(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"boat.gps": ["no_fix=true"]})
     team.run(until_done=True)
     assert team.ended == {"surveyor": "died"}
@@ -63,7 +63,7 @@ def test_without_satellites_no_vehicle_starts(lfield_mission):
 
 
 @pytest.mark.parametrize("fault", ["noise=0.02", "half=0.3"])
-def test_damaged_sentences_make_no_leaps(lfield_mission, fault):
+def test_damaged_sentences_cause_no_position_jumps(lfield_mission, fault):
     team = lfield_mission("mission.dL", fakes={"boat.gps": [fault]})
     team.run(until_done=True)
     assert survey_result(team)[0] == pytest.approx(20.0 * SPEED, abs=3.0)

@@ -24,11 +24,11 @@ def arrived(team):
     assert abs(heading - GOAL[2]) < STRAIGHT
 
 
-def test_the_box_arrives_as_it_shall(lfield_mission):
+def test_box_reaches_its_goal_pose(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     arrived(team)
-    assert math.dist(team.fake("box").place[:2], GOAL[:2]) < NEAR, "the plane says so too"
+    assert math.dist(team.fake("box").place[:2], GOAL[:2]) < NEAR, "the simulated plane agrees"
     # Two hops for each rover but one in a step; broadcasting would take N(N-1) = 6 messages.
     steps = sum(call.portal == "driveTo" for call in team.calls) // 3
     assert 20 < steps < 30
@@ -36,7 +36,7 @@ def test_the_box_arrives_as_it_shall(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_all_of_a_step_drive_at_one_time(lfield_mission):
+def test_all_rovers_of_a_step_drive_at_the_same_time(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     drives = [call for call in team.calls if call.portal == "driveTo"]
@@ -46,7 +46,7 @@ def test_all_of_a_step_drive_at_one_time(lfield_mission):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("who", ["left", "middle", "right"])
-def test_a_weak_rover_is_made_up_for(lfield_mission, who):
+def test_weak_rover_is_compensated(lfield_mission, who):
     team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["weak=0.3"]})
     team.run(until_done=True)
     arrived(team)
@@ -56,7 +56,7 @@ def test_a_weak_rover_is_made_up_for(lfield_mission, who):
 @pytest.mark.few(1)
 @pytest.mark.parametrize("who", ["left", "middle", "right"])
 @pytest.mark.parametrize("fault", ["broken", "silent"])
-def test_one_that_fails_is_left_behind_and_two_go_on(lfield_mission, who, fault):
+def test_failed_rover_is_left_behind_and_two_continue(lfield_mission, who, fault):
     team = lfield_mission("mission.dL")
     team.at(12.0, lambda: team.fake(f"{who}.wheels").set(f"{fault}=true"))
     team.run(until_done=True)
@@ -65,7 +65,7 @@ def test_one_that_fails_is_left_behind_and_two_go_on(lfield_mission, who, fault)
     assert math.dist(team.fake(f"{who}.wheels").place[:2], GOAL[:2]) > 1.0
 
 
-def test_a_rover_whose_computer_is_gone_stops_by_itself_and_two_go_on(lfield_mission):
+def test_rover_without_its_computer_stops_and_two_continue(lfield_mission):
     team = lfield_mission("mission.dL")
     team.at(12.0, lambda: team.crash("port"))
     team.run(14.0)
@@ -73,17 +73,17 @@ def test_a_rover_whose_computer_is_gone_stops_by_itself_and_two_go_on(lfield_mis
     team.run(until_done=True)
     arrived(team)
     assert team.said("left pushes no more: port could not be reached") == 1
-    assert math.dist(team.fake("left.wheels").place, stood) < 0.3, "it was only pushed aside"
+    assert math.dist(team.fake("left.wheels").place, stood) < 0.3, "it was only displaced by contact"
 
 
-def test_one_rover_alone_gives_up_and_says_where_the_box_is(lfield_mission):
+def test_single_rover_gives_up_and_reports_the_position_of_the_box(lfield_mission):
     team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["broken=true"] for who in ("left", "right")})
     team.run(until_done=True)
     assert team.ended == {"movers": "done"}
     assert team.said("the box is at (0.00, 0.00)") == 1
 
 
-def test_things_that_are_no_devices_keep_the_order_of_their_fake(lfield_mission):
+def test_tracked_objects_keep_the_order_of_their_fake(lfield_mission):
     """Colours of a picture depend on it: the order of a set would differ between processes."""
     team = lfield_mission("mission.dL")
     team.run(0.5)
@@ -98,8 +98,8 @@ def test_things_that_are_no_devices_keep_the_order_of_their_fake(lfield_mission)
 @pytest.mark.parametrize(
     ("world", "away", "turned"), [("slope=0.03", 0.1, 0.3), ("mud=2", 0.05, 0.05), ("slope=-0.06", 0.1, 0.4)]
 )
-def test_a_box_is_pushed_over_terrain(world, away, turned):
-    """On a slope the box points uphill, since robots that push hold no force across."""
+def test_box_is_pushed_over_terrain(world, away, turned):
+    """On a slope the box points uphill, since pushing robots exert no lateral force."""
     end = terrain_pushes.push(world)
     assert end.away < away
     assert end.turned < turned
@@ -107,5 +107,5 @@ def test_a_box_is_pushed_over_terrain(world, away, turned):
 
 
 @pytest.mark.few(0)
-def test_too_heavy_mud_stops_three_rovers():
+def test_heavy_mud_stops_three_rovers():
     assert terrain_pushes.push("mud=3").away > 1.0

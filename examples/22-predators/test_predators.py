@@ -32,7 +32,7 @@ def surrounded(team, without=""):
 
 
 @pytest.mark.few(0)
-def test_they_surround_it(lfield_mission):
+def test_four_predators_surround_the_prey(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"hunt": "done"}
@@ -45,7 +45,7 @@ def test_they_surround_it(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_what_is_caught_stays_caught(lfield_mission):
+def test_caught_prey_stays_caught(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     place = team.fake("prey").place
@@ -56,7 +56,7 @@ def test_what_is_caught_stays_caught(lfield_mission):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("who", PACK)
-def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
+def test_three_predators_catch_the_prey_when_a_computer_fails(lfield_mission, who):
     team = lfield_mission("mission.dL", seed=len(who))
     team.at(8.0, lambda: team.power_off(PACK[who]))
     team.run(until_done=True)
@@ -67,7 +67,7 @@ def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_in_processes_all_are_on_one_plane():
+def test_processes_share_one_simulated_plane():
     """As in the README: a process for each host and each simulated device, in real time."""
     mission = Path(__file__).parent / "mission.dL"
     command = [
@@ -93,7 +93,7 @@ def line_of(phrase):
     return f"mission.L:{number}"
 
 
-def test_the_coordinator_goes_on_elsewhere_when_its_computer_dies(lfield_mission):
+def test_coordinator_continues_elsewhere_when_its_computer_fails(lfield_mission):
     team, killed = lfield_mission("mission.dL", seed=2), []
 
     def kill():
@@ -111,7 +111,7 @@ def test_the_coordinator_goes_on_elsewhere_when_its_computer_dies(lfield_mission
 
 
 @pytest.mark.few(0)
-def test_who_is_back_hunts_again(lfield_mission):
+def test_restarted_predator_hunts_again(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(3.0, lambda: team.crash("east"))
     team.at(4.0, lambda: team.boot("east"))
@@ -125,14 +125,14 @@ def test_who_is_back_hunts_again(lfield_mission):
 @pytest.mark.parametrize(
     "world", ["mind=random size=8", "prey=2", "predators=5 mind=away", "moves=4 prey_moves=4 predators=3"]
 )
-def test_they_catch_in_other_worlds(world):
+def test_predators_catch_the_prey_in_other_worlds(world):
     end = hunts.hunt(world, 1)
     assert end.caught == end.prey
     assert 0 < end.steps < 200 * end.prey
 
 
 @pytest.mark.few(0)
-def test_the_table_of_the_page_is_that_of_the_script():
+def test_table_of_the_page_equals_the_script():
     (world,) = [world for name, world in hunts.WORLDS if name == "prey stands still"]
     page = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
     ends = [hunts.hunt(world, seed) for seed in range(hunts.RUNS)]

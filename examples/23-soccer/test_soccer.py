@@ -38,7 +38,7 @@ def way(team, who, since, until):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("seed", [0, 2, 4])
-def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
+def test_both_coaches_count_the_goals(lfield_mission, seed):
     team = lfield_mission("mission.dL", seed=seed)
     team.run(until_done=True)
     assert team.ended == {"red": "done", "blue": "done"}
@@ -51,7 +51,7 @@ def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
 
 
 @pytest.mark.few(0)
-def test_the_same_seed_is_the_same_match_and_another_is_another(lfield_mission):
+def test_same_seed_gives_the_same_match(lfield_mission):
     matches = []
     for seed in (1, 1, 2):
         team = lfield_mission("mission.dL", seed=seed)
@@ -61,13 +61,13 @@ def test_the_same_seed_is_the_same_match_and_another_is_another(lfield_mission):
     assert matches[0] != matches[2]
 
 
-def test_who_fails_leaves_two_to_play(lfield_mission):
+def test_failed_robot_leaves_two_to_play(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(8.0, lambda: team.fake("cid.wheels").set("broken=true"))
     team.run(25.0)
     assert team.said("cid does not play: ") > 0
     others = min(way(team, who, 10.0, 25.0) for who in ("ann", "bob"))
-    assert others > 2.0 * way(team, "cid", 10.0, 25.0), "it is only pushed aside"
+    assert others > 2.0 * way(team, "cid", 10.0, 25.0), "it is only displaced by contact"
     orders = [call for call in team.calls if call.at > 10.0 and call.resource in HOSTS.values()]
     attack = [call.resource for call in orders if call.arguments[0]]
     assert "cid" not in attack
@@ -75,7 +75,7 @@ def test_who_fails_leaves_two_to_play(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_who_is_mended_plays_again(lfield_mission):
+def test_repaired_robot_plays_again(lfield_mission):
     team = lfield_mission("mission.dL", seed=1)
     team.at(5.0, lambda: team.fake("cid.wheels").set("broken=true"))
     team.at(10.0, lambda: team.fake("cid.wheels").set("broken=false"))
@@ -84,7 +84,7 @@ def test_who_is_mended_plays_again(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
+def test_team_plays_without_its_coach_until_recovery(lfield_mission):
     team, killed = lfield_mission("mission.dL", seed=1), []
 
     def kill():
@@ -95,7 +95,7 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     team.at(8.0, kill)
     team.run(until="recovered on this host")
     back, left = team.now, [who for host, who in HOSTS.items() if host != killed[0]]
-    assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "they play without new commands"
+    assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "the robots continue without new commands"
     team.run(until_done=True)
     assert team.ended == {"red": "done", "blue": "done"}
     assert reported_score(team, "red") == goals(team)
@@ -104,7 +104,7 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_ball_leaves_between_the_posts_and_no_robot_leaves(lfield_mission):
+def test_ball_leaves_between_the_posts_and_robots_stay(lfield_mission):
     """From the kick-off to the first goal: with `-k posts --tracks DIR` the picture of the README."""
     team = lfield_mission("mission.dL", seed=3)
     team.run(until=lambda: abs(team.fake("ball").place[0]) > LINE + BALL)
@@ -116,7 +116,7 @@ def test_the_ball_leaves_between_the_posts_and_no_robot_leaves(lfield_mission):
 
 @pytest.mark.few(0)
 @pytest.mark.process
-def test_two_programs_meet_at_the_referee():
+def test_two_missions_meet_at_the_referee():
     """Two missions as processes, in real time: they start together, and the referee gives both its score."""
     red, blue = league.match(8.0)
     assert (red.north, red.south) == (blue.north, blue.south)
@@ -124,7 +124,7 @@ def test_two_programs_meet_at_the_referee():
 
 
 @pytest.mark.few(0)
-def test_without_the_other_team_no_match_begins(lfield_mission):
+def test_match_does_not_begin_without_the_other_team(lfield_mission):
     team = lfield_mission("red.dL")
     team.run(30.0)
     assert team.said("kick-off") == 0

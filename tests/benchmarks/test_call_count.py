@@ -1,4 +1,4 @@
-"""The counts of a hop: what is a move, what a return, and that a hop is recorded whole."""
+"""The counts of a hop: moves, returns, and that a hop is recorded completely."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from hops.call_count import FIGURES, HOPS, Walk, device_call, recorded_hops, sho
 from lfield import event_loop
 
 
-def test_a_return_is_a_move_to_a_file_of_before():
+def test_return_is_a_move_to_an_earlier_file():
     walk = Walk((("a", "f"), ("a", "g"), ("b", "h"), ("a", "f"), ("c", "k"), ("b", "h")))
     assert (walk.files, walk.moves, walk.returns) == (3, 4, 2)
 
 
-def test_a_hop_is_recorded_from_the_departure_to_the_portal(tmp_path: Path):
+def test_hop_is_recorded_from_the_departure_to_the_portal(tmp_path: Path):
     hops = event_loop.run(recorded_hops(tmp_path, journals=False))
     assert len(hops) == HOPS
     files = [file for file, _ in hops[0].calls]
@@ -29,8 +29,8 @@ def test_a_hop_is_recorded_from_the_departure_to_the_portal(tmp_path: Path):
 
 
 @pytest.mark.parametrize("journals", ["no", "yes"])
-def test_a_hop_takes_no_more_calls_than_it_did(journals: str):
-    """Lower figures go into the file by hand. Counts over TCP depend on how busy the computer is."""
+def test_hop_takes_no_more_calls_than_before(journals: str):
+    """Write lower figures into the file by hand. Counts over TCP depend on the load of the computer."""
     most = FIGURES["simulated", journals]
     walk = shortest(simulated=True, journals=journals == "yes")
     if journals == "no":
@@ -41,12 +41,12 @@ def test_a_hop_takes_no_more_calls_than_it_did(journals: str):
     assert walk.returns <= most.returns
 
 
-def test_recording_events_costs_no_call_while_nobody_subscribes():
+def test_recording_events_costs_no_call_without_subscribers():
     walk = shortest(simulated=True, journals=False)
     assert not [file for file, _ in walk.calls if file.startswith("host/events/")]
 
 
-def test_a_device_instruction_takes_no_more_calls_than_it_did(tmp_path: Path):
+def test_device_instruction_takes_no_more_calls_than_before(tmp_path: Path):
     most, walk = FIGURES["device", "no"], device_call(tmp_path)
     assert walk.calls[0][0] == "vm/host_calls.py"
     assert "guard/core.py" in {file for file, _ in walk.calls}
@@ -55,7 +55,7 @@ def test_a_device_instruction_takes_no_more_calls_than_it_did(tmp_path: Path):
     assert walk.returns <= most.returns
 
 
-def test_an_arrow_is_a_public_call_in_another_package():
+def test_arrow_is_a_public_call_in_another_package():
     walk = Walk(
         (
             ("vm/a.py", "A.f"),

@@ -1,4 +1,4 @@
-"""The deaths: what a device's log says of one, and one of each kind in earnest."""
+"""Failures of processes: the verdict from a device's log, and one real failure of each kind."""
 
 from __future__ import annotations
 
@@ -21,42 +21,42 @@ TURNING = {"torque": "yes", "goals": "90,0,0", "moving": "yes", "watchdog_bit": 
 LANDING = [Change(10.5, "mode", "LAND"), Change(12.0, "airborne", "no"), Change(12.1, "armed", "no")]
 
 
-def test_a_copter_is_safe_when_it_begins_to_land_and_at_rest_when_it_is_disarmed():
+def test_copter_is_safe_when_landing_and_at_rest_when_disarmed():
     assert judge(COPTER, FLYING, LANDING, 10.0) == Verdict(0.5, pytest.approx(2.1))
 
 
-def test_what_came_before_the_death_was_not_its_doing():
+def test_changes_before_the_failure_are_ignored():
     turned = [Change(9.9, "goals", "80,0,0"), Change(10.2, "moving", "no")]
     assert judge(SERVO, TURNING, turned, 10.0) == Verdict()
 
 
-def test_what_was_safe_already_is_safe_at_once():
+def test_device_in_its_safe_state_is_safe_at_once():
     assert judge(COPTER, {**FLYING, "mode": "LAND"}, LANDING[1:], 10.0) == Verdict(0.0, pytest.approx(2.1))
 
 
-def test_a_servo_is_safe_when_it_has_another_goal():
+def test_servo_is_safe_with_another_goal():
     held = [Change(10.25, "goals", "55,0,0"), Change(10.5, "moving", "no")]
     assert judge(SERVO, TURNING, held, 10.0) == Verdict(0.25, 0.5)
 
 
-def test_what_does_not_stay_safe_is_not_safe():
+def test_device_that_leaves_its_safe_state_is_not_safe():
     assert judge(COPTER, FLYING, [*LANDING[:1], Change(11.0, "mode", "GUIDED")], 10.0) == Verdict()
     again = [*LANDING[:1], Change(11.0, "mode", "GUIDED"), Change(13.0, "mode", "LAND")]
     assert judge(COPTER, FLYING, again, 10.0) == Verdict(3.0)
 
 
-def test_what_stands_and_moves_again_is_not_at_rest():
+def test_device_that_moves_again_is_not_at_rest():
     held = [Change(10.25, "goals", "55,0,0"), Change(10.5, "moving", "no"), Change(11.0, "moving", "yes")]
     assert judge(SERVO, TURNING, held, 10.0) == Verdict(0.25)
 
 
 @pytest.mark.parametrize(("at", "own"), [(10.5, True), (10.8, False)])
-def test_its_own_watchdog_came_first_when_one_look_saw_both(at, own):
+def test_own_watchdog_counts_first_when_both_appear_in_one_sample(at, own):
     failsafe = Change(at, "failsafe", "yes")
     assert judge(COPTER, FLYING, sorted([*LANDING, failsafe]), 10.0).own is own
 
 
-def test_a_log_is_read_as_it_grows(tmp_path):
+def test_log_is_read_as_it_grows(tmp_path):
     path = tmp_path / "device.log"
     path.write_text("1.5 1 mode=LAND\n2.5 1 arm")
     log = DeviceLog(path)
@@ -67,7 +67,7 @@ def test_a_log_is_read_as_it_grows(tmp_path):
     assert log.changes == [Change(2.5, "armed", "no")]
 
 
-def test_what_failed_is_told_and_counted():
+def test_failed_trials_are_reported_and_counted():
     good = Outcome("PX4", "host SIGKILL", "move", Verdict(0.1, 2.0, own=True))
     bad = Outcome("PX4", "host SIGKILL", "setpoints", why="not safe within 15 s", starts=2)
     safe, rest, failed, again = rows({"quiet": [good, good, bad], "busy": []})
@@ -85,8 +85,8 @@ def test_what_failed_is_told_and_counted():
 @pytest.mark.few(0)
 @pytest.mark.process
 @pytest.mark.timeout(400)
-def test_a_servo_stands_after_a_death_and_by_its_own_watchdog_after_that_of_both():
-    """The other deaths: `make bench ONLY=deaths`."""
+def test_servo_stops_after_failures_of_host_and_guard():
+    """The other failures: `make bench ONLY=deaths`."""
     with Processes() as processes:
         # A silence that any computer can keep.
         fleet = Fleet(Checkout.own(), processes, [SERVO], 2, [0.9])

@@ -1,4 +1,4 @@
-"""The harness of the figures: what is lost when one fails (nothing), what is counted, what is saved."""
+"""The harness of the figures: failures of one figure, counted values, and saved values."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_quantiles():
         median([])
 
 
-def test_a_row_has_minimum_median_and_maximum():
+def test_row_has_minimum_median_and_maximum():
     assert Row("", "", samples=[3.0, 1.0, 2.0]).numbers() == {
         "min": 1.0,
         "median": 2.0,
@@ -79,18 +79,18 @@ def test_a_row_has_minimum_median_and_maximum():
     assert Row("", "", error="gone").numbers() == {}
 
 
-def test_a_ratio_is_of_rounds_that_were_measured_together():
+def test_ratio_is_of_rounds_that_were_measured_together():
     # The second round was made under load, for both.
     assert pair_ratios([[1.1], [11.0]], [[1.0], [10.0]]) == pytest.approx([1.1, 1.1])
 
 
-def test_a_short_work_is_repeated_until_it_can_be_trusted():
+def test_short_work_is_repeated_to_a_reliable_duration():
     calls = []
     assert timed(lambda: calls.append(1), at_least=0.002) * len(calls) >= 0.002
     assert len(calls) > 10
 
 
-def test_contenders_take_turns_and_nobody_is_always_first():
+def test_contenders_take_turns_in_changing_order():
     order = []
     openers = {name: lambda n=name: lambda: order.append(n) or {"": [1.0]} for name in "ab"}
     samples, errors = in_turns(openers, 3, silent)
@@ -98,7 +98,7 @@ def test_contenders_take_turns_and_nobody_is_always_first():
     assert samples == {"a": {"": [[1.0]] * 3}, "b": {"": [[1.0]] * 3}}
 
 
-def test_a_growth_is_that_of_all_sizes_in_each_round():
+def test_growth_is_computed_from_all_sizes_of_each_round():
     def squares(checkout, processes):
         return lambda: {f"{n} cats": [1e-3 * n * n] for n in (1, 10, 100)}
 
@@ -116,7 +116,7 @@ def test_a_growth_is_that_of_all_sizes_in_each_round():
     assert (b.case, b.measured, list(b.samples)) == ("", "b", pytest.approx([0.1] * 2))
 
 
-def test_sizes_may_be_those_of_contenders_or_of_a_part_of_a_case():
+def test_sizes_may_be_contenders_or_parts_of_a_case():
     figure = Figure("", {"few": giving(1.0), "many": giving(2.0)}, rounds=1, sizes={"few": 1, "many": 10})
     *_, row = rows_of(figure, HERE, silent)
     assert (row.case, row.measured, row.samples) == ("ten times the size: case", "", [2.0])
@@ -136,7 +136,7 @@ for name, module in FIGURES.items():
 """
 
 
-def test_every_figure_has_sizes_or_says_why_there_is_nothing_that_grows():
+def test_every_figure_has_sizes_or_a_reason_for_none():
     command = [sys.executable, "-c", _SIZES]
     said = subprocess.run(
         command, cwd=Path(__file__).parent, check=True, capture_output=True, text=True
@@ -146,7 +146,7 @@ def test_every_figure_has_sizes_or_says_why_there_is_nothing_that_grows():
     assert {name: one for name, one in told.items() if one[0] != 1 or one[1] == 1} == {}
 
 
-def test_rows_of_a_figures_own_grow_as_well():
+def test_custom_rows_of_a_figure_have_growths():
     def own(checkout, rounds, tick):
         for count in (1, 10):
             yield Row(f"{count} cats: fed", "a", samples=[1.0 * count])
@@ -160,14 +160,14 @@ def test_rows_of_a_figures_own_grow_as_well():
     assert [*a.samples, *b.samples] == pytest.approx([10.0, 0.1])
 
 
-def test_what_costs_nothing_or_has_one_size_does_not_grow():
+def test_zero_cost_or_a_single_size_has_no_growth():
     figure = Figure("", {"few": giving(0.0), "many": giving(2.0)}, rounds=1, sizes={"few": 1, "many": 10})
     assert [row.measured for row in rows_of(figure, HERE, silent)] == ["few", "many"]
     figure = Figure("", {"few": giving(1.0)}, rounds=1, sizes={"few": 1})
     assert [row.measured for row in rows_of(figure, HERE, silent)] == ["few"]
 
 
-def test_a_target_may_be_of_one_contender_in_one_case():
+def test_target_may_be_of_one_contender_in_one_case():
     figure = Figure("", {}, targets={"a: case": "1x", "case": "2x", "b": "3x"})
     assert [figure.target(*asked) for asked in (("case", "a"), ("case", "b"), ("other", "b"))] == [
         "1x",
@@ -176,14 +176,14 @@ def test_a_target_may_be_of_one_contender_in_one_case():
     ]
 
 
-def test_a_contender_that_fails_leaves_the_others():
+def test_failing_contender_leaves_the_others():
     figure = Figure("", {"a": failing, "b": giving(1.0)}, rounds=2)
     good, bad = rows_of(figure, HERE, silent)
     assert (good.measured, list(good.samples)) == ("b", [1.0, 1.0])
     assert (bad.measured, bad.error) == ("a", "OSError: no such thing")
 
 
-def test_the_ratio_to_a_rival_has_its_least_and_its_greatest_round():
+def test_ratio_to_a_rival_has_its_smallest_and_largest_round():
     took = iter([1.0, 2.0, 6.0])
     rising = {"a": lambda checkout, processes: lambda: {"case": [next(took)]}, "b": giving(2.0)}
     figure = Figure("", rising, rounds=3, ratios=(("a", "b", "0.60x"), ("a", "gone", "1.00x")))
@@ -192,7 +192,7 @@ def test_the_ratio_to_a_rival_has_its_least_and_its_greatest_round():
     assert ratio.numbers() == {"min": 0.5, "median": 1.0, "p90": 3.0, "p99": 3.0, "max": 3.0}
 
 
-def test_one_that_fails_in_a_later_round_leaves_the_others():
+def test_contender_failing_in_a_later_round_leaves_the_others():
     left = [1.0]
     openers = {"a": lambda: lambda: {"": [left.pop()]}, "b": lambda: lambda: {"": [2.0]}}
     samples, errors = in_turns(openers, 2, silent)
@@ -200,21 +200,21 @@ def test_one_that_fails_in_a_later_round_leaves_the_others():
     assert errors == {"a": "IndexError: pop from empty list"}
 
 
-def test_a_failing_figure_leaves_the_others(bench):
+def test_failing_figure_leaves_the_others(bench):
     status, shown = bench({"lost": None, "second": B})
     assert status == 1
     assert "lost: ModuleNotFoundError: No module named 'figure_of_lost'" in shown
     assert "5.00 s" in shown
 
 
-def test_only_the_figures_that_are_named(bench):
+def test_only_named_figures_are_run(bench):
     status, shown = bench({"first": A, "second": B}, "--only", "second")
     assert status == 0
     assert "The second" in shown
     assert "The first" not in shown
 
 
-def test_an_unknown_figure(bench, capsys):
+def test_unknown_figure_is_an_error(bench, capsys):
     assert bench({"first": A, "second": B}, "--only", "third")[0] == 64
     assert capsys.readouterr().err == "there is no figure 'third'; there are first, second\n"
 
@@ -231,7 +231,7 @@ def test_rows_are_saved(bench, tmp_path):
     assert lost["error"].startswith("ModuleNotFoundError")
 
 
-def test_what_is_interrupted_is_printed_and_saved(bench, tmp_path, capsys):
+def test_interrupted_run_is_printed_and_saved(bench, tmp_path, capsys):
     def interrupted(checkout, processes):
         raise KeyboardInterrupt
 
@@ -253,7 +253,7 @@ def test_two_checkouts_are_compared_round_by_round():
     assert (list(ratio.samples), ratio.unit, ratio.ratio) == ([1.5] * 4, TIMES, 1.5)
 
 
-def test_a_case_that_only_one_checkout_has():
+def test_case_of_only_one_checkout_is_reported():
     def opener(checkout, processes):
         if checkout is THERE:
             raise OSError("never heard of it")
@@ -264,7 +264,7 @@ def test_a_case_that_only_one_checkout_has():
     assert (lost.measured, lost.error) == ("other", "OSError: never heard of it")
 
 
-def test_a_checkout_without_an_environment(bench, tmp_path, capsys):
+def test_checkout_without_an_environment_is_an_error(bench, tmp_path, capsys):
     with pytest.raises(CheckoutError):
         Checkout.at(tmp_path)
     assert bench({"first": A}, "--against", str(tmp_path))[0] == 66
@@ -279,7 +279,7 @@ def test_a_checkout_without_an_environment(bench, tmp_path, capsys):
         (42.0, TIMES, "42x"), (0.5, "%", "0.50 %"),
     ],
 )  # fmt: skip
-def test_numbers_in_words(number, unit, shown):
+def test_number_is_shown_with_its_unit(number, unit, shown):
     assert number_text(number, unit) == shown
 
 
@@ -288,7 +288,7 @@ def state_of(pid: int) -> str:
 
 
 @pytest.mark.process
-def test_a_process_that_measures_itself_stands_still_between_its_rounds():
+def test_self_measuring_process_is_stopped_between_its_rounds():
     printing = "print(f'a = {n}\\nb =\\na = 0.5\\nend', flush=True)"
     loop = f"import time\nfor n in range(9999): {printing}; time.sleep(0.1)"
     with Processes() as processes:
@@ -307,7 +307,7 @@ def test_a_process_that_measures_itself_stands_still_between_its_rounds():
 
 
 @pytest.mark.process
-def test_a_process_that_cannot_go_on_says_why():
+def test_failed_measuring_process_states_its_reason():
     with Processes() as processes:
         wrong = processes.start(sys.executable, "-c", "print('error: fib gave 3 instead of 5')")
         with pytest.raises(ChildError, match=r"^fib gave 3 instead of 5$"):

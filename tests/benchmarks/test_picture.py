@@ -1,4 +1,4 @@
-"""The picture of the figures: what is drawn, and that the one of the README is made of those here."""
+"""The picture of the figures: its content, and that the one in the documents is made from the saved rows."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ROWS_OF_CATS = [
 ]
 
 
-def test_a_field_has_every_contender_that_was_measured_at_two_sizes():
+def test_field_has_every_contender_measured_at_two_sizes():
     (field,) = fields_of(ROWS_OF_CATS, {name: Pictured(name, "many") for name in ("cats", "dogs", "birds")})
     assert (field.title, field.over, field.unit) == ("cats", "many", "s")
     assert {name: [tuple(point) for point in line] for name, line in field.lines.items()} == {
@@ -46,12 +46,12 @@ def test_a_field_has_every_contender_that_was_measured_at_two_sizes():
     assert field.growths == {"a": 10.0}
 
 
-def test_only_the_contenders_that_are_wanted():
+def test_only_selected_contenders_are_drawn():
     (field,) = fields_of(ROWS_OF_CATS, {"cats": Pictured("cats", "many", "b")})
     assert list(field.lines) == ["b <&>"]
 
 
-def test_one_cost_of_a_figure_that_has_several():
+def test_one_cost_of_a_figure_with_several():
     rows = [*ROWS_OF_CATS, row("1 cat: asleep", "a", 1)]
     (field,) = fields_of(rows, {"cats": Pictured("cats", "many", cost="asleep")})
     assert [point.size for point in field.lines["a"]] == [1, 10]
@@ -62,7 +62,7 @@ def _numbers(path):
     return [tuple(map(float, place.split())) for place in path.get("d")[1:].split("L")]
 
 
-def test_a_line_rises_with_its_cost_and_both_axes_are_logarithmic():
+def test_line_rises_with_its_cost_on_logarithmic_axes():
     rows = [row(f"{n} cats", "a", n, numbers=(n * 1e-6,) * 3) for n in (1, 10, 100)]
     drawn = ElementTree.fromstring(draw(fields_of(rows, {"cats": Pictured("Cats", "cats")}), "about"))
     (line,) = [path for path in drawn.iter(f"{SVG}path") if path.get("stroke-width") == "2"]
@@ -74,25 +74,25 @@ def test_a_line_rises_with_its_cost_and_both_axes_are_logarithmic():
     assert texts == ["about", "Cats", "1", "10", "100", "1 µs", "10 µs", "100 µs", "cats", "a"]
 
 
-def test_what_is_always_the_same_is_drawn_too():
+def test_constant_cost_is_drawn():
     rows = [row(f"{n} cats", "a", n, numbers=(2e-3,) * 3) for n in (1, 10)]
     drawn = draw(fields_of(rows, {"cats": Pictured("Cats", "cats")}), "about")
     assert "nan" not in drawn
     assert "2 ms" in drawn
 
 
-def test_names_are_text_and_growths_stand_behind_them():
+def test_names_are_escaped_and_growths_follow_them():
     drawn = draw(fields_of(ROWS_OF_CATS, {"cats": Pictured("Cats", "cats")}), "about")
     assert "b &lt;&amp;&gt;" in drawn
     assert ">a, ten times: 10x<" in drawn
 
 
-def test_nothing_to_draw():
+def test_empty_picture_is_an_error():
     with pytest.raises(ValueError, match="none of these figures has sizes"):
         draw(fields_of(ROWS_OF_CATS, {"birds": Pictured("Birds", "birds")}), "about")
 
 
-def test_the_picture_in_the_documents_is_made_of_the_rows_beside_it():
+def test_picture_in_the_documents_equals_the_saved_rows():
     saved = json.loads(ROWS.read_text(encoding="utf-8"))
     fields = fields_of(saved["rows"], PICTURED)
     assert [field.title for field in fields] == [chosen.title for chosen in PICTURED.values()]

@@ -1,4 +1,4 @@
-"""What the figure of poor radio makes of the lines of its processes, without a radio."""
+"""The figure of poor radio from the output lines of its processes, without a radio."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ class Air:
         return time.monotonic() + seconds
 
 
-def test_the_first_sample_of_a_cell_is_not_counted_and_every_lane_has_as_many():
+def test_first_sample_of_a_cell_is_dropped_and_lanes_have_equal_counts():
     quick = Lane(Air(), Printing("up", "hops = 9", *["hops = 1"] * 50), "hops")
     slow = Lane(Air(), Printing(*["linked"] * 10, "hops = 9", "hops = 2", "hops = 2"), "hops")
     assert collect([quick, slow], "20 %", 4) == [1.0, 1.0, 2.0, 2.0]
 
 
-def test_a_lane_that_fails_says_why():
+def test_failing_lane_states_its_reason():
     with pytest.raises(ChildError, match="no keys"):
         collect([Lane(Air(), Printing("error: no keys"), "hops")], "20 %", 1)
 
 
-def test_bytes_of_a_stop_are_those_of_the_desk_without_what_it_sends_at_rest(monkeypatch):
+def test_bytes_of_a_stop_exclude_the_traffic_at_rest(monkeypatch):
     monkeypatch.setattr(time, "monotonic", itertools.count(1000.0, 2.0).__next__)
     lines = "lifted", "stopping", "stop = 0.5", "again: not reached", "lifting"
     lane = StopLane(Air(0, 100, 400), Printing(), "stop")
@@ -65,7 +65,7 @@ def test_bytes_of_a_stop_are_those_of_the_desk_without_what_it_sends_at_rest(mon
     assert lane.again == ["again: not reached"]
 
 
-def test_an_outage_is_over_with_the_first_sample_after_the_return(monkeypatch):
+def test_outage_ends_with_the_first_sample_after_the_return(monkeypatch):
     now = [1000.0]
     lane = Lane(Air(), Printing(*["hops = 1"] * 3), "hops")
 

@@ -1,4 +1,4 @@
-"""The stages of a hop: every tap is on a method that there is, and they add up."""
+"""The stages of a hop: every tap is on an existing method, and the stages add up."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_every_stage_of_a_hop_is_measured(tmp_path, engine):
     assert [getattr(tap.owner, tap.name) for tap in TAPS] == methods
 
 
-def test_what_an_inner_tap_takes_is_not_the_outer_ones():
+def test_time_of_an_inner_tap_is_not_counted_in_the_outer_one():
     class Host:
         def leave(self):
             self.write()

@@ -1,4 +1,4 @@
-"""What devices on a bus are put through, in real time and on virtual time."""
+"""Scenarios for devices on a bus, run in real time and on virtual time."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import pytest
 
 from lfield.driver import DeviceError
 
-#: Devices of the fake, as a binding with 4096 counts has them.
+#: Devices of the fake, with 4096 counts as in their bindings.
 DRIVE, ODRIVE = "cia402:5,counts=4096", "odrive:3"
-#: Seconds for anything to come again.
+#: Upper bound in seconds for a value to return.
 BOUND = 60.0
 
 
 async def vanish_and_return(fake, axis, wheel):
-    """A device that is not heard any more ends what it was told, and can be used when it is back."""
-    # An ODrive that is not spoken to goes limp, and takes its time to come to rest.
+    """A device that falls silent fails its motion, and can be used again after its return."""
+    # An ODrive without commands releases its torque and takes time to come to rest.
     for device, node, speed in ((axis, "5", 5.0), (wheel, "3", 0.3)):
         await device.call("enable")
         travel = asyncio.create_task(device.call("moveTo", 500.0, speed))

@@ -1,4 +1,4 @@
-"""The bench of the CAN driver: its bus in memory, on which a test plays the device."""
+"""A bench for the CAN driver: its bus is in memory, and the test plays the device."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield_can.driver import CanDriver
 
 
 class MemoryBus:
-    """Frames handed over in the next turn of the loop. `device` gets each one that the driver sends."""
+    """Delivers frames in the next turn of the loop. `device` gets each frame that the driver sends."""
 
     def __init__(self) -> None:
         self.sent: list[Frame] = []
@@ -28,7 +28,7 @@ class MemoryBus:
     def join(
         self, endpoint: str, received: Callable[[Frame], None], note: Callable[[str], None], wire_log: Any
     ) -> Any:
-        """The bus as the driver makes it."""
+        """The bus, in place of the one that the driver would make."""
         self.received = received
         return self
 
@@ -86,7 +86,7 @@ def bus() -> MemoryBus:
 
 @pytest.fixture
 def drive(binding: Any) -> Any:
-    """A binding of the CiA 402 drive, but for its endpoint."""
+    """A binding of the CiA 402 drive without its endpoint."""
 
     def make(**changes):
         given = {"limits": {"speed": 20.0}, "waivers": ["no_homing"], "ttl": 1.0, **changes}
@@ -98,7 +98,7 @@ def drive(binding: Any) -> Any:
 
 @pytest.fixture
 def odrive(binding: Any) -> Any:
-    """The same of the ODrive."""
+    """A binding of the ODrive without its endpoint."""
 
     def make(**changes):
         given = {

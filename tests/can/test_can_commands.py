@@ -46,7 +46,7 @@ def steering(binding):
 
 @pytest.fixture
 def play(steering, monkeypatch):
-    """Run a scenario with the column behind a guard; `fitted` has the options of another binding, of which
+    """Run a scenario with the column behind a guard; `fitted` has the options of another binding, from which
     the simulated device is made."""
 
     def run(story, *, fitted=None, **options):
@@ -63,13 +63,13 @@ async def angle(column):
 
 
 async def drives(column, goal=0.3, seconds=1.5):
-    """Sets its angle ten times a second."""
+    """Set the angle ten times a second."""
     for _ in range(round(seconds / 0.1)):
         await column.call("send", "SteeringCommand", [1.0, goal])
         await asyncio.sleep(0.1)
 
 
-def test_it_follows_and_a_setpoint_that_is_not_renewed_ends(play):
+def test_column_follows_and_an_expired_setpoint_ends(play):
     async def story(fake, column):
         await drives(column)
         assert await angle(column) == pytest.approx(0.3, abs=0.02)
@@ -77,7 +77,7 @@ def test_it_follows_and_a_setpoint_that_is_not_renewed_ends(play):
         await column.until(lambda: column.confirmed, BOUND, "the guard to end it")
         await column.until_note("the setpoint has expired")
         assert await column.call("read", "SteeringStatus.Enable") == 0.0
-        # The safe state is repeated: its deadline is kept.
+        # The safe state is repeated within its deadline.
         await asyncio.sleep(0.5)
         assert await column.call("read", "SteeringStatus.Fault") == 0.0
         assert column.query("overruns") == 0
@@ -85,7 +85,7 @@ def test_it_follows_and_a_setpoint_that_is_not_renewed_ends(play):
     play(story)
 
 
-def test_the_frames_of_a_silent_host_end_and_the_device_acts(play):
+def test_device_acts_when_the_frames_of_a_silent_host_end(play):
     async def story(fake, column):
         await drives(column, seconds=0.3)
         await column.fall_silent(1.0)
@@ -109,7 +109,7 @@ def test_the_frames_of_a_silent_host_end_and_the_device_acts(play):
         ({"cyclic": ["SteeringCommand=0.2"]}, "Fault is 1"),
     ],
 )
-def test_a_device_that_rejects_its_commands_is_held_safe(play, wrong, reason):
+def test_device_that_rejects_its_commands_is_held_safe(play, wrong, reason):
     async def story(fake, column):
         values = [1.0, 0.3] if "safe" not in wrong else [0.0, 1.0, 0.3]
         while not column.latched:
@@ -121,7 +121,7 @@ def test_a_device_that_rejects_its_commands_is_held_safe(play, wrong, reason):
     play(story, fitted={}, **wrong)
 
 
-def test_status_with_a_wrong_counter_or_checksum_is_not_used(bench, steering, bus):
+def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus):
     def status(counter, number=0x2A7):
         rest = bytes([counter, 0, 0, 0, 0, 0, 0])
         return Frame(STATUS, bytes([Crc8GsmA.calc(number.to_bytes(2, "little") + rest)]) + rest)
@@ -159,22 +159,22 @@ def test_status_with_a_wrong_counter_or_checksum_is_not_used(bench, steering, bu
         ({"checksums": ["SteeringCommand.Check=e2e_1"]}, "requires 1 data ids, not 0"),
     ],
 )
-def test_bindings_that_cannot_be_right(bench, steering, options, words):
+def test_invalid_supervision_option_is_refused(bench, steering, options, words):
     async def story(column):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match=words):
         bench(steering(**options)).run(story)
 
 
-def test_a_cycle_without_a_period_in_the_file(bench, steering, tmp_path):
+def test_cyclic_message_without_a_period_is_refused(bench, steering, tmp_path):
     path = tmp_path / "steering.dbc"
     path.write_text(STEERING.read_text().replace('"GenMsgCycleTime" BO_ 288', '"Other" BO_ 288'))
     with pytest.raises(DeviceError, match="no GenMsgCycleTime for SteeringCommand; write its period"):
         bench(steering(dbc=str(path))).run(lambda column: None)
 
 
-def test_late_frames_are_skipped_and_counted(bench, steering, bus):
+def test_late_cyclic_frames_are_skipped_and_counted(bench, steering, bus):
     """A loop that is blocked for five periods sends one frame late, not five at once."""
     b = bench(steering(confirm=[], accepted=[], waivers=["device_watchdog", "no_confirmation"]), bus=bus)
 
@@ -197,7 +197,7 @@ def test_late_frames_are_skipped_and_counted(bench, steering, bus):
 
 
 class LateClock(LoopClock):
-    """The loop's time, and what it was blocked for."""
+    """The loop's time plus the time of a simulated delay."""
 
     late = 0.0
 
@@ -206,6 +206,6 @@ class LateClock(LoopClock):
 
 
 @pytest.mark.parametrize("text", [",checksums=SteeringCommand.Check:md5", ",counters=Nothing.Counter"])
-def test_the_properties_of_a_simulated_device(text):
+def test_invalid_property_of_a_simulated_device_is_refused(text):
     with pytest.raises(UsageError, match=r"is not a checksum|is not in the file"):
         build([parse(f"dbc:{STEERING}{text}")], Faults(FAULTS, {}))

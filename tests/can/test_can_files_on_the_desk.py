@@ -1,4 +1,4 @@
-"""What `lfield check` and `lfield build` say of the DBC and EDS files that bindings name."""
+"""Findings of `lfield check` and `lfield build` in the DBC and EDS files that bindings name."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def findings(deploy: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, lis
     return status, [(Path(one["file"]).name, one["range"]["start"]["line"], one["code"]) for one in errors]
 
 
-def test_sound_files_are_taken(tmp_path, capsys):
+def test_valid_files_pass_check_and_build(tmp_path, capsys):
     deploy = mission(tmp_path, DBC, EDS)
     assert findings(deploy, capsys) == (exit_status.DONE, [])
     assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exit_status.DONE
 
 
-def test_all_mistakes_have_their_places(tmp_path, capsys):
+def test_all_file_errors_are_reported_with_their_places(tmp_path, capsys):
     wrong = DBC + ' SG_ valve : 16|8@1+ (1,5,0) [0|100] "%" Pump\nBO_ 257 Status 8 Pump\n'
     deploy = mission(tmp_path, wrong, "[FileInfo]\nFileName=hoist.eds\n")
     places = [("hoist.eds", 1, "EDS901"), ("pump.dbc", 5, "DBC102"), ("pump.dbc", 6, "DBC102")]
@@ -57,18 +57,18 @@ def test_all_mistakes_have_their_places(tmp_path, capsys):
     assert not (tmp_path / "m.lfm").exists()
 
 
-def test_a_file_that_is_no_such_file_is_named_at_its_binding(tmp_path, capsys):
+def test_unreadable_or_missing_file_is_reported(tmp_path, capsys):
     deploy = mission(tmp_path, DBC, EDS)
     (tmp_path / "pump.dbc").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
     status, found = findings(deploy, capsys)
     assert status == exit_status.DATA
     assert {file for file, _, _ in found} <= {"pump.dbc", "m.devices.yaml"}
-    # One that is not there is another mistake.
+    # A missing file is another error.
     (tmp_path / "pump.dbc").unlink()
     assert findings(deploy, capsys) == (exit_status.DATA, [("m.devices.yaml", 4, "Y113")])
 
 
-def test_a_file_of_two_bindings_is_told_once(tmp_path, capsys):
+def test_file_of_two_bindings_is_reported_once(tmp_path, capsys):
     deploy = mission(tmp_path, DBC.replace("(0.1,0)", "(0.1;0)"), EDS)
     (tmp_path / "m.dL").write_text("//Pump:p@alpha\n//Pump:q@alpha\n")
     other = f"  q:\n    devices:{BINDINGS.replace('node: 5', 'node: 6')}"

@@ -1,4 +1,4 @@
-"""Drives and the fake's bus on a desk of virtual time: what a device does, and what becomes of its faults."""
+"""Drives and the fake's bus on virtual time: modes of a device, and the effects of faults."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfield.testing.desk import Desk
 
 
 def play(story, *bindings, devices=(DRIVE,)):
-    """A fake with devices, and those that have a binding behind a guard: `story(fake, *members)`."""
+    """A fake with devices, and the bound ones behind a guard: `story(fake, *members)`."""
     desk = Desk()
     fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
     desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
@@ -36,7 +36,7 @@ def test_every_mode_of_a_drive(drive):
     play(story, both)
 
 
-def test_cyclic_modes(drive):
+def test_cyclic_modes_follow_the_setpoints(drive):
     async def story(fake, axis):
         await axis.call("enable")
         for _ in range(10):
@@ -54,11 +54,11 @@ def test_cyclic_modes(drive):
     play(story, drive(options={"cyclic": True}))
 
 
-def test_a_device_that_vanishes_and_returns(drive, odrive):
+def test_silent_devices_fail_their_motion_and_return(drive, odrive):
     play(vanish_and_return, drive(), odrive(), devices=(DRIVE, ODRIVE))
 
 
-def test_faults_are_told_in_words_and_reset(drive, odrive):
+def test_device_faults_are_described_and_reset(drive, odrive):
     async def story(fake, axis, wheel):
         for device, node, words in ((axis, "5", "current"), (wheel, "3", "over-current")):
             await device.call("enable")
@@ -75,7 +75,7 @@ def test_faults_are_told_in_words_and_reset(drive, odrive):
 
 
 @pytest.mark.parametrize("fault", ["loss=0.05", "corrupt=0.02", "delay@5=0.05", "nonsense@5=0.1"])
-def test_a_bad_bus_costs_time_or_an_exception_but_nothing_crashes(fault, drive):
+def test_disturbed_bus_gives_delays_or_exceptions_but_no_failure(fault, drive):
     async def story(fake, axis):
         fake.fault(fault)
         for _ in range(3):
@@ -92,7 +92,7 @@ def test_a_bad_bus_costs_time_or_an_exception_but_nothing_crashes(fault, drive):
     play(story, drive())
 
 
-def test_a_bus_that_is_off_comes_back(drive):
+def test_drive_returns_stopped_after_bus_off(drive):
     async def story(fake, axis):
         await axis.call("enable")
         await axis.call("setVelocity", 2.0)
@@ -105,8 +105,8 @@ def test_a_bus_that_is_off_comes_back(drive):
     play(story, drive())
 
 
-def test_a_bus_that_goes_off_while_an_axis_moves(drive):
-    """The motion fails with the cause, the drive stops by itself, and nothing moves until it is enabled."""
+def test_bus_off_fails_the_motion_and_the_drive_stops(drive):
+    """The motion fails with the cause, the drive stops by itself, and must be enabled before it moves."""
 
     async def story(fake, axis):
         await axis.call("enable")

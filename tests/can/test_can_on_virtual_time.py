@@ -1,4 +1,4 @@
-"""Drives in a mission on virtual time: their driver, guard and fake in one process, and no thread."""
+"""Drives in a mission on virtual time: their driver, guard and fake in one process, without a thread."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ def test_drives_turn_without_a_thread(mills):
     assert threading.active_count() == before
 
 
-def test_on_a_bad_bus_the_same_seed_is_the_same_story(mills):
-    """Requests and answers of SDO are lost, and asked for again, on virtual time."""
+def test_same_seed_gives_the_same_log_on_a_lossy_bus(mills):
+    """SDO requests and answers are lost and repeated, on virtual time."""
     logs = []
     for _ in range(2):
         team = mills(fakes={"first.axis": ["loss=0.02"]}, seed=1)

@@ -1,6 +1,6 @@
-"""Driver, guard and fake as three processes, through both doors of the fake's bus.
+"""Driver, guard and fake as three processes, through both endpoints of the fake's bus.
 
-What needs neither a process nor a door is in test_can_on_desk.py, where nothing waits.
+Tests that need neither a process nor an endpoint are in test_can_on_desk.py, on virtual time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lfield_sim.can.device_specs import spec_of
 pytestmark = pytest.mark.process
 
 DOORS = ("socketcand", "slcan")
-#: Seconds without a word of a guard after which a drive stops: more than a busy computer takes one away.
+#: Seconds without a message of a guard after which a drive stops: longer than pauses of a loaded computer.
 TTL = 10.0
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", *(2 * ("--listen", "slcan-pty")))
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
@@ -33,7 +33,7 @@ GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
 @asynccontextmanager
 async def team(door: str, *bindings, devices):
-    """A fake with devices, and those that have a binding behind a guard, at one of its doors."""
+    """A fake with devices, and the bound ones behind a guard, at one of its endpoints."""
     words = [word for device in devices for word in ("--device", device)]
     with running_fake("can", *LISTEN, *words) as fake:
         endpoint = fake.ready_line[DOORS.index(door)]
@@ -108,7 +108,7 @@ BA_ "GenMsgCycleTime" BO_ 257 50;
 """
 
 
-async def test_long_frames_of_can_fd_with_profile_5(binding, tmp_path):
+async def test_can_fd_frames_with_profile_5_pass_a_serial_adapter(binding, tmp_path):
     """64 bytes at the second bit rate through a serial adapter, both ways, each with counter and CRC."""
     path = tmp_path / "lidar.dbc"
     path.write_text(LIDAR)
@@ -138,7 +138,7 @@ async def test_long_frames_of_can_fd_with_profile_5(binding, tmp_path):
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
-async def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
+async def test_expired_setpoint_ends_in_the_safe_state(door, drive):
     async with team(door, drive(ttl=3.0), devices=[DRIVE]) as (_, axis):
         await axis.call("enable")
         await axis.call("setVelocity", 5.0)
@@ -149,8 +149,8 @@ async def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
         await axis.call("enable")
 
 
-async def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
-    """Nobody sends heartbeats any more; another client of the bus looks on."""
+async def test_drive_stops_by_itself_when_its_guard_hangs(drive):
+    """The heartbeats end; another client of the bus observes the drive."""
 
     def stands(endpoint: str) -> bool:
         end = time.monotonic() + BOUND
@@ -171,7 +171,7 @@ async def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
         assert await asyncio.to_thread(stands, fake.endpoint)
 
 
-async def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
+async def test_killed_guard_returns_with_all_devices_safe(drive, odrive):
     async with team("socketcand", drive(ttl=TTL), odrive(ttl=TTL), devices=[DRIVE, ODRIVE]) as (
         _,
         axis,
@@ -188,7 +188,7 @@ async def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("door", ["slcan"])
-async def test_a_device_that_vanishes_and_returns_through_an_adapter(door, drive, odrive):
-    """What test_can_on_desk.py tries on virtual time."""
+async def test_silent_devices_return_through_a_serial_adapter(door, drive, odrive):
+    """The scenario that test_can_on_desk.py runs on virtual time."""
     async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
         await vanish_and_return(*members)

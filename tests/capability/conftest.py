@@ -1,1 +1,1 @@
-"""Here, so that the tests of all rooms find the helpers that lie in this folder."""
+"""Makes the helper modules of this folder importable in all its subfolders."""

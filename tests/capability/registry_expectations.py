@@ -1,4 +1,4 @@
-"""Golden files: the expectation stands on the line itself, as `# error C110: part of the message`."""
+"""Golden files: the expectation is on the line itself, as `# error C110: part of the message`."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ BASE = GOLDEN / "base.yaml"
 
 _EXPECTED = re.compile(r"# (?P<severity>error|warning) (?P<code>[CY]\d{3}): (?P<part>.*)$")
 
-#: The agents of the deployment that golden files are read with.
+#: The agents of the deployment with which golden files are read.
 AGENTS = ("arm1", "crane1")
 
-#: A device type as a driver would bring it.
+#: A device type of a driver.
 ROVER = DeviceManifest(
     type="Rover",
     driver="rover",
@@ -45,12 +45,12 @@ ROVER = DeviceManifest(
 
 
 def files_of(case: Path) -> list[Path]:
-    """The files of a case: itself, or what its folder holds."""
+    """The files of a case: the file itself, or the contents of its folder."""
     return sorted(case.glob("*.yaml")) if case.is_dir() else [case]
 
 
 def findings(case: Path) -> list[Diagnostic]:
-    """Everything that is said about a case, together with the base, by all checks that there are."""
+    """All findings of a case together with the base, by all checks."""
     files = files_of(case)
     mission = next((path for path in files if path.name.endswith(".capabilities.yaml")), None)
     registry, found = check_files(
@@ -88,7 +88,7 @@ def expected(case: Path) -> list[tuple[str, int, str, str, str]]:
 
 
 def assert_exactly(case: Path) -> None:
-    """The findings are those the case expects, no more and no fewer."""
+    """The findings are exactly those that the case expects."""
     found = sorted(findings(case), key=lambda d: (d.span.source.name, d.span.line))
     wanted = expected(case)
     drawn = "\n".join(d.render() for d in found)

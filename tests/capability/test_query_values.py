@@ -1,4 +1,4 @@
-"""Queries with parameters: values are bound to the parsed text, whatever characters they have."""
+"""Queries with parameters: values with any characters are bound to the parsed text."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TEMPLATE = "payload >= $n0 && colour == $t1 || safe == $b2 order by distance($n0
 
 
 def encoded(*values: object) -> str:
-    """What a program puts behind the text of a query."""
+    """The encoding that a program appends to the text of a query."""
     found = ""
     for value in values:
         if isinstance(value, bool):
@@ -50,7 +50,7 @@ def encoded(*values: object) -> str:
         st.one_of(st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text())
     )
 )
-def test_values_come_back(values: list[object]) -> None:
+def test_values_are_decoded_unchanged(values: list[object]) -> None:
     text, found = split_values(TEMPLATE + SEPARATOR + encoded(*values))
     assert text == TEMPLATE + SEPARATOR
     assert found == values
@@ -58,8 +58,8 @@ def test_values_come_back(values: list[object]) -> None:
 
 
 @given(st.text(), st.text())
-def test_no_text_changes_the_query(asked: str, colour: str) -> None:
-    """The value is compared as it is: quotes, operators and separators in it mean nothing."""
+def test_text_value_cannot_change_the_query(asked: str, colour: str) -> None:
+    """The value is compared literally: quotes, operators and separators in it have no meaning."""
     template = compile_template("colour == $t0 && payload >= 2", ATTRIBUTES)
     _, values = split_values("x" + SEPARATOR + encoded(asked))
     assert values is not None
@@ -72,8 +72,8 @@ def test_no_text_changes_the_query(asked: str, colour: str) -> None:
 
 
 @given(st.text(max_size=40))
-def test_the_text_of_an_explanation_is_the_query_with_literals(asked: str) -> None:
-    """It parses to the same condition, so quotes are escaped; other characters stay."""
+def test_explained_query_has_its_values_as_literals(asked: str) -> None:
+    """It parses to the same condition, so quotes are escaped; other characters are unchanged."""
     template = compile_template("colour == $t0", ATTRIBUTES)
     condition = bind(template, [asked]).condition
     assert condition is not None
@@ -84,7 +84,7 @@ def test_the_text_of_an_explanation_is_the_query_with_literals(asked: str) -> No
         assert evaluator(found)({"colour": asked}) is True
 
 
-def test_places_move_with_the_values() -> None:
+def test_places_are_shifted_by_the_values() -> None:
     bound = bind(compile_template(TEMPLATE, ATTRIBUTES), [1234.5, 'a"b', True])
     assert bound.condition is not None
     assert bound.condition.text == 'payload >= 1234.5 && colour == "a\\"b" || safe == true '
@@ -109,14 +109,14 @@ def test_places_move_with_the_values() -> None:
         "n1 x\0n2 y\0btrue z\0",
     ],
 )
-def test_values_that_do_not_fit_are_refused(values: str) -> None:
+def test_values_of_another_type_or_number_are_refused(values: str) -> None:
     template = compile_template(TEMPLATE, ATTRIBUTES)
     with pytest.raises(ConstraintError):
         bind(template, split_values(TEMPLATE + SEPARATOR + values)[1] or [])
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-inf", "1e999"])
-def test_a_number_that_is_not_finite_is_refused(number: str) -> None:
+def test_non_finite_number_is_refused(number: str) -> None:
     text = f"agent == $t0 && payload > $n1{SEPARATOR}t1 who\0mn{number} at[$i].kg\0"
     with pytest.raises(ConstraintError, match=r"\$at\[\$i\].kg is .*, not a finite number") as refused:
         split_values(text)
@@ -124,7 +124,7 @@ def test_a_number_that_is_not_finite_is_refused(number: str) -> None:
 
 
 @given(st.text())
-def test_any_text_behind_the_separator_is_values_or_an_error(text: str) -> None:
+def test_any_encoded_text_is_decoded_or_refused(text: str) -> None:
     try:
         _, found = split_values(SEPARATOR + text)
     except ConstraintError:
@@ -178,7 +178,7 @@ def test_placeholders_are_numbered_and_equal_ones_share_a_value() -> None:
         ("-$x[g] < payload", 0.001, 0.0),
     ],
 )
-def test_units_are_converted_to_that_of_the_other_side(text: str, factor: float, offset: float) -> None:
+def test_units_are_converted_to_the_unit_of_the_other_side(text: str, factor: float, offset: float) -> None:
     found = numbered_query(text, {"x": "number"}, ATTRIBUTES)
     assert found.mistakes == ()
     assert (found.values[0].factor, found.values[0].offset) == pytest.approx((factor, offset))
@@ -196,12 +196,12 @@ def test_units_are_converted_to_that_of_the_other_side(text: str, factor: float,
         "payload > $x order by payload + north",
     ],
 )
-def test_what_measures_something_else_is_refused(text: str) -> None:
+def test_mismatched_dimension_is_refused(text: str) -> None:
     assert numbered_query(text, {"x": "number"}, ATTRIBUTES).mistakes
 
 
-def test_without_parameters_units_are_not_compared() -> None:
-    """Queries of programs of 0.4, and those of `lfield query`, stay valid."""
+def test_units_are_not_compared_without_parameters() -> None:
+    """Queries of programs of 0.4, and those of `lfield query`, remain valid."""
     compile_query("payload > north || payload + north < 3", ATTRIBUTES)
 
 
@@ -211,7 +211,7 @@ def test_placeholders_within_quotes_are_found() -> None:
     assert [one.path for one in found.placeholders] == ["kg"]
 
 
-def test_a_condition_without_placeholders_is_read_as_before() -> None:
+def test_condition_without_placeholders_is_parsed_as_before() -> None:
     text = "payload >= 2 && colour == red"
     assert parse_query(text, parameters=True)[1] == parse_query(text)[1] == []
 
@@ -220,14 +220,14 @@ def test_a_condition_without_placeholders_is_read_as_before() -> None:
 
 
 def stored(*texts: str) -> dict[str, OfferQuery]:
-    """Queries of a program after the registry was in a bundle."""
+    """Queries of a program after a round trip of the registry through a bundle."""
     registry = read_registry([Path(__file__).parents[1] / "golden" / "programs" / "hauling.yaml"])
     compiled = compile_constants(texts, registry.attributes)
     assert len(compiled) == len(texts)
     return dict(decode_registry(encode_registry(replace(registry, constraints=compiled))).constraints)
 
 
-def test_a_bundle_has_queries_with_order_and_parameters() -> None:
+def test_bundle_keeps_queries_with_order_and_parameters() -> None:
     template = "payload > $n0 order by distance($n1, 2.0), north desc limit 3" + SEPARATOR
     found = stored(template, "order by distance(1.0, 2.0), payload desc")
     bound = bind(found[template], [1, 2.5])
@@ -239,7 +239,7 @@ def test_a_bundle_has_queries_with_order_and_parameters() -> None:
     assert [key.value.tree.span.text for key in other.order] == ["distance(1.0, 2.0)", "payload"]
 
 
-def test_a_bundle_with_a_parameter_of_no_sort_is_refused() -> None:
+def test_bundle_with_an_invalid_parameter_type_is_refused() -> None:
     registry = read_registry([Path(__file__).parents[1] / "golden" / "programs" / "hauling.yaml"])
     template = "payload > $n0" + SEPARATOR
     data = encode_registry(replace(registry, constraints=compile_constants([template], registry.attributes)))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lfield import units
 from lfield.units import conversion, in_si, is_registry_unit, is_unit, suggestion
 
-#: Every symbol of the tables, and some that are made of several.
+#: Every symbol of the tables, and some compound units.
 COMPOUND = [
     "m/s",
     "km/h",
@@ -55,7 +55,7 @@ UNITS = [*units._symbols(), *COMPOUND]
         ("MiB", "B", 1048576.0, 0.0),
     ],
 )
-def test_what_a_unit_is_in_another(source: str, target: str, factor: float, offset: float) -> None:
+def test_unit_conversion(source: str, target: str, factor: float, offset: float) -> None:
     assert conversion(source, target) == pytest.approx((factor, offset), rel=1e-15, abs=1e-12)
 
 
@@ -72,25 +72,25 @@ def test_what_a_unit_is_in_another(source: str, target: str, factor: float, offs
         ("degC/s", "K/s"),
     ],
 )
-def test_what_cannot_be_converted(source: str, target: str) -> None:
+def test_incompatible_units_are_not_converted(source: str, target: str) -> None:
     assert conversion(source, target) is None
     assert conversion(target, source) is None
 
 
 @given(st.sampled_from(UNITS), st.sampled_from(UNITS), st.floats(-1e9, 1e9))
-def test_there_and_back(source: str, target: str, amount: float) -> None:
+def test_conversion_is_reversible(source: str, target: str, amount: float) -> None:
     there, back = conversion(source, target), conversion(target, source)
     assert (there is None) == (back is None)
     if there is None or back is None:
         return
     converted = amount * there[0] + there[1]
-    # Digits are lost to the zero of a scale: what counts is the greatest number on the way.
+    # Precision is lost to the offset of a scale: the greatest intermediate number counts.
     greatest = max(abs(amount), abs(converted * back[0]), abs(there[1] * back[0]), 1.0)
     assert math.isclose(converted * back[0] + back[1], amount, abs_tol=1e-13 * greatest)
 
 
 @given(st.sampled_from(UNITS), st.sampled_from(UNITS), st.sampled_from(UNITS))
-def test_by_way_of_a_third(first: str, second: str, third: str) -> None:
+def test_conversion_by_way_of_a_third_unit(first: str, second: str, third: str) -> None:
     one, two, whole = conversion(first, second), conversion(second, third), conversion(first, third)
     if one is None or two is None:
         return
@@ -99,7 +99,7 @@ def test_by_way_of_a_third(first: str, second: str, third: str) -> None:
 
 
 @given(st.text(max_size=60))
-def test_any_text_is_a_unit_or_none(text: str) -> None:
+def test_any_text_is_a_unit_or_gets_a_suggestion(text: str) -> None:
     if not is_unit(text):
         assert suggestion(text)
         assert conversion(text, "m") is None
@@ -108,7 +108,7 @@ def test_any_text_is_a_unit_or_none(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["J/kg K", "m/", "/s", "//", "m//s", "2m", "m s/", "m2 2", "m-", "m" * 50, "m\0", "meter"]
 )
-def test_no_units(text: str) -> None:
+def test_invalid_units_are_refused(text: str) -> None:
     assert not is_unit(text)
 
 
@@ -116,11 +116,11 @@ def test_no_units(text: str) -> None:
     ("text", "meant"),
     [("kgs", "kg"), ("Mm", "mm"), ("rads", "rad"), ("hpa", "hPa"), ("degc", "degC"), ("ohms", "ohm")],
 )
-def test_did_you_mean(text: str, meant: str) -> None:
+def test_similar_unit_is_suggested(text: str, meant: str) -> None:
     assert suggestion(text) == f"did you mean '{meant}'?"
 
 
-def test_what_the_registry_is_in() -> None:
+def test_registry_units_are_si_units() -> None:
     good = [
         "",
         "m",
@@ -147,7 +147,7 @@ def test_what_the_registry_is_in() -> None:
 
 
 @given(st.sampled_from(UNITS))
-def test_every_unit_has_one_of_si(text: str) -> None:
+def test_every_unit_has_an_si_equivalent(text: str) -> None:
     si = in_si(text)
     assert is_registry_unit(si)
     assert conversion(text, si) is not None

@@ -1,4 +1,4 @@
-"""Judges what was printed: which calls were served, which may have been, and which missions are complete."""
+"""Judges the output: which calls were served, which may have been, and which missions are complete."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-#: In the message of the exception, where a majority went on with a coordinator whose host was not heard of.
+#: Part of the exception's message when a majority continued with a coordinator whose host was not heard.
 RECOVERED = "was recovered on"
 
 
 @dataclass
 class CallVerdict:
-    """One round. `walkers` are those that were begun, each with how many numbers it is to have stamped.
+    """One round. `walkers` are those that were started, each with the number of its stamps.
 
-    A walker goes by another number, its life, since it was told that a call may have been made. A walker that
-    was *recovered* goes on from an earlier state, and is told so: what it repeats from there is no breach.
+    A walker has another number, its life, after it was informed of a possible call. A walker that
+    was *recovered* continues from an earlier state and is informed: repetitions from there are no breach.
     """
 
     walkers: Mapping[str, int]
     served: Counter[tuple[str, int]] = field(default_factory=Counter)
-    #: Those of them that nobody may serve again.
+    #: Calls that must not be served again.
     final: set[tuple[str, int]] = field(default_factory=set)
     twice: list[tuple[str, int]] = field(default_factory=list)
-    #: Calls that began for a walker after a later life of it was heard of.
+    #: Calls that began for a walker after a later life of it had been observed.
     outdated: list[tuple[str, int]] = field(default_factory=list)
     perhaps: set[tuple[str, int]] = field(default_factory=set)
     walked: Counter[str] = field(default_factory=Counter)
-    #: Calls that were made again after a recovery, knowingly.
+    #: Calls that were repeated after a recovery, as intended.
     repeated: int = 0
-    #: For each recovery, the seconds from the last that a post had heard of the walker.
+    #: For each recovery, the seconds since a post last observed the walker.
     recoveries: list[float] = field(default_factory=list)
-    #: The host that each walker was last served on.
+    #: The host that last served each walker.
     where: dict[str, str] = field(default_factory=dict)
     tracebacks: int = 0
     _lives: dict[str, list[int]] = field(default_factory=dict)
@@ -72,12 +72,12 @@ class CallVerdict:
 
     @property
     def complete(self) -> bool:
-        """Whether all have come to their ends."""
+        """Whether all have finished."""
         return self.walkers.keys() <= self.walked.keys()
 
     @property
     def skipped(self) -> list[tuple[str, int]]:
-        """The calls that nobody served, although whoever made them went on without being told."""
+        """Calls that were not served although their caller continued without being informed."""
         known = self.served.keys() | self.perhaps
         found = []
         for who, numbers in self.walkers.items():

@@ -1,4 +1,4 @@
-"""Draws faults from a seed and lets them happen to a team: each heals after a while, and all at the end."""
+"""Draws faults from a seed and injects them into a team: each is healed after a while, and all at the end."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from link_proxy import LinkProxy
 from networks import RouterNetwork, RouterProcess, TcpNetwork
 from small_disk import Disk
 
-#: Seconds between two faults, and for how long each lasts.
+#: Seconds between two faults, and the duration of each.
 BETWEEN, LASTS = (0.3, 2.5), (0.1, 4.0)
-#: How long others are so long that somebody goes on without that host.
+#: Duration of others: long enough that a majority continues without that host.
 LONG = (4.0, 12.0)
-#: How often each kind is drawn.
+#: Relative frequency of each kind.
 SHORT_KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
 LONG_KINDS = {"kill for good": 2, "stop the holder": 2, "cut off": 2}
 KINDS = {**SHORT_KINDS, **LONG_KINDS}
-#: Only over routers.
+#: Only with routers.
 ROUTER_KINDS = {"kill router": 3}
 
 
 class FaultStorm:
     """Faults on these hosts, their disks, and the links of each pair.
 
-    `holder` is the host that has a coordinator that others may go on with; -1 while nobody knows.
+    `holder` is the host with a coordinator that others may recover; -1 while unknown.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class FaultStorm:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
-        """One fault after the other, until this is cancelled."""
+        """One fault after another, until this is cancelled."""
         while True:
             await asyncio.sleep(self._rng.uniform(*BETWEEN))
             kind = self._rng.choices(list(self._kinds), list(self._kinds.values()))[0]
@@ -59,7 +59,7 @@ class FaultStorm:
             task.add_done_callback(self._tasks.discard)
 
     async def heal(self) -> None:
-        """Everything works again."""
+        """Heal all faults."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

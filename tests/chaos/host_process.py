@@ -1,4 +1,4 @@
-"""Hosts as processes: started, killed, stopped, and started again; every line that they say is kept."""
+"""Hosts as processes: started, killed, stopped, and restarted; all their output lines are kept."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-#: A host that ends by itself is started again after so many seconds, as systemd does.
+#: Seconds after which a host that ended by itself is restarted, as by systemd.
 RESTART_DELAY = 1.0
-#: A host that is told to end has so many seconds.
+#: Seconds for a host to end after SIGTERM.
 END_TIMEOUT = 15.0
-#: What a host says when a coordinator of its journal goes on.
+#: The line of a host when a coordinator of its journal is recovered.
 GOES_ON = ("resumed from the journal", " restarted: ")
 
 
 class HostProcess:
-    """One host of the team, in all its lives. `command` start it; `on_line` is told each of its lines."""
+    """One host of the team, in all its lives. `command` starts it; `on_line` receives each of its lines."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path, on_line: Callable[[str], None]) -> None:
         self.name, self._command, self._on_line = name, command, on_line
@@ -28,7 +28,7 @@ class HostProcess:
         self._started_at = 0.0
         self._should_run = False
         self._life: asyncio.Task[None] | None = None
-        #: Statuses of lives that it ended by itself.
+        #: Exit statuses of lives that it ended by itself.
         self.gave_up: list[int] = []
         #: Seconds from the start of a process until a coordinator of its journal ran again.
         self.recoveries: list[float] = []
@@ -39,13 +39,13 @@ class HostProcess:
         return self._process is not None and self._process.returncode is None
 
     def start(self) -> None:
-        """Have it run, again and again until it is killed."""
+        """Run it, with restarts, until it is killed."""
         if not self._should_run:
             self._should_run = True
             self._life = asyncio.ensure_future(self._live())
 
     async def kill(self) -> None:
-        """SIGKILL: nothing is said, written or closed any more."""
+        """SIGKILL: it prints, writes and closes nothing any more."""
         self._should_run = False
         self._send(signal.SIGKILL)
         await self._gone()

@@ -1,4 +1,4 @@
-"""The links of a team go through here: they are cut, or fall silent, and heal; one for each direction."""
+"""The links of a team go through this proxy: they are cut, or stalled, and healed; one per direction."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from contextlib import suppress
 
 
 class LinkProxy:
-    """What one host calls to reach another: a port of this process, and the other's own behind it."""
+    """The connection of one host to another: a port of this process, and the other host's own behind it."""
 
     def __init__(self, target: int) -> None:
         self._target = target
         self._writers: set[asyncio.StreamWriter] = set()
         self._server: asyncio.Server | None = None
-        #: No call gets through, and nothing that was begun goes on.
+        #: No connection gets through, and existing ones do not continue.
         self._is_cut = False
         self._flows = asyncio.Event()
         self._flows.set()
@@ -24,22 +24,22 @@ class LinkProxy:
         return int(self._server.sockets[0].getsockname()[1])
 
     def cut(self) -> None:
-        """Break it: connections are reset, and calls that come are."""
+        """Break it: connections are reset, and new ones are too."""
         self._is_cut = True
         for writer in list(self._writers):
             writer.transport.abort()
 
     def silence(self) -> None:
-        """Hold back what comes, both ways; connections stay."""
+        """Hold back all bytes, both ways; connections stay."""
         self._flows.clear()
 
     def heal(self) -> None:
-        """Let everything through again, what was held back first."""
+        """Let everything through again, held bytes first."""
         self._is_cut = False
         self._flows.set()
 
     async def close(self) -> None:
-        """Break it for good."""
+        """Break it permanently."""
         self.cut()
         self._flows.set()
         if self._server is not None:
@@ -63,7 +63,7 @@ class LinkProxy:
         writer.transport.abort()
 
     async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Hand bytes on until there are no more; the other way ends with this one."""
+        """Forward bytes until the end; the other direction ends with this one."""
         while data := await reader.read(65536):
             await self._flows.wait()
             writer.write(data)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from link_proxy import LinkProxy
 
-#: The program of a router, of the tests of the transport.
+#: The program of a router, from the tests of the transport.
 ROUTER = Path(__file__).parents[1] / "net" / "zenoh" / "router_process.py"
 
 
@@ -44,21 +44,21 @@ class TcpNetwork:
         return list(self._links.values())
 
     def links_of(self, host: int) -> list[LinkProxy]:
-        """Those that cut a host off."""
+        """The proxies that isolate a host."""
         return [link for pair, link in self._links.items() if host in pair]
 
     def links_between(self, first: int, second: int) -> list[LinkProxy]:
-        """Those that cut two hosts off from each other."""
+        """The proxies that disconnect two hosts."""
         return [self._links[first, second], self._links[second, first]]
 
     async def close(self) -> None:
-        """Break everything for good."""
+        """Break everything permanently."""
         for link in self.links:
             await link.close()
 
 
 class RouterProcess:
-    """A router that is killed and started again at its port."""
+    """A router that is killed and restarted at its port."""
 
     def __init__(self, port: int, *connect: int) -> None:
         endpoints = [f"tcp/127.0.0.1:{each}" for each in (port, *connect)]
@@ -66,7 +66,7 @@ class RouterProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Have it run; not waited for, hosts try again."""
+        """Start it; hosts retry until it listens."""
         if self._process is None:
             quiet = subprocess.DEVNULL
             self._process = subprocess.Popen(self._command, stdout=quiet, stderr=quiet)
@@ -82,7 +82,7 @@ class RouterProcess:
 class RouterNetwork:
     """Two linked routers, each with half of the hosts; one proxy between each host and its router.
 
-    Two hosts cannot be cut off from each other alone: both lose their router.
+    Two hosts cannot be disconnected from each other alone: both lose their router.
     """
 
     def __init__(self, hosts: int, folder: Path) -> None:
@@ -110,15 +110,15 @@ class RouterNetwork:
         return [f"--inventory={self._inventory(f'h{host}')}"]
 
     def links_of(self, host: int) -> list[LinkProxy]:
-        """Those that cut a host off."""
+        """The proxies that isolate a host."""
         return [self.links[host]]
 
     def links_between(self, first: int, second: int) -> list[LinkProxy]:
-        """Those that cut two hosts off from each other."""
+        """The proxies that disconnect two hosts."""
         return [self.links[first], self.links[second]]
 
     async def close(self) -> None:
-        """Break everything for good."""
+        """Break everything permanently."""
         for link in self.links:
             await link.close()
         for router in self.routers:

@@ -1,13 +1,13 @@
-"""Real processes in bad weather, judged by what the resources themselves have served.
+"""Real processes under faults, judged by the calls that the resources have served.
 
     make chaos SECONDS=120            python tests/chaos/run.py --seconds 120 --seed 7
     make chaos OVER=zenoh             the same over two linked routers, which are killed too
 
-Rounds, each a team of four hosts with a journal each and four walkers (walkers.L), two of which go on without
-their host when a majority agrees. Hosts are killed, stopped and cut off, some for longer than that takes, and
-their disks are full; then everything heals, and every walker must complete within a bound. Ends with 1 when a
-call was served twice, for a walker that is outdated, or skipped without a word, or a mission is not complete;
-the folder with all that the hosts have said is named. A seed gives the same faults, though not the same run.
+Rounds, each a team of four hosts with a journal each and four walkers (walkers.L), two of which are recovered
+by a majority. Hosts are killed, stopped and isolated, some long enough for a recovery, and
+their disks are filled; then all is healed, and every walker must complete within a bound. Ends with 1 if a
+call was served twice, for an outdated walker, or skipped silently, or a mission is incomplete;
+the folder with the output of all hosts is named. A seed gives the same faults, though not the same run.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from lfield.testing.keyring import Keyring
 
 PROGRAM = Path(__file__).with_name("walkers.L")
 HOSTS, NUMBERS = 4, 150
-#: Those that wait for their host, and those that go on without it; each begins on another host.
+#: Walkers that wait for their host, and those that are recovered; each begins on another host.
 WALKERS, FENCED = ("w0", "w1"), ("f2", "f3")
-#: A walker that is cut off calls where it is soon again, and must not while it has no lease.
+#: An isolated walker soon calls its present host again, and must not while it has no lease.
 IMPATIENT = ("--unreachable-after", "2")
-#: A round's faults end after so many seconds; then all must be complete within the bound.
+#: Seconds of faults in a round; then all must be complete within the bound.
 STORM, BOUND = 30.0, 60.0
 
 
@@ -64,7 +64,7 @@ class Round:
         self.wrong: list[str] = []
 
     async def run(self) -> None:
-        """All of it; what is wrong is in `wrong`."""
+        """Run the round; breaches are in `wrong`."""
         network = RouterNetwork(HOSTS, self._folder) if self._over_zenoh else TcpNetwork(HOSTS)
         await network.open()
         self.hosts = [self._host(number, network.options(number)) for number in range(HOSTS)]
@@ -93,7 +93,7 @@ class Round:
         self.verdict.on_line(line, host, time.monotonic())
 
     def _holder(self) -> int:
-        """The host of a walker that others may go on with, and that is not complete."""
+        """The host of a walker that may be recovered and is not complete."""
         under_way = [who for who in FENCED if who not in self.verdict.walked and who in self.verdict.where]
         if not under_way:
             return -1
@@ -113,7 +113,7 @@ class Round:
         self.faults = storm.faults
 
     async def _wait_until(self, is_so: Callable[[], bool], bound: float) -> None:
-        """Wait until something is so, for so many seconds at most."""
+        """Wait until a condition holds, for at most this many seconds."""
         end = time.monotonic() + bound
         while not is_so() and time.monotonic() < end:
             await asyncio.sleep(0.1)
@@ -143,7 +143,7 @@ def built(folder: Path) -> Path:
 
 
 def report(rounds: list[Round], folder: Path) -> int:
-    """Say what happened; the exit status."""
+    """Print the results; returns the exit status."""
     faults = sum((each.faults for each in rounds), Counter())
     calls = sum(each.verdict.served.total() for each in rounds)
     begun = sum(len(each.verdict.walkers) for each in rounds)
@@ -174,14 +174,14 @@ def report(rounds: list[Round], folder: Path) -> int:
 
 
 def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
-    """How many there were, and how long they took."""
+    """Their number and duration."""
     if seconds:
         told = f"median {statistics.median(seconds):.2f} s, at most {max(seconds):.2f} s"
         print(f"{title} {len(seconds)} {what}: {told}")
 
 
 async def rounds_for(seconds: float, seed: int, folder: Path, *, over_zenoh: bool) -> list[Round]:
-    """One round after the other, until so many seconds are over."""
+    """One round after another, until the time is over."""
     bundle, end, rounds = built(folder), time.monotonic() + seconds, []
     while not rounds or time.monotonic() < end:
         number = len(rounds)

@@ -1,4 +1,4 @@
-"""A disk for each host that can be full: a small tmpfs. What is on it outlives the host's process."""
+"""A disk for each host that can be filled: a small tmpfs. Its contents outlive the host's process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Disk:
                 pass
 
     def free(self) -> None:
-        """Give the room back."""
+        """Free the space."""
         (self.folder / "ballast").unlink(missing_ok=True)
 
     def close(self) -> None:

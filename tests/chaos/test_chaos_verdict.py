@@ -1,4 +1,4 @@
-"""The judge of real processes finds what it is there for."""
+"""The judge of real processes finds each kind of breach."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def wrong(verdict: CallVerdict) -> tuple[object, ...]:
     return verdict.twice, verdict.outdated, verdict.skipped
 
 
-def test_a_call_that_may_have_been_made_is_no_breach():
+def test_reported_possible_call_is_no_breach():
     verdict = verdict_of(
         "stamped w0 0 0",
         "stamped w0 0 1",
@@ -29,7 +29,7 @@ def test_a_call_that_may_have_been_made_is_no_breach():
     assert (verdict.complete, *wrong(verdict)) == (True, [], [], [])
 
 
-def test_what_was_served_twice_and_what_nobody_served_is_told():
+def test_calls_served_twice_and_skipped_calls_are_breaches():
     verdict = verdict_of("stamped w0 0 0", "stamped w0 0 0", "stamped w0 0 2")
     assert (verdict.complete, *wrong(verdict)) == (False, [("w0", 0)], [], [("w0", 1)])
     verdict.on_line("w0: walked 3")
@@ -37,12 +37,12 @@ def test_what_was_served_twice_and_what_nobody_served_is_told():
     assert verdict_of("w0: walked 3").skipped == [("w0", 0), ("w0", 1), ("w0", 2)]
 
 
-def test_a_restart_is_no_reason_to_make_a_call_again():
+def test_repeated_call_after_a_restart_is_a_breach():
     again = "w0: perhaps 0 7 h0 restarted; this call may have begun"
     assert verdict_of("stamped w0 0 0", "stamped w0 0 1", again, "stamped w0 7 1").twice == [("w0", 1)]
 
 
-def test_what_is_behind_a_recovered_state_may_be_made_again_but_once():
+def test_call_behind_a_recovered_state_may_be_repeated_once():
     told = ("stamped w0 0 0", "stamped w0 0 1", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 7 1")
     verdict = verdict_of(*told)
     assert (verdict.repeated, verdict.recoveries, verdict.where) == (1, [1.0], {"w0": "h0"})
@@ -51,6 +51,6 @@ def test_what_is_behind_a_recovered_state_may_be_made_again_but_once():
     assert verdict_of(*told, "stamped w0 7 0").twice == [("w0", 0)]
 
 
-def test_nobody_is_served_any_more_who_was_recovered_elsewhere():
+def test_call_of_a_walker_recovered_elsewhere_is_outdated():
     verdict = verdict_of("stamped w0 0 0", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 0 1")
     assert verdict.outdated == [("w0", 1)]

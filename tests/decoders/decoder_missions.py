@@ -1,4 +1,4 @@
-"""The mission that peers of a fuzzed host seem to have: all that a host says to another one is about it."""
+"""The mission of the simulated peers of a fuzzed host: all messages between hosts are about it."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ HOSTS = ("alpha", "bravo", "charlie")
 
 @cache
 def mission() -> Mission:
-    """The mission, compiled once. Its coordinators start alone: nobody but bytes is there to link with."""
+    """The mission, compiled once. Its coordinators start without links: the only peer is the fuzzer."""
     with tempfile.TemporaryDirectory(prefix="lfield-") as folder:
         at = Path(folder)
         (at / "mission.L").write_text(PROGRAM)

@@ -1,6 +1,6 @@
-"""Inputs like others, but not quite: bytes and bits, and values in the tree of a msgpack message.
+"""Mutated inputs: changed bytes and bits, and changed values in the tree of a msgpack message.
 
-What is drawn comes from the dice alone, so that a seed is enough to have an input again.
+All choices come from the random generator, so that a seed reproduces an input.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 from decoder_target import LONGEST, Target
 
-#: Numbers at the bounds of what is common, and values of every kind.
+#: Numbers at common limits, and values of every kind.
 EDGES = (0, 1, -1, 2, 127, 128, 255, 256, 65535, 65536, *(2**n - d for n in (31, 32, 53, 63) for d in (0, 1)))
 ODD: Sequence[Any] = (
     *EDGES,
@@ -21,12 +21,12 @@ ODD: Sequence[Any] = (
     *(None, True, False, "", "a", "\0", "\n", "é" * 40, "\u202e", "\U0010ffff", "x" * 300, "x" * 3000),
     *(b"", b"\0" * 32, b"\xff" * 40, [], {}, [[]], {"": 0}, [0] * 70, {1: 2}, msgspec.msgpack.Ext(1, b"x")),
 )
-#: How deep a list is that lies within itself.
+#: Depth of a list that is nested in itself.
 _DEEP = 200
 
 
 def mutated(target: Target, data: bytes, rng: random.Random, other: bytes = b"") -> bytes:
-    """An input like `data`; parts of `other` may come into it."""
+    """An input similar to `data`; parts of `other` may be inserted."""
     for _ in range(1 + int(rng.expovariate(0.7))):
         if target.packed and rng.random() < 0.8:
             data = _mutated_tree(target, data, other, rng)
@@ -62,7 +62,7 @@ def _mutated_tree(target: Target, data: bytes, other: bytes, rng: random.Random)
 
 
 def _places(tree: Any, depth: int = 0) -> list[tuple[Any, Any]]:
-    """All holders with a key of each, down to some depth."""
+    """All containers with a key of each, down to some depth."""
     if depth > 20 or not isinstance(tree, list | dict):
         return []
     found = [(tree, key) for key in (range(len(tree)) if isinstance(tree, list) else tree)]

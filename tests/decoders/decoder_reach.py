@@ -1,8 +1,8 @@
-"""The functions that read what others send, by the targets that are there for them: what no input reaches.
+"""The functions that read data of others, by their targets: lines that no input reaches.
 
-Only calls are watched, and lines in those functions alone: it takes little more time than the inputs do. Of
-targets that are not here a whole machine, host or driver reads what comes, or the readers of a language,
-whose rooms have tests of their own.
+Only calls are traced, and lines in those functions alone: it takes little more time than the inputs. For
+targets that are absent here, a whole machine, host or driver reads the data, or the readers of a language,
+whose folders have tests of their own.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ UNREACHED: Mapping[str, Mapping[str, str]] = {
     "revocations": {'revoked_in: raise KeysError("the revocation list is too large")': _LARGE},
 }
 
-#: Inputs that are made of the seeds of each.
+#: Number of mutations of each seed.
 INPUTS = 200
 
 
@@ -106,7 +106,7 @@ def codes_of(thing: Any) -> Iterator[CodeType]:
 
 
 def unreached(target: Target, functions: Sequence[object]) -> set[str]:
-    """The lines of these functions that no seed, no input kept, and none made of those has run, as texts."""
+    """The lines of these functions that no seed, stored input or mutation has reached, as texts."""
     codes = {code for thing in functions for code in codes_of(thing)}
     ran: set[tuple[CodeType, int]] = set()
 

@@ -1,7 +1,7 @@
-"""What a decoder is to a fuzzer: bytes go in, and only its own errors come out, soon and without much memory.
+"""A decoder for a fuzzer: bytes go in, and only its own errors come out, in bounded time and memory.
 
-An input is bounded by the processor's time that it takes, which no other program makes longer, and by what it
-allocates. More of either is a crash, as is every exception that is no sentence of ours.
+An input is limited in CPU time, which other programs do not influence, and in allocated
+memory. Exceeding a limit is a crash, as is every exception that is not an lfield error.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 
-#: Seconds of the processor that one input may take, and bytes that it may take at once.
+#: CPU seconds and allocated bytes of one input at most.
 SECONDS, BYTES = 5.0, 64 << 20
-#: Longer inputs are made by no mutation.
+#: No mutation makes longer inputs.
 LONGEST = 1 << 16
 
 
 @dataclass(frozen=True)
 class Target:
-    """One decoder: `seeds` gives good inputs, `decode` decodes one, and raises nothing whatever it is.
+    """One decoder: `seeds` gives valid inputs, `decode` decodes one, and must not raise for any input.
 
-    `tokens` are names that mean something to it. Where `packed`, its inputs are msgpack and changed as such.
+    `tokens` are names that it knows. If `packed`, its inputs are msgpack and mutated as such.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Target:
     decode: Callable[[bytes], None]
     packed: bool = False
     tokens: Sequence[object] = field(default=())
-    #: One that plays whole stories takes every so manieth input only.
+    #: A slow target takes only one of this many inputs.
     share: int = 1
 
     @cached_property
@@ -41,12 +41,12 @@ class Target:
 
 
 class Hang(BaseException):
-    """An input took too much time. Nothing that catches exceptions takes it for one of its own."""
+    """An input exceeded its CPU time. No handler of exceptions catches it."""
 
 
 @contextmanager
 def bounded(seconds: float = SECONDS) -> Iterator[None]:
-    """Raises Hang in whatever takes longer, in seconds of the processor."""
+    """Raises Hang when the block exceeds this CPU time in seconds."""
 
     def over(number: int, frame: object) -> None:
         raise Hang(f"over {seconds:g} s of the processor")

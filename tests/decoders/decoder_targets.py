@@ -1,4 +1,4 @@
-"""Every decoder that sees bytes of others, by its name."""
+"""Every decoder that reads bytes of others, by its name."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ INPUTS = 60
 
 @pytest.mark.few(15)
 @pytest.mark.parametrize("name", TARGETS)
-def test_what_is_known_is_taken_or_refused_within_its_bounds(name):
+def test_known_inputs_are_decoded_within_the_limits(name):
     target = TARGETS[name]
     target.decode(target.good[0])
     for data in (*target.good[: max(3, 40 // target.share)], *corpus_of(name)):
@@ -34,32 +34,32 @@ def test_what_is_known_is_taken_or_refused_within_its_bounds(name):
 
 @pytest.mark.few(12)
 @pytest.mark.parametrize("name", TARGETS)
-def test_what_is_like_it_is_too(name):
-    target, dice = TARGETS[name], random.Random(name)
+def test_mutated_inputs_are_decoded_or_refused_within_the_limits(name):
+    target, rng = TARGETS[name], random.Random(name)
     for _ in range(max(3, INPUTS // target.share)):
-        data = mutated(target, dice.choice(target.good), dice, dice.choice(target.good))
+        data = mutated(target, rng.choice(target.good), rng, rng.choice(target.good))
         with bounded():
             target.decode(data)
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_the_same_dice_make_the_same_inputs(name):
+def test_same_seed_makes_the_same_inputs(name):
     target = TARGETS[name]
 
     def made():
-        dice = random.Random(3)
-        return [mutated(target, target.good[0], dice) for _ in range(20)]
+        rng = random.Random(3)
+        return [mutated(target, target.good[0], rng) for _ in range(20)]
 
     assert made() == made()
     assert len(set(made())) > 5
 
 
 @pytest.mark.parametrize("name", READS)
-def test_every_line_that_reads_is_reached_but_for_those_that_stand_there(name):
+def test_every_decoding_line_is_reached_except_listed_ones(name):
     assert unreached(TARGETS[name], READS[name]) == set(UNREACHED.get(name, ()))
 
 
-def test_every_kind_of_frame_that_a_peer_may_send_is_in_the_seeds_of_whoever_reads_them():
+def test_every_frame_kind_is_in_the_seeds_of_its_decoders():
     kinds = {*codec.HANDSHAKE_LIMITS, *codec.limits("host", 1), *codec.limits("observer", 1)}
     assert set(payloads()) == kinds
     for name in ("greeting", "control"):

@@ -1,6 +1,6 @@
 """The page of all commands, from their argument parsers: `python tests/docs/cli_page.py --write`.
 
-The text is made here and not by argparse, whose layout differs between versions of Python.
+The text is not made by argparse, whose layout differs between versions of Python.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _section(title: str, command: argparse.ArgumentParser, level: int) -> str:
 
 
 def _actions_of(command: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """The commands below a command, as `keys init`; those without a description get their help."""
+    """The subcommands of a command, such as `keys init`; those without a description get their help."""
     for action in command._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {each.dest: each.help for each in action._choices_actions}

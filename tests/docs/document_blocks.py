@@ -1,6 +1,6 @@
-"""The fenced blocks of the documents: where they stand, what they say of themselves, what is in them.
+"""The fenced blocks of the documents: their place, their kind, and their content.
 
-The words behind the fence say what a block is, so that whoever reads the page's source sees it:
+The words behind the fence state the kind of a block, visible in the page's source:
 
     java FILE.L            a whole program; the file's name may be left out; `wrong` behind it: bad
     java statements        of a method; `of TYPE NAME` gives it a device: `java statements of Mavlink fc`
@@ -38,7 +38,7 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Where it is, for people."""
+        """Its place for messages."""
         return f"{self.page}:{self.line}"
 
     @property
@@ -58,7 +58,7 @@ class Block:
 
 
 def blocks_of(page: str, text: str) -> Iterator[Block]:
-    """Every fenced block of a page, in order. One that is never closed ends with the page."""
+    """Every fenced block of a page, in order. An unclosed one ends with the page."""
     lines = iter(enumerate(text.splitlines(), 1))
     for number, line in lines:
         opening = _OPENING.match(line)
@@ -75,7 +75,7 @@ def blocks_of(page: str, text: str) -> Iterator[Block]:
 
 
 def _without(margin: str, line: str) -> str:
-    """A line without the margin of its fence, as far as it has it."""
+    """A line without the margin of its fence, as far as present."""
     return line[: len(margin)].lstrip(" >") + line[len(margin) :]
 
 
@@ -100,5 +100,5 @@ def shell_lines(text: str) -> list[str]:
 
 
 def without_comment(line: str) -> str:
-    """A command line without what is said about it."""
+    """A command line without its comment."""
     return re.sub(r"\s+#.*", "", line)

@@ -1,4 +1,4 @@
-"""What a block must be, by its words: each check gives a sentence for everything that is wrong with it."""
+"""The check of a block by its words: each returns a sentence for every error."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _STATUS = re.compile(r"#.*\bstatus (\d+)")
 
 
 def sentences(work: Callable[[], object]) -> Problems:
-    """What lfield has to say about a piece of work, each finding as it is drawn."""
+    """The errors that lfield raises in a function, each finding rendered."""
     try:
         work()
     except ProgramError as error:
@@ -65,7 +65,7 @@ def program(block: Block, folder: Path) -> Problems:
 
     problems = sentences(compiled)
     if "wrong" in block.words:
-        return [] if problems else ["it shall be wrong, and nothing is found"]
+        return [] if problems else ["an error is expected, and none is found"]
     return problems + ([] if block.words[:1] == ["statements"] else found)
 
 
@@ -78,7 +78,7 @@ def _around(block: Block) -> str:
 
 
 def plain_text(block: Block, folder: Path) -> Problems:
-    """A deployment; what a program prints is compared where it is run."""
+    """A deployment; the output of programs is compared where they run."""
     if block.file.endswith(".dL"):
         path = folder / block.file
         program = folder / block.words[2] if block.words[1:2] == ["of"] else path.with_suffix(".L")
@@ -124,7 +124,7 @@ def yaml(block: Block, folder: Path) -> Problems:
 
 
 def _unreadable(text: str) -> Problems:
-    """What keeps a text from being YAML with a mapping or a list in it."""
+    """Why a text is not YAML with a mapping or a list."""
     try:
         found = parsed.safe_load(text)
     except parsed.YAMLError as error:
@@ -133,7 +133,7 @@ def _unreadable(text: str) -> Problems:
 
 
 def _bound(path: Path) -> list[DeviceBinding]:
-    """The devices of a bindings file on their fakes: for its mission, else as it says itself."""
+    """The devices of a bindings file on their fakes: for its mission, else with its own drivers."""
     deployment = path.with_name(path.name.removesuffix(".devices.yaml") + ".dL")
     plugins = discover()
     if deployment.exists():
@@ -150,7 +150,7 @@ def _bound(path: Path) -> list[DeviceBinding]:
 
 
 def opened(devices: list[DeviceBinding]) -> Problems:
-    """What stands against opening these devices, which are on fakes: a watchdog that is too slow, say."""
+    """Problems of opening these devices on fakes, such as a watchdog that is too slow."""
     found: list[DiagnosticFinding] = []
     asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
     return [f"{finding.what}" for finding in found if finding.state == "problem"]
@@ -175,7 +175,7 @@ def python(block: Block, folder: Path) -> Problems:
 
 
 def grammar(block: Block, folder: Path) -> Problems:
-    """Rules that name only rules that there are; those of characters, in capitals, are half in words."""
+    """Grammar rules name existing rules; character rules, in capitals, are partly prose and are skipped."""
     text = re.sub(r"\(\*.*?\*\)|'[^']*'|\"[^\"]+\"", "", block.text)
     text = re.split(r"^[A-Z]+ ", text, maxsplit=1, flags=re.MULTILINE)[0]
     rules = dict(re.findall(r"^(\w+)\s+=((?:.|\n(?!\w))*)", text, re.MULTILINE))
@@ -184,7 +184,7 @@ def grammar(block: Block, folder: Path) -> Problems:
 
 
 def diagram(block: Block, folder: Path) -> Problems:
-    """A state diagram of arrows with a word each."""
+    """A state diagram of arrows with a label each."""
     head, *lines = block.text.splitlines()
     problems = [] if head == "stateDiagram-v2" else [f"there is no rule for a '{head}'"]
     return problems + [
@@ -205,7 +205,7 @@ def udev(block: Block, folder: Path) -> Problems:
 
 
 def shell(block: Block, folder: Path) -> Problems:
-    """Command lines of lfield are such that it understands, whether or not they are run here."""
+    """Command lines of lfield parse, whether or not they are run here."""
     problems = []
     for line in shell_lines(block.text):
         for words in _COMMAND.findall(line):
@@ -232,7 +232,7 @@ def understand(line: str) -> None:
     if name not in COMMANDS:
         raise ValueError(f"there is no subcommand '{name}'")
     if name in ("sim", "kit") and {"lamp", "gps", "planner", "$name"}.intersection(words):
-        # Of a driver that the lines before have made or installed.
+        # A driver that the preceding lines have made or installed.
         return
     parser = Strict()
     import_module(MODULES[name]).add_arguments(parser)
@@ -240,7 +240,7 @@ def understand(line: str) -> None:
 
 
 def wanted_status(line: str) -> int:
-    """The status that a line says it ends with."""
+    """The expected status of a line."""
     said = _STATUS.search(line)
     return int(said[1]) if said else 0
 
@@ -260,7 +260,7 @@ CHECKS: Mapping[str, Check] = {
 
 
 def problems_of(block: Block, folder: Path) -> Problems:
-    """Everything that is wrong with a block, each with its place."""
+    """All errors of a block, each with its place."""
     check = CHECKS.get(block.language)
     if check is None:
         return [f"{block.place}: there is no rule for a block of '{block.info}'"]
@@ -271,7 +271,7 @@ def problems_of(block: Block, folder: Path) -> Problems:
 
 
 def missing_lines(wanted: str, said: str) -> Problems:
-    """The lines of a block of output, figures aside, that were not said."""
+    """The lines of a block of output that were not printed; figures are ignored."""
     heard = {_plain(line) for line in said.splitlines()}
     lines = [line for line in wanted.splitlines() if line.strip() and line.strip() != "..."]
     return [

@@ -1,11 +1,11 @@
-"""What the documents show and their test does not run, line by line with the reason; what pages start from.
+"""Lines of the documents that their test does not run, with the reason; files that pages need.
 
-A line that no page has any more must go from here too: the test says so.
+A line that no page has any more must be removed here too: a test checks it.
 """
 
 from __future__ import annotations
 
-#: Reasons that several lines have.
+#: Reasons of several lines.
 SUITE = "it would run these tests, or hours of them"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
@@ -289,7 +289,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
 }
 
-#: By page: files of the repository that it speaks of by other names. A folder is a mission.
+#: By page: files of the repository that it names differently. A folder is a mission.
 FILES: dict[str, dict[str, str]] = {
     "lfield/docs/operations.md": {
         "mission.L": "examples/02-equivalent-lift/mission.L",

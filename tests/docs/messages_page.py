@@ -109,7 +109,7 @@ def _log_lines(messages: Iterable[LogMessage]) -> Iterator[tuple[str, ...]]:
 
 
 def _meaning(message: LogMessage) -> Iterator[str]:
-    """The meaning, and which fields of JSON the parts of the line stand for that are no fields."""
+    """The meaning, and the JSON fields of the parts of the line that are not fields."""
     if message.meaning:
         yield message.meaning
     for name, clause in message.clauses.items():

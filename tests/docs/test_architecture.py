@@ -1,4 +1,4 @@
-"""The architecture page names files and functions that exist; its packages are those of the diagram."""
+"""The architecture page names existing files and functions; its packages are those of the diagram."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _PACKAGE = re.compile(r"\| `(\w+)` \|")
 
 #: A row of the table of places: topic, module with link, class or method.
 _PLACE = re.compile(r"\| [^|]+ \| \[`([^`]+)`\]\(([^)]+)\) \| `([^`]+)` \| [^|]+ \|")
-#: What a reader must find there.
+#: Topics that the table must contain.
 _TOPICS = ("**hop**", "**stop**", "**lease**", "**revocation**", "**journal write**")
 
 
 class Step(NamedTuple):
-    """A line of a walk: a file of the project, and what in it the line is about."""
+    """A line of a walk: a file of the project, and the name in it that the line describes."""
 
     number: int
     path: str
@@ -66,7 +66,7 @@ def steps(walk: str) -> list[Step]:
 
 
 def says(path: Path, name: str) -> bool:
-    """Whether a file defines a name (`Class.method` in that class), or at least has it as a word."""
+    """Whether a file defines a name (`Class.method` in that class), or contains it as a word."""
     text = path.read_text(encoding="utf-8")
     if "." in name:
         return name in set(defined(ast.parse(text).body))
@@ -83,10 +83,10 @@ def defined(body: list[ast.stmt], prefix: str = "") -> Iterator[str]:
 
 
 @pytest.mark.parametrize("walk", WALKS)
-def test_a_walk_leads_through_files_that_are_there(walk: str) -> None:
+def test_walk_leads_through_existing_files(walk: str) -> None:
     path = steps(walk)
     assert path[0].number == 1
-    # A part of a walk that begins somewhere else is counted from 1 again.
+    # A part of a walk that begins at another place is counted from 1 again.
     assert all(after.number in (before.number + 1, 1) for before, after in pairwise(path))
     missing = [step.path for step in path if not (ROOT / step.path).is_file()]
     assert missing == []
@@ -96,7 +96,7 @@ def test_a_walk_leads_through_files_that_are_there(walk: str) -> None:
     assert unknown == []
 
 
-def test_the_table_of_places_names_what_exists() -> None:
+def test_table_of_places_names_existing_code() -> None:
     table = section("Where is it implemented?")
     rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
     places = [_PLACE.fullmatch(row) for row in rows]
@@ -116,17 +116,17 @@ def test_there_are_no_other_walks() -> None:
     assert headings == list(WALKS)
 
 
-def test_the_table_has_the_packages_of_the_diagram() -> None:
+def test_package_table_equals_the_diagram() -> None:
     listed = _PACKAGE.findall(section("Packages"))
     drawn = re.findall(r"<text[^>]*>([^<]+)</text>", PICTURE.read_text(encoding="utf-8"))
     assert sorted(listed) == sorted(drawn)
 
 
-def test_the_page_shows_the_diagram() -> None:
+def test_architecture_page_shows_the_diagram() -> None:
     assert f"]({PICTURE.name})" in section("Packages")
 
 
-def test_names_are_looked_for_where_they_are_defined(tmp_path: Path) -> None:
+def test_names_are_found_where_they_are_defined(tmp_path: Path) -> None:
     code = tmp_path / "code.py"
     code.write_text("class A:\n    def f(self):\n        g()\n\nasync def h(): ...\n", encoding="utf-8")
     assert [name for name in ("A", "A.f", "g", "h", "A.g", "B.f", "k", "f.A") if says(code, name)] == [

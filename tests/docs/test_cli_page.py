@@ -1,11 +1,11 @@
-"""The page of all commands is generated from their argument parsers, and says something of every argument."""
+"""The page of all commands is generated from their argument parsers and describes every argument."""
 
 from __future__ import annotations
 
 from cli_page import PAGE, page
 
 
-def test_the_page_of_commands_is_up_to_date() -> None:
+def test_command_page_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "python tests/docs/cli_page.py --write"
 
 

@@ -1,4 +1,4 @@
-"""Every fenced block of every document is true: programs compile, files check, lines run and print that."""
+"""Every fenced block of every document is correct: programs compile, files check, lines run as shown."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BLOCKS = blocks_by_page()
 #: Those of the examples on simulators of real autopilots, one folder each.
 REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
 #: Seconds for a line to end.
-PATIENCE = 60.0
+TIMEOUT = 60.0
 #: Subcommands that start no process: they run in this one.
 IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "plan", "query", "sign"})
 _RUNS: dict[str, tuple[int | str, str]] = {}
@@ -39,20 +39,20 @@ _RUNS: dict[str, tuple[int | str, str]] = {}
 REAL_TIME = {
     f"examples/{name}/README.md" for name in ("11-multiple-tiers", "12-peer-to-peer", "15-tuple-space")
 }
-#: What commands of the documents name, from the root of the repository.
+#: Folders that commands of the documents name, from the root of the repository.
 NAMED = ("examples", "deploy", "capabilities")
 
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Path:
-    """A copy of what the documents name, to run their lines in."""
+    """A copy of the folders that the documents name, to run their lines in."""
     for folder in NAMED:
         shutil.copytree(ROOT / folder, tmp_path / folder)
     return tmp_path
 
 
 def prepare(page: str, folder: Path) -> None:
-    """The files that a page speaks of, and those that it shows."""
+    """The files that a page names, and those that it shows."""
     for name, source in FILES.get(page, {}).items():
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / source, folder / name)
@@ -67,7 +67,7 @@ def run(line: str, folder: Path) -> tuple[int | str, str]:
     commands = [shlex.split(each, comments=True) for each in line.split(" && ")]
     if all(words[0] == "lfield" and words[1] in IN_PROCESS for words in commands):
         return run_here(commands, folder)
-    # What depends on no file of the page is run once, for all pages that show it.
+    # A line that depends on no file of the page is run once for all pages.
     known = without_comment(line)
     if not known.startswith("lfield up --deploy examples/"):
         return run_in_shell(line, folder)
@@ -90,7 +90,7 @@ def run_here(commands: list[list[str]], folder: Path) -> tuple[int | str, str]:
 
 
 def run_in_shell(line: str, folder: Path) -> tuple[int | str, str]:
-    """Run a command line in a shell. What it leaves behind is ended with it."""
+    """Run a command line in a shell. Its remaining processes are ended with it."""
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with tempfile.TemporaryFile() as said:
         shell = subprocess.Popen(
@@ -99,19 +99,19 @@ def run_in_shell(line: str, folder: Path) -> tuple[int | str, str]:
             stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True,
         )  # fmt: skip
         try:
-            status = shell.wait(PATIENCE)
+            status = shell.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
             status = "it did not end"
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(shell.pid, signal.SIGTERM)
-            shell.wait(PATIENCE)
+            shell.wait(TIMEOUT)
         said.seek(0)
         return status, said.read().decode("utf-8", "replace")
 
 
 def outputs_of(block: Block) -> bool:
-    """Whether it shows what was printed."""
+    """Whether the block shows output."""
     return block.info == "text output"
 
 
@@ -123,7 +123,7 @@ def lines_of(block: Block) -> list[str]:
 
 
 def played(page: str, folder: Path) -> list[str]:
-    """Run the lines of a page in their order; what was not as it is shown."""
+    """Run the lines of a page in order; returns the deviations from the page."""
     problems, said, skipped = [], "", EXCEPTIONS.get(page, {})
     for block in BLOCKS[page]:
         lines = lines_of(block)
@@ -140,7 +140,7 @@ def played(page: str, folder: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("page", BLOCKS)
-def test_every_block_is_what_it_says(page: str, scratch: Path) -> None:
+def test_every_block_is_valid(page: str, scratch: Path) -> None:
     prepare(page, scratch)
     problems = [problem for block in BLOCKS[page] for problem in problems_of(block, scratch)]
     assert not problems, "\n".join(problems)
@@ -167,7 +167,7 @@ def test_every_line_of_a_mission_in_real_time_runs(page: str, scratch: Path) -> 
 
 
 @pytest.mark.parametrize("page", EXCEPTIONS)
-def test_what_is_not_run_is_still_there(page: str) -> None:
+def test_every_exception_is_on_its_page(page: str) -> None:
     there = {without_comment(line) for block in BLOCKS.get(page, []) for line in lines_of(block)}
     there |= {block.text.splitlines()[0] for block in BLOCKS.get(page, []) if outputs_of(block)}
     assert sorted(EXCEPTIONS[page].keys() - there) == []
@@ -176,14 +176,14 @@ def test_what_is_not_run_is_still_there(page: str) -> None:
 @pytest.mark.parametrize(
     "devices", sorted((ROOT / "deploy").rglob("*.devices.yaml")), ids=lambda p: p.parent.name
 )
-def test_the_sample_bindings_open(devices: Path) -> None:
+def test_sample_bindings_open(devices: Path) -> None:
     program = ROOT / "examples/01-first-flight/mission.L"
     mission = load_mission(devices.with_name("mission.dL"), program, devices, simulate=True)
     assert opened(mission.bindings.all) == []
 
 
 @pytest.mark.parametrize("devices", REAL, ids=lambda path: f"{path.parent.name}-{path.name}")
-def test_the_bindings_for_real_autopilots_differ_from_their_examples_in_places_only(devices: Path) -> None:
+def test_bindings_of_real_autopilots_differ_in_endpoints_only(devices: Path) -> None:
     deployment = ROOT / "examples" / devices.name.removesuffix(".devices.yaml") / "mission.dL"
     real, example = load_mission(deployment, devices=devices), load_mission(deployment)
 
@@ -194,7 +194,7 @@ def test_the_bindings_for_real_autopilots_differ_from_their_examples_in_places_o
     assert {d.endpoint for d in real.bindings.all}.isdisjoint(d.endpoint for d in example.bindings.all)
 
 
-# --- the machine itself -------------------------------------------------------------------------------
+# --- tests of the block checker -----------------------------------------------------------------------
 
 PAGE = """\
 ```java
@@ -243,7 +243,7 @@ def test_every_kind_of_fence_is_found() -> None:
         ("text", "", "there is no rule for 'text'"),
         ("java fragment", "", "there is no rule for 'java fragment'"),
         ("java", "coordinator C { init(string[] arg) { print(x); } }\n", "error[L"),
-        ("java a.L wrong", "class A { }\n", "it shall be wrong"),
+        ("java a.L wrong", "class A { }\n", "an error is expected"),
         ("java statements of Mavlink fc", "fc.fly(new real[] {1.0});\n", "error[L"),
         ("text a.dL", "//A\n", "error[L7"),
         ("yaml", "registry: 1\nprimitive: {}\n", "error["),
@@ -270,12 +270,12 @@ def test_every_kind_of_fence_is_found() -> None:
         ("sh", "cd x && lfield ps m.dL n.dL\n", "unrecognized arguments"),
     ],
 )
-def test_what_is_wrong_is_found(tmp_path: Path, info: str, text: str, words: str) -> None:
+def test_invalid_block_is_found(tmp_path: Path, info: str, text: str, words: str) -> None:
     problems = problems_of(Block("page.md", 7, info, text), tmp_path)
     assert problems
     assert problems[0].startswith("page.md:7: ")
     assert words in "\n".join(problems)
 
 
-def test_what_was_not_printed_is_found() -> None:
+def test_missing_output_is_found() -> None:
     assert missing_lines("a 12 b\n...\nc\n", "a 7.5  b\nd\n") == ["was not printed: c"]

@@ -1,4 +1,4 @@
-"""The page of events has every kind with its fields, and the bounds are those of the code."""
+"""The page of events has every kind with its fields, and the bounds equal those of the code."""
 
 import re
 from pathlib import Path
@@ -26,21 +26,21 @@ def rows(section):
 @pytest.mark.parametrize(
     ("section", "kinds"), [("States", KINDS.keys() - TELEMETRY), ("Telemetry", TELEMETRY)]
 )
-def test_the_page_has_every_kind_with_its_fields(section, kinds):
+def test_event_page_has_every_kind_with_its_fields(section, kinds):
     assert rows(section) == {kind: KINDS[kind].__struct_fields__ for kind in kinds}
 
 
-def test_the_page_says_what_is_kept_apart():
+def test_event_page_states_the_frequent_kinds():
     apart = PAGE.split("very often (")[1].split(")")[0]
     assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", apart)} == event_log.FREQUENT
 
 
-def told(allowance):
-    """As the page says it."""
+def limit(allowance):
+    """The text of a bound on the page."""
     return f"{allowance.burst:g} at once and {allowance.rate:g} a second"
 
 
-def test_the_bounds_of_the_page_are_those_of_the_code():
+def test_bounds_of_the_event_page_equal_the_code():
     bounds = PAGE.split("## Bounds\n")[1]
     assert event_rate_limit.MIGRATIONS == event_rate_limit.PORTALS
     for bound in (
@@ -49,10 +49,10 @@ def test_the_bounds_of_the_page_are_those_of_the_code():
         f"| {WINDOW}, of {event_subscription.BATCH_BYTES >> 10} KiB",
         f"not read for {event_subscription.READ_TIMEOUT:g} s",
         f"one host | {subscription_server.MAX_SUBSCRIPTIONS};",
-        f"| prints | {told(event_rate_limit.PRINTS)}; one longer than {event_rate_limit.PIECE} characters",
-        f"| hops, and portal calls, while watched | {told(event_rate_limit.MIGRATIONS)} of each |",
-        f"| hops without subscribers | {told(event_rate_limit.MIGRATIONS_UNOBSERVED)} |",
-        f"| instructions to devices | {told(event_rate_limit.INSTRUCTIONS)} |",
+        f"| prints | {limit(event_rate_limit.PRINTS)}; one longer than {event_rate_limit.PIECE} characters",
+        f"| hops, and portal calls, while watched | {limit(event_rate_limit.MIGRATIONS)} of each |",
+        f"| hops without subscribers | {limit(event_rate_limit.MIGRATIONS_UNOBSERVED)} |",
+        f"| instructions to devices | {limit(event_rate_limit.INSTRUCTIONS)} |",
     ):
         assert bound in bounds
     assert f"at most {MAX_RATE:g} times a second" in PAGE

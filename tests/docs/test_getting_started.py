@@ -1,4 +1,4 @@
-"""The mission of the tutorial runs in real time, as its page says: `make test-more`."""
+"""The mission of the tutorial runs in real time with the output of its page: `make test-more`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PAGE = "lfield/docs/getting-started.md"
 pytestmark = [pytest.mark.process, pytest.mark.few(0), pytest.mark.timeout(240)]
 
 
-def test_the_mission_runs_as_the_page_says(tmp_path: Path) -> None:
+def test_tutorial_mission_prints_the_output_of_the_page(tmp_path: Path) -> None:
     blocks = list(blocks_of(PAGE, (ROOT / PAGE).read_text(encoding="utf-8")))
     for block in blocks:
         if block.file and not block.file.endswith(".devices.yaml"):

@@ -1,4 +1,4 @@
-"""Every relative link of every Markdown file leads somewhere."""
+"""Every relative link of every Markdown file has a target."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
-#: Folders with nothing of ours.
+#: Folders without files of the project.
 _FOREIGN = {"node_modules", "build", "dist"}
 
 _FENCE = re.compile(r"^(```|~~~).*?^\1\s*$", re.MULTILINE | re.DOTALL)
@@ -22,7 +22,7 @@ _ELSEWHERE = re.compile(r"[a-z][a-z0-9+.-]*:|//", re.IGNORECASE)
 
 
 def markdown_files(root: Path) -> list[Path]:
-    """All Markdown files that are ours."""
+    """All Markdown files of the project."""
     return sorted(
         path
         for path in root.rglob("*.md")
@@ -33,7 +33,7 @@ def markdown_files(root: Path) -> list[Path]:
 def links(text: str) -> Iterator[str]:
     """The targets of inline links, without those in code."""
     prose = _FENCE.sub("", text)
-    # The text of a link may be code; only whole spans that hold no link are taken out.
+    # The text of a link may be code; only spans without a link are removed.
     yield from _LINK.findall(_CODE.sub("`code`", prose))
 
 
@@ -50,7 +50,7 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(path: Path) -> list[str]:
-    """The relative links of a file that lead nowhere."""
+    """The relative links of a file without a target."""
     dead = []
     for link in links(path.read_text(encoding="utf-8")):
         if _ELSEWHERE.match(link):
@@ -65,11 +65,11 @@ def dead_links(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("path", markdown_files(ROOT), ids=lambda p: str(p.relative_to(ROOT)))
-def test_relative_links_are_alive(path: Path) -> None:
+def test_relative_links_have_targets(path: Path) -> None:
     assert dead_links(path) == []
 
 
-def test_the_index_leads_to_every_page() -> None:
+def test_index_links_to_every_page() -> None:
     index = ROOT / "lfield/docs/README.md"
     found = set(links(index.read_text(encoding="utf-8")))
     assert {path.name for path in index.parent.glob("*.md")} - found == {index.name}

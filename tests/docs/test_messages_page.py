@@ -16,11 +16,11 @@ from lfield.text import log_messages
 from lfield.text.yaml_source import YAML_CODES
 
 
-def test_the_page_of_messages_is_up_to_date() -> None:
+def test_message_page_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "python tests/docs/messages_page.py --write"
 
 
-def test_every_error_class_has_a_code_and_a_remedy_of_its_own() -> None:
+def test_every_error_class_has_its_own_code_and_remedy() -> None:
     classes = list(error_classes())
     assert len(classes) > 30
     assert [each.__name__ for each in classes if not {"code", "remedy"} <= vars(each).keys()] == []
@@ -28,7 +28,7 @@ def test_every_error_class_has_a_code_and_a_remedy_of_its_own() -> None:
     assert [each.code for each in classes if not re.fullmatch(r"[a-z]+(-[a-z]+)*", each.code)] == []
 
 
-def test_every_code_of_a_finding_in_a_yaml_file_is_listed() -> None:
+def test_every_code_of_a_yaml_finding_is_listed() -> None:
     sources = (file.read_text(encoding="utf-8") for file in Path(lfield.__file__).parent.rglob("*.py"))
     used = {code for source in sources for code in re.findall(r'"(Y1\d\d)"(?!:)', source)}
     assert used == YAML_CODES.keys()
@@ -58,7 +58,7 @@ def table_of(file: Path) -> Mapping[str, object]:
 
 
 def log_calls() -> Iterator[tuple[Mapping[str, object], str, list[ast.keyword]]]:
-    """The messages that the product logs, each with the values that it is given."""
+    """The messages that the product logs, each with its values."""
     for file, tree in trees():
         aliases = set()
         for node in ast.walk(tree):
@@ -82,7 +82,7 @@ def fields_of(message: log_messages.LogMessage) -> set[str]:
     return (named - message.clauses.keys()).union(*(each.values for each in message.clauses.values()))
 
 
-def test_every_log_line_is_given_the_values_of_its_template() -> None:
+def test_every_log_call_has_the_values_of_its_template() -> None:
     used = {"device-report"}  # `report_line` makes it
     for table, name, values in log_calls():
         message = table[name]
@@ -93,14 +93,14 @@ def test_every_log_line_is_given_the_values_of_its_template() -> None:
     assert used == {each.code for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())}
 
 
-def test_codes_of_log_lines_are_unique_and_well_formed() -> None:
+def test_log_codes_are_unique_and_well_formed() -> None:
     codes = [each.code for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())]
     assert [code for code, count in Counter(codes).items() if count > 1] == []
     assert [code for code in codes if not re.fullmatch(r"[a-z]+(-[a-z]+)*", code)] == []
 
 
-def test_a_template_says_more_than_a_reason() -> None:
-    """A template that is only a field would carry a sentence that the table does not word."""
+def test_log_template_contains_words() -> None:
+    """A template with only a field would carry a sentence that is not in the table."""
     bare = [
         each.code
         for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())
@@ -109,7 +109,7 @@ def test_a_template_says_more_than_a_reason() -> None:
     assert set(bare) <= FREE_TEXT
 
 
-def test_no_log_call_passes_a_free_sentence() -> None:
+def test_no_log_call_passes_a_literal_sentence() -> None:
     """Neither a log function nor a value of a template is given a literal sentence."""
     free = []
     for file, tree in trees():
@@ -139,14 +139,14 @@ def is_sentence(node: ast.expr, words: int = 1) -> bool:
     return False
 
 
-def test_a_sentence_in_a_log_call_is_found() -> None:
+def test_literal_sentence_in_a_log_call_is_found() -> None:
     (statement,) = ast.parse("note(f'lost {host}' if lost else '')").body
     assert isinstance(statement, ast.Expr)
     assert isinstance(statement.value, ast.Call)
     assert is_sentence(statement.value.args[0])
 
 
-def test_a_report_of_a_driver_keeps_its_code_and_level() -> None:
+def test_driver_report_keeps_its_code_and_level() -> None:
     text = log_messages.WATCHDOG_WAIVED.line(own="none", longest=1.0)
     line = log_messages.report_line("lead.fc", *log_messages.report_fields(text))
     assert (line.code, line.level) == ("watchdog-waived", "info")

@@ -1,4 +1,4 @@
-"""The unit of deploy keeps journals, and gives devices the time to come to rest."""
+"""The systemd unit of deploy keeps journals, and gives devices enough time to come to rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def unit() -> RawConfigParser:
     return read
 
 
-def test_the_journals_have_a_folder_and_the_devices_time_to_come_to_rest():
+def test_unit_has_a_journal_folder_and_a_stop_timeout_over_the_longest_rest():
     service = unit()["Service"]
     assert service["StateDirectory"] == "lfield"
     mission = load_mission(

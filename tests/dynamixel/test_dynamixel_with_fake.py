@@ -1,6 +1,6 @@
-"""The driver and the fake as they are: a process at the other end of a pseudo-terminal, in real time.
+"""The driver and the fake at the other end of a pseudo-terminal: two processes, in real time.
 
-What needs neither is in test_dynamixel_on_desk.py, where nothing waits.
+Tests that need neither are in test_dynamixel_on_desk.py, on virtual time.
 """
 
 from __future__ import annotations
@@ -24,10 +24,6 @@ def binding(endpoint: str, *ids: int, safe_state: str = "torque_hold") -> Device
 
 
 def run(bound: DeviceBinding, story) -> None:
-    """A story with one device of the driver and its bench, in real time.
-
-    What needs neither is in test_dynamixel_on_desk.py, where nothing waits.
-    """
     bench = DriverBench(PLUGIN, bound)
     bench.run_real(lambda device: story(device, bench))
 
@@ -39,7 +35,7 @@ def chain() -> Iterator[RunningFake]:
         yield fake
 
 
-def test_a_group_moves_and_arrives(chain):
+def test_group_reaches_its_goal_in_real_time(chain):
     async def story(group, bench):
         await group.execute("torque", [True])
         await group.execute("setProfile", [3.0, 20.0])
@@ -50,7 +46,7 @@ def test_a_group_moves_and_arrives(chain):
     run(binding(chain.endpoint, 1, 2, 3), story)
 
 
-def test_two_drivers_for_one_port(chain):
+def test_second_driver_on_one_port_is_refused(chain):
     async def story(servo, bench):
         bound = binding(chain.endpoint, 2)
         rival = DynamixelDriver([bound], PLUGIN.read_manifests(), SystemClock(), DriverBench(PLUGIN, bound))
@@ -69,6 +65,6 @@ def test_two_drivers_for_one_port(chain):
         ("tcp:localhost:1", "is not a serial endpoint"),
     ],
 )
-def test_an_endpoint_that_is_none(endpoint, match):
+def test_invalid_servo_endpoint_is_refused(endpoint, match):
     with pytest.raises(DeviceError, match=match):
         run(binding(endpoint, 1), None)

@@ -21,7 +21,7 @@ class LspSession:
         )  # fmt: skip
         self.folder, self._last, self._version = folder, 0, 0
         self.requests = 0
-        #: The version of each open text, and the latest diagnostics with the version they are about.
+        #: The version of each open text, and the latest diagnostics with their version.
         self._versions: dict[str, int] = {}
         self._diagnostics: dict[str, tuple[int, list[dict[str, Any]]]] = {}
         general = {"positionEncodings": list(encodings)} if encodings else {}
@@ -43,7 +43,7 @@ class LspSession:
                 stream.close()
 
     def end(self) -> int:
-        """End the session as an editor does; the exit status of the server."""
+        """End the session as an editor does; returns the exit status of the server."""
         self.request("shutdown", None)
         self.notify("exit", None)
         self.close_input()
@@ -58,7 +58,7 @@ class LspSession:
         return self._process.wait(30)
 
     def processor_time(self) -> float:
-        """Seconds of processor time that the server has used."""
+        """CPU time of the server in seconds."""
         fields = (
             Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
         )

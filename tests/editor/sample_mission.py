@@ -1,4 +1,4 @@
-"""A mission in which everything occurs that an editor can ask for."""
+"""A mission with an instance of everything that an editor can query."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def place(text: str, marked: str) -> tuple[int, int]:
 
 
 def findings_of(workspace: Workspace, name: str) -> list[tuple[int, str]]:
-    """Line and code of the findings after all steps; those of before if there are no new ones."""
+    """Line and code of the findings after all steps."""
     found: list[tuple[int, str]] = []
     while (changed := workspace.step()) is not None:
         if FOLDER / name in changed:

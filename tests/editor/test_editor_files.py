@@ -1,4 +1,4 @@
-"""The files for editors in deploy/editors: valid, complete, and with the words of the language."""
+"""The editor files in deploy/editors: valid, complete, and with the keywords of the language."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def test_every_keyword_is_in_the_grammar() -> None:
         ("startable Copter:a@b?x", ("startable", None, "Copter", ":", "a", "@", "b", None, "?x")),
     ],
 )
-def test_a_line_of_a_deployment_is_divided(line: str, groups: tuple[str | None, ...]) -> None:
+def test_deployment_line_is_split_by_the_grammar(line: str, groups: tuple[str | None, ...]) -> None:
     entry = grammar(FOLDER / "syntaxes/l-deployment.tmLanguage.json").split("\n")[1]
     found = re.match(entry, line)
     assert found is not None
     assert found.groups() == groups
 
 
-def test_every_file_that_the_extension_names_exists() -> None:
+def test_every_file_named_by_the_extension_exists() -> None:
     contributed = PACKAGE["contributes"]
     named = [PACKAGE["main"], *(one["configuration"] for one in contributed["languages"])]
     named += [one["path"] for one in contributed["grammars"]]

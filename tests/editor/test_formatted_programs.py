@@ -1,4 +1,4 @@
-"""Every program of the repository is formatted; a layout never changes what is compiled."""
+"""Every program of the repository is formatted; a layout never changes the compiled code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REFUSED = (
     "tests/benchmarks/team/recovery.L",
 )
 GOLDEN = sorted((ROOT / "tests/golden/programs").glob("*.L"))
-#: What is between two tokens in a program with a random layout.
+#: Whitespace and comments between two tokens of a program with a random layout.
 GAPS = (
     " ",
     " ",
@@ -88,7 +88,7 @@ def check_layouts(text: str, rng: random.Random) -> None:
 
 @pytest.mark.few(12)
 @pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
-def test_a_golden_program_is_compiled_to_the_same_code_in_any_layout(path: Path) -> None:
+def test_golden_program_compiles_to_the_same_code_in_any_layout(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if "// registry:" not in text:
         check_layouts(text, random.Random(path.stem))
@@ -96,5 +96,5 @@ def test_a_golden_program_is_compiled_to_the_same_code_in_any_layout(path: Path)
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize("seed", range(200))
-def test_a_random_program_is_compiled_to_the_same_code_in_any_layout(seed: int) -> None:
+def test_random_program_compiles_to_the_same_code_in_any_layout(seed: int) -> None:
     check_layouts(random_program(random.Random(seed)).text(), random.Random(seed))

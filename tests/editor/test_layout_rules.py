@@ -1,4 +1,4 @@
-"""The layout of `lfield fmt`, rule by rule: what is written, and what comes out."""
+"""The layout rules of `lfield fmt`: source text and formatted text for each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lfield.editor.layout.formatter import format_deployment, format_program
 from lfield.errors import ProgramError
 from lfield.text.source_text import Source
 
-#: By rule: statements of a method as they are written, and as they are formatted.
+#: By rule: statements of a method before and after formatting.
 STATEMENTS = {
     "spaces around operators, not inside brackets": (
         "x=( a+b )*c [ i ] ; f ( a,b ) ;",
@@ -89,7 +89,7 @@ STATEMENTS = {
     ),
     "tabs and returns": ("\tif (a) {\r\n\t\tb();\t// c\r\n\t}", "if (a) {\n    b();    // c\n}"),
 }
-#: A word that makes a line too long for the rules about long lines.
+#: A word that makes a line too long for the rules of long lines.
 LONG = "a" * 40
 
 
@@ -107,7 +107,7 @@ def formatted(text: str) -> str:
 
 
 @pytest.mark.parametrize("rule", STATEMENTS)
-def test_statements_have_the_layout(rule: str) -> None:
+def test_statements_follow_the_layout_rule(rule: str) -> None:
     written, expected = STATEMENTS[rule]
     assert formatted("class C{public void f(){\n" + written + "\n}}") == method(expected)
 
@@ -139,30 +139,30 @@ def test_members_and_units_begin_lines() -> None:
         (f'f("{LONG} {LONG} {LONG}");', f'f("{LONG} {LONG} {LONG}");'),
     ],
 )
-def test_lines_that_are_too_long_are_broken(written: str, expected: str) -> None:
+def test_long_lines_are_broken(written: str, expected: str) -> None:
     assert formatted(method(written)) == method(expected)
 
 
-def test_names_of_statements_are_ordinary_names_elsewhere() -> None:
+def test_soft_keywords_are_ordinary_names() -> None:
     text = method("int within = 1;\nwithin = finally(reserve (2));\ntogether.within();")
     assert formatted(text) == text.replace("reserve (2)", "reserve(2)")
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "// only a comment\n", "/* one */\n"])
-def test_a_program_without_units(text: str) -> None:
+def test_program_without_units_is_formatted(text: str) -> None:
     assert formatted(text) == text.strip("\n") + ("\n" if text.strip() else "")
 
 
 @pytest.mark.parametrize(
     "text", ["class A {", "class A { int x }", 'resource R { init(string[] arg) { "a } }']
 )
-def test_a_program_with_syntax_errors_is_refused(text: str) -> None:
+def test_program_with_syntax_errors_is_not_formatted(text: str) -> None:
     with pytest.raises(ProgramError) as refused:
         format_program(Source("p.L", text))
     assert refused.value.diagnostics[0].span.source.name == "p.L"
 
 
-def test_a_deployment_loses_its_white_space_only() -> None:
+def test_only_white_space_of_a_deployment_is_changed() -> None:
     text = "\n\n  //A:a@h?x&y   # why\t\n\n\n# all\nB:b@h:8181\r\n//@w\n\n"
     assert format_deployment(Source("m.dL", text)) == "//A:a@h?x&y   # why\n\n# all\nB:b@h:8181\n//@w\n"
     with pytest.raises(ProgramError):

@@ -34,7 +34,7 @@ def workspace() -> Workspace:
     return made
 
 
-def test_the_head_of_a_loop_has_the_layout_of_other_heads() -> None:
+def test_loop_head_has_the_layout_of_other_heads() -> None:
     text = "resource R{\nloop  a at(3+n)*2 priority - 2 when( b&&c ){at=-1;priority=n - 1;}\n"
     text += "loop b every 0.1{\n}\nprivate int when (int at){return at;}\n}\n"
     once = format_program(Source("p.L", text))
@@ -51,14 +51,14 @@ def test_loops_are_in_the_outline(workspace: Workspace) -> None:
 
 
 @pytest.mark.parametrize("marked", ["loop st|op at", "!st|op.running", "return st|op"])
-def test_the_name_of_a_loop_has_its_comment(marked: str, workspace: Workspace) -> None:
+def test_hover_on_a_loop_name_shows_its_comment(marked: str, workspace: Workspace) -> None:
     at = PROGRAM.index(marked.replace("|", "")) + marked.index("|")
     shown = workspace.hover(MISSION, at)
     assert "loop Cart.stop" in shown
     assert "Stops before people." in shown
 
 
-def test_a_loop_has_two_methods_and_its_fields_are_hidden(workspace: Workspace) -> None:
+def test_loop_completes_two_methods_and_hides_its_fields(workspace: Workspace) -> None:
     text = PROGRAM.replace("near = true;", "near = stop.|;")
     workspace.put(MISSION, text.replace("|", ""))
     assert {one.text for one in workspace.complete(MISSION, text.index("|"))} == {"running", "overruns"}
@@ -69,6 +69,6 @@ def test_a_loop_has_two_methods_and_its_fields_are_hidden(workspace: Workspace) 
     assert not {"stop_running", "stop_engaged", "stop_overruns"} & found
 
 
-def test_a_loop_is_renamed_everywhere(workspace: Workspace) -> None:
+def test_loop_is_renamed_everywhere(workspace: Workspace) -> None:
     edits = workspace.rename(MISSION, PROGRAM.index("stop at"), "halt")
     assert len(edits) == PROGRAM.count("stop")

@@ -1,4 +1,4 @@
-"""A session of an editor with `lfield lsp`: 40 requests to one process, and what it answers."""
+"""A session of an editor with `lfield lsp`: 40 requests to one process and their answers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def targets(locations: list[dict[str, Any]]) -> list[tuple[str, str]]:
     return found
 
 
-def test_a_session_of_40_requests(session: LspSession) -> None:
+def test_session_of_40_requests(session: LspSession) -> None:
     assert session.capabilities["positionEncoding"] == "utf-16"  # 1: initialize
     session.open("mission.L")
     session.open("mission.dL")
@@ -78,7 +78,7 @@ def test_a_session_of_40_requests(session: LspSession) -> None:
     assert definition("Wat|cher:eye", "mission.dL") == [("mission.L", "Watcher")]
     assert definition("e|ye@sky", "mission.dL") == [("mission.devices.yaml", "eye")]
 
-    # 22 to 25: diagnostics and completion while one types.
+    # 22 to 25: diagnostics and completion during edits.
     line, column = place(PROGRAM, "|within (5)")
     session.change("mission.L", line, column, 0, "first.")
     assert {"rise", "agent"} <= completion("mission.L", line, column + 6)
@@ -131,7 +131,7 @@ def test_a_session_of_40_requests(session: LspSession) -> None:
     (edit,) = formatted("mission.L")
     assert edit["newText"] == PROGRAM
     session.change("mission.L", line, column, 0, "}")
-    assert formatted("mission.L") == []  # It has a syntax error.
+    assert formatted("mission.L") == []  # The text has a syntax error.
     session.change("mission.dL", 0, 0, 0, "\n\n ")
     (edit,) = formatted("mission.dL")
     assert edit["newText"] == DEPLOYMENT
@@ -146,7 +146,7 @@ def test_a_session_of_40_requests(session: LspSession) -> None:
     assert DEVICES.startswith("agents:")
 
 
-def test_positions_in_characters_if_the_editor_asks_for_them(tmp_path: Path) -> None:
+def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
     text = 'class A {\n    public string f(int n) { return "\U0001f916" + i2s(n); }\n}\n'
     for encoding, shift in (("utf-32", 0), ("utf-16", 1)):
         with LspSession(tmp_path, (encoding,)) as session:
@@ -157,7 +157,7 @@ def test_positions_in_characters_if_the_editor_asks_for_them(tmp_path: Path) -> 
             assert found["range"]["start"] == {"line": 1, "character": text.split("\n")[1].index("n)")}
 
 
-def test_a_missing_pygls_is_a_sentence(tmp_path: Path) -> None:
+def test_missing_pygls_is_an_error_with_the_command_to_install_it(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['pygls'] = None\nfrom lfield.cli.main import main\nsys.exit(main(['lsp']))"
     )
@@ -172,7 +172,7 @@ def test_a_missing_pygls_is_a_sentence(tmp_path: Path) -> None:
     assert done.stderr == "lfield: 'lfield lsp' needs pygls: pip install 'lfield[desk]'\n"
 
 
-def test_an_editor_that_goes_away_ends_the_server(session: LspSession) -> None:
+def test_server_ends_when_the_editor_closes_its_input(session: LspSession) -> None:
     session.open("mission.L")
     session.close_input()
     assert session.wait() == 0

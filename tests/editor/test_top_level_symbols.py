@@ -53,7 +53,7 @@ def workspace(environment: InstalledEnvironment) -> Workspace:
     return made
 
 
-def test_the_program_has_no_findings(workspace: Workspace) -> None:
+def test_program_with_top_level_symbols_has_no_findings(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
 
 
@@ -86,7 +86,7 @@ def test_findings_follow_edits_of_declarations(workspace: Workspace) -> None:
         ("si|de * CRUISE", ["real side"]),
     ],
 )
-def test_hover(marked: str, parts: list[str], workspace: Workspace) -> None:
+def test_hover_on_top_level_symbols(marked: str, parts: list[str], workspace: Workspace) -> None:
     text = workspace.hover(MISSION, offset(PROGRAM, marked))
     assert [part for part in parts if part not in text] == [], text
 
@@ -102,7 +102,7 @@ def test_hover(marked: str, parts: list[str], workspace: Workspace) -> None:
         ("clip|ped(1.0)", SHARED_FILE, "clipped("),
     ],
 )
-def test_definition(marked: str, path: Path, target: str, workspace: Workspace) -> None:
+def test_definition_of_top_level_symbols(marked: str, path: Path, target: str, workspace: Workspace) -> None:
     (found,) = workspace.definitions(MISSION, offset(PROGRAM, marked))
     text = PROGRAM if path == MISSION else SHARED
     assert (found.path, found.start) == (path, text.index(target))
@@ -117,7 +117,9 @@ def test_definition(marked: str, path: Path, target: str, workspace: Workspace) 
         ('Phase.of("LIFT").|', {"name"}, {"values"}),
     ],
 )
-def test_completion(line: str, expected: set[str], excluded: set[str], workspace: Workspace) -> None:
+def test_completion_of_top_level_symbols(
+    line: str, expected: set[str], excluded: set[str], workspace: Workspace
+) -> None:
     text = PROGRAM.replace("        phase = to;", f"        {line}\n        phase = to;")
     workspace.put(MISSION, text.replace("|", ""))
     found = {one.text for one in workspace.complete(MISSION, text.index("|"))}
@@ -135,7 +137,7 @@ def test_completion_in_a_function_and_outside(workspace: Workspace) -> None:
     assert {"enum", "const"} <= {one.text for one in workspace.complete(MISSION, 2)}
 
 
-def test_outline(workspace: Workspace) -> None:
+def test_outline_of_top_level_symbols(workspace: Workspace) -> None:
     found = [
         (one.name, one.kind, [child.name for child in one.children]) for one in workspace.outline(MISSION)
     ]
@@ -157,7 +159,7 @@ def test_outline(workspace: Workspace) -> None:
         ("real si|de", "edge", PROGRAM.replace("real side", "real edge").replace("side *", "edge *")),
     ],
 )
-def test_renaming(marked: str, name: str, text: str, workspace: Workspace) -> None:
+def test_renaming_of_top_level_symbols(marked: str, name: str, text: str, workspace: Workspace) -> None:
     after = PROGRAM
     edits = workspace.rename(MISSION, offset(PROGRAM, marked), name)
     for edit in sorted(edits, key=lambda one: -one.place.start):
@@ -166,7 +168,7 @@ def test_renaming(marked: str, name: str, text: str, workspace: Workspace) -> No
     assert after == text
 
 
-def test_a_constant_of_another_file_is_renamed_in_both(workspace: Workspace) -> None:
+def test_constant_of_another_file_is_renamed_in_both(workspace: Workspace) -> None:
     edits = workspace.rename(MISSION, offset(PROGRAM, "SL|OW * 2"), "CALM")
     assert sorted(edit.place.path.name for edit in edits) == ["mission.L", "shared.L", "shared.L"]
 
@@ -188,7 +190,7 @@ coordinator Boss {
 """
 
 
-def test_variables_in_queries(workspace: Workspace) -> None:
+def test_variables_in_queries_are_found_and_renamed(workspace: Workspace) -> None:
     workspace.put(MISSION, QUERY)
     assert findings_of(workspace, "mission.L") == []
     for marked, hover in (
@@ -222,6 +224,6 @@ def test_variables_in_queries(workspace: Workspace) -> None:
         ("enum Pha|se", "SLOW"),
     ],
 )
-def test_a_name_in_use_is_refused(marked: str, name: str, workspace: Workspace) -> None:
+def test_renaming_to_a_name_in_use_is_refused(marked: str, name: str, workspace: Workspace) -> None:
     with pytest.raises(UsageError, match="in use"):
         workspace.rename(MISSION, offset(PROGRAM, marked), name)

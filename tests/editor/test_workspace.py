@@ -1,4 +1,4 @@
-"""What an editor is answered about a mission, without a server."""
+"""Answers to an editor about a mission, without a server."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def workspace(environment: InstalledEnvironment) -> Workspace:
 # --- findings -----------------------------------------------------------------------------------------------
 
 
-def test_the_sample_has_no_findings(workspace: Workspace) -> None:
+def test_sample_mission_has_no_findings(workspace: Workspace) -> None:
     workspace.put(DEPLOYED, DEPLOYMENT)
     changed = [path for path, found in iter_steps(workspace) if found]
     assert changed == []
@@ -57,7 +57,7 @@ def test_findings_follow_the_edits(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
     workspace.put(MISSION, PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
     assert findings_of(workspace, "mission.L") == [(9, "L301")]
-    # Lines above move the finding, and one of another unit stays away.
+    # Lines above move the finding, and the findings of other units are not repeated.
     workspace.put(MISSION, "\n\n" + PROGRAM.replace("name = arg[0]", "nam = arg[0]"))
     assert findings_of(workspace, "mission.L") == [(11, "L301")]
     # A changed declaration changes findings of other units.
@@ -69,7 +69,7 @@ def test_findings_follow_the_edits(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
 
 
-def test_an_edit_of_an_included_file_counts_in_the_program(workspace: Workspace) -> None:
+def test_edit_of_an_included_file_is_checked_in_the_program(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.L") == []
     workspace.put(SHARED_FILE, SHARED.replace("string text()", "string txt()"))
     found = findings_of(workspace, "mission.L")
@@ -77,20 +77,20 @@ def test_an_edit_of_an_included_file_counts_in_the_program(workspace: Workspace)
     workspace.close(SHARED_FILE)
 
 
-def test_a_file_that_a_program_includes_is_checked_with_it(environment: InstalledEnvironment) -> None:
+def test_included_file_is_checked_with_its_program(environment: InstalledEnvironment) -> None:
     files = {"mission.L": 'include "part.L";\nclass A { }\n', "part.L": "class B {\n    public A a;\n}\n"}
     workspace = Workspace(MemoryFiles(files), environment)
     workspace.put(FOLDER / "part.L", files["part.L"])
     assert findings_of(workspace, "part.L") == []
 
 
-def test_a_missing_include_and_an_unknown_driver_are_reported(environment: InstalledEnvironment) -> None:
+def test_missing_include_and_unknown_driver_are_reported(environment: InstalledEnvironment) -> None:
     workspace = Workspace(MemoryFiles({}), environment)
     workspace.put(MISSION, 'include "none.L";\ninclude <none/x.L>;\n')
     assert findings_of(workspace, "mission.L") == [(1, "L601"), (2, "L603")]
 
 
-def test_a_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
+def test_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
     workspace.put(DEPLOYED, DEPLOYMENT.replace("Watcher", "Wacher"))
     assert findings_of(workspace, "mission.dL") == [(1, "L702")]
     workspace.put(DEPLOYED, DEPLOYMENT.replace("?eye", ""))
@@ -102,7 +102,7 @@ GOLDEN = sorted((Path(__file__).parents[1] / "lang/golden/errors").glob("*.L"))
 
 @pytest.mark.few(60)
 @pytest.mark.parametrize("path", GOLDEN, ids=lambda path: path.stem)
-def test_findings_are_those_of_the_compiler(path: Path, environment: InstalledEnvironment) -> None:
+def test_findings_equal_those_of_the_compiler(path: Path, environment: InstalledEnvironment) -> None:
     text = path.read_bytes().decode("utf-8", "replace")
     if "include" in text:
         return
@@ -143,14 +143,16 @@ def test_findings_are_those_of_the_compiler(path: Path, environment: InstalledEn
         ("lifts.len|gth", ["int length()"]),
     ],
 )
-def test_hover(marked: str, parts: list[str], environment: InstalledEnvironment) -> None:
+def test_hover_shows_declaration_and_comment(
+    marked: str, parts: list[str], environment: InstalledEnvironment
+) -> None:
     workspace = Workspace(MemoryFiles(FILES), environment)
     workspace.put(MISSION, PROGRAM)
     text = workspace.hover(MISSION, offset(PROGRAM, marked))
     assert [part for part in parts if part not in text] == [], text
 
 
-def test_nothing_is_known_of_keywords_numbers_and_mistakes(workspace: Workspace) -> None:
+def test_keywords_numbers_and_comments_have_no_hover(workspace: Workspace) -> None:
     for marked in ("with|in (5)", "rise(2.|0)", "// Wa|tches"):
         assert workspace.hover(MISSION, offset(PROGRAM, marked)) == ""
 
@@ -183,7 +185,9 @@ def test_hover_in_a_deployment(workspace: Workspace) -> None:
         ('findWatcher("e|ye")', DEPLOYED, "eye@sky"),
     ],
 )
-def test_definition(marked: str, path: Path, target: str, environment: InstalledEnvironment) -> None:
+def test_definition_in_the_mission_files(
+    marked: str, path: Path, target: str, environment: InstalledEnvironment
+) -> None:
     workspace = Workspace(MemoryFiles(FILES), environment)
     workspace.put(MISSION, PROGRAM)
     found = workspace.definitions(MISSION, offset(PROGRAM, marked))
@@ -239,7 +243,7 @@ def test_definition_in_a_deployment(workspace: Workspace) -> None:
         ("(new Note(first.agent(), 1.0)).|", {"value"}, set()),
     ],
 )
-def test_completion(
+def test_completion_by_context(
     line: str, expected: set[str], excluded: set[str], environment: InstalledEnvironment
 ) -> None:
     workspace = Workspace(MemoryFiles(FILES), environment)
@@ -250,7 +254,7 @@ def test_completion(
     assert not excluded & found
 
 
-def test_completion_in_resources_of_devices_and_of_includes(workspace: Workspace) -> None:
+def test_completion_of_devices_includes_and_units(workspace: Workspace) -> None:
     text = PROGRAM.replace("fc.takeoff(height);", "fc.")
     workspace.put(MISSION, text)
     found = {one.text: one for one in workspace.complete(MISSION, offset(text, "fc.|\n"))}
@@ -287,13 +291,13 @@ def renamed(workspace: Workspace, marked: str, name: str) -> dict[str, str]:
     return texts
 
 
-def test_a_unit_is_renamed_in_program_queries_and_deployment(workspace: Workspace) -> None:
+def test_unit_is_renamed_in_program_queries_and_deployment(workspace: Workspace) -> None:
     after = renamed(workspace, "resource Wat|cher", "Guard")
     assert after["mission.L"] == PROGRAM.replace("Watcher", "Guard")
     assert after["mission.dL"] == DEPLOYMENT.replace("Watcher", "Guard")
 
 
-def test_members_and_variables_are_renamed_where_they_mean_the_same(workspace: Workspace) -> None:
+def test_members_and_variables_are_renamed_by_meaning(workspace: Workspace) -> None:
     assert renamed(workspace, "first.ri|se(3)", "climb")["mission.L"] == PROGRAM.replace("rise", "climb")
     after = renamed(workspace, "real hei|ght =", "above")["mission.L"]
     assert after == PROGRAM.replace("real height = ", "real above = ").replace(
@@ -319,7 +323,7 @@ def test_members_and_variables_are_renamed_where_they_mean_the_same(workspace: W
         ("with|in", "x", "no unit, member or variable"),
     ],
 )
-def test_a_renaming_that_could_change_the_program_is_refused(
+def test_renaming_that_could_change_the_program_is_refused(
     marked: str, name: str, reason: str, environment: InstalledEnvironment
 ) -> None:
     workspace = Workspace(MemoryFiles(FILES), environment)
@@ -328,7 +332,7 @@ def test_a_renaming_that_could_change_the_program_is_refused(
         workspace.rename(MISSION, offset(PROGRAM, marked), name)
 
 
-def test_references(workspace: Workspace) -> None:
+def test_references_in_program_and_deployment(workspace: Workspace) -> None:
     found = workspace.references(MISSION, offset(PROGRAM, "resource Wat|cher"))
     assert [(one.path.name, FILES[one.path.name][one.start : one.end]) for one in found] == [
         *[("mission.L", "Watcher")] * 4,
@@ -339,7 +343,7 @@ def test_references(workspace: Workspace) -> None:
 # --- outline and layout -------------------------------------------------------------------------------------
 
 
-def test_outline(workspace: Workspace) -> None:
+def test_outline_of_program_and_deployment(workspace: Workspace) -> None:
     watcher, boss = workspace.outline(MISSION)
     assert (watcher.name, [one.name for one in watcher.children]) == (
         "Watcher",
@@ -352,7 +356,7 @@ def test_outline(workspace: Workspace) -> None:
     assert outline == [("eye", "Watcher on sky"), ("boss", "Boss on sky"), ("desk", "witness")]
 
 
-def test_format(workspace: Workspace) -> None:
+def test_format_of_open_texts(workspace: Workspace) -> None:
     workspace.put(MISSION, PROGRAM.replace("    ", "\t").replace(" = ", "="))
     assert workspace.format(MISSION) == PROGRAM.replace("fc;     //", "fc;  //")
     workspace.put(MISSION, "class A {")

@@ -1,4 +1,4 @@
-"""A short flight of two copters as a stream, and readers of what the exports make of it."""
+"""A short flight of two copters as a stream, and readers of the exported files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ UNFRAMED = MissionInfo("flight", DEVICES)
 
 
 class Team:
-    """Makes events of hosts: numbers of each, times as given."""
+    """Makes events of hosts: numbers per host, times as given."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = defaultdict(int)
@@ -62,7 +62,7 @@ class Team:
 
 
 def flight() -> list[StreamItem]:
-    """Two copters 30 m apart, a coordinator that hops, is refused once, and ends."""
+    """Two copters 30 m apart; a coordinator hops, is refused once, and ends."""
     team = Team()
     left = events.MigrationStarted("pilot", 1, 1, "bravo", "wing", "climb", 600)
     return [
@@ -107,6 +107,6 @@ def readable(data: bytes) -> int:
         for _ in NonSeekingReader(io.BytesIO(data)).iter_messages(log_time_order=False):
             count += 1
     except Exception:
-        # It ends somewhere within a record: what the reader raises there is its own matter.
+        # The file ends within a record: any error of the reader is expected.
         return count
     return count

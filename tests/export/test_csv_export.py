@@ -25,7 +25,7 @@ class Folder(dict[str, "Table"]):
 
 
 class Table(io.StringIO):
-    """A file that is still known when it is closed."""
+    """A file whose text is kept after its close."""
 
     text = ""
 
@@ -43,13 +43,13 @@ def exported(stream) -> tuple[Folder, list[str]]:
     return folder, names
 
 
-def test_each_kind_has_a_table_and_each_device():
+def test_each_kind_and_each_device_has_a_table():
     _, names = exported([*flight(), StreamNotice(START, "bravo", "unreachable")])
     devices = ["telemetry_lead.fc.csv", "telemetry_wing.fc.csv"]
     assert names == ["agents.csv", "events.csv", "hops.csv", "links.csv", "notices.csv", *devices]
 
 
-def test_a_hop_is_one_row_of_both_hosts():
+def test_hop_is_one_row_for_both_hosts():
     folder, _ = exported([*flight(), Team().event(9.0, "x", events.MigrationArrived("late", 2, 8, "y", 5))])
     first, second, third = folder.rows("hops.csv")
     assert first == first | {"from": "alpha", "to": "bravo", "portal": "climb", "size [B]": "600"}
@@ -60,7 +60,7 @@ def test_a_hop_is_one_row_of_both_hosts():
     assert (third["agent"], third["left"], third["arrived"]) == ("late", "", "1700000009.000000")
 
 
-def test_telemetry_has_a_column_with_unit_for_each_number():
+def test_telemetry_has_a_column_with_unit_per_number():
     folder, _ = exported(flight())
     rows = folder.rows("telemetry_wing.fc.csv")
     assert [row["position[0] [m]"] for row in rows] == ["30.0", "31.0"]
@@ -69,7 +69,7 @@ def test_telemetry_has_a_column_with_unit_for_each_number():
     assert list(rows[0])[:6] == ["time", "host", "silent [s]", "mode", "armed", "heading [rad]"]
 
 
-def test_columns_that_are_found_late_are_empty_before():
+def test_late_columns_are_empty_in_earlier_rows():
     team = Team()
     stream = [
         team.sample(0.0, "alpha", "lead.fc", position=[1.0, 2.0]),
@@ -81,7 +81,7 @@ def test_columns_that_are_found_late_are_empty_before():
     assert (second["position[2] [m]"], second["tilt"]) == ("3.0", "4")
 
 
-def test_an_event_has_its_cause_and_all_its_fields():
+def test_event_has_its_cause_and_all_fields():
     folder, _ = exported(flight())
     rows = folder.rows("events.csv")
     came = next(row for row in rows if row["kind"] == "came")
@@ -91,7 +91,7 @@ def test_an_event_has_its_cause_and_all_its_fields():
     assert [row["text"] for row in rows if row["kind"] == "printed"] == ["up, ", "and away\\n"]
 
 
-def test_devices_with_names_that_files_cannot_have_get_tables_of_their_own():
+def test_device_names_invalid_in_files_get_tables_of_their_own():
     team = Team()
     stream = [team.sample(0.0, "a", name, x=1) for name in ("a/b.c", "a_b.c", "../c.d", "n" * 300 + ".c")]
     _, names = exported(stream)

@@ -69,7 +69,7 @@ def test_telemetry_has_units_and_meanings_of_the_manifest(whole):
     assert (fields["armed"], fields["satellites"]) == ({"type": "boolean"}, {"type": "integer"})
 
 
-def test_an_arrow_goes_from_host_to_host_and_a_failed_hop_is_erased(whole):
+def test_hop_is_an_arrow_and_a_failed_hop_is_erased(whole):
     (time, first), (_, second), (_, third) = by_topic(whole)["/hops"]
     assert time == 0.2
     entity = first["entities"][0]
@@ -83,7 +83,7 @@ def test_an_arrow_goes_from_host_to_host_and_a_failed_hop_is_erased(whole):
     assert third["deletions"][0]["id"] == second["entities"][0]["id"] != entity["id"]
 
 
-def test_a_pose_is_east_north_up_and_the_position_on_the_earth_follows_from_the_origin(whole):
+def test_pose_is_east_north_up_and_the_fix_follows_from_the_origin(whole):
     found = by_topic(whole)
     transforms = [message["transforms"][0] for _, message in found["/tf"]]
     assert [each["child_frame_id"] for each in transforms] == ["team", "lead.fc", "wing.fc", "wing.fc"]
@@ -98,7 +98,7 @@ def test_a_pose_is_east_north_up_and_the_position_on_the_earth_follows_from_the_
     ("heading", "x_axis"),
     [(0.0, (0.0, 1.0)), (math.pi / 2, (1.0, 0.0)), (math.pi, (0.0, -1.0)), (-math.pi / 2, (-1.0, 0.0))],
 )
-def test_a_nose_points_where_the_heading_says(heading, x_axis):
+def test_pose_is_turned_to_the_heading(heading, x_axis):
     sample = Team().sample(0.0, "a", "lead.fc", position=[0.0, 0.0, 0.0], attitude=[0.0, 0.0, heading])
     (_, _), (_, pose) = by_topic(mcap_bytes([sample]))["/tf"]
     x, y, z, w = pose["transforms"][0]["rotation"].values()
@@ -106,10 +106,10 @@ def test_a_nose_points_where_the_heading_says(heading, x_axis):
     assert [1 - 2 * z * z, 2 * w * z] == pytest.approx(x_axis, abs=1e-9)
 
 
-def test_without_a_frame_positions_on_the_earth_are_compared_from_the_first_one_on():
+def test_global_positions_are_relative_to_the_first_one_without_a_frame():
     team = Team()
     stream = [
-        # Of its own home: not comparable with the other one.
+        # Relative to its own home: not comparable with the other vehicle.
         team.sample(0.0, "alpha", "lead.fc", position=[5.0, 5.0, -1.0]),
         team.sample(0.5, "alpha", "lead.fc", globalPosition=[47.0, 8.0, 400.0]),
         team.sample(0.6, "bravo", "wing.fc", position=[0.0, 0.0, 0.0], globalPosition=[47.001, 8.0, 402.0]),
@@ -121,7 +121,7 @@ def test_without_a_frame_positions_on_the_earth_are_compared_from_the_first_one_
     assert poses[2]["translation"]["z"] == pytest.approx(2.0)
 
 
-def test_a_vehicle_that_never_gets_a_position_on_the_earth_is_shown_after_a_while():
+def test_vehicle_without_a_global_position_is_shown_after_a_delay():
     team = Team()
     stream = [team.sample(t, "alpha", "lead.fc", position=[t, 0.0, 0.0]) for t in (0.0, 1.0, 3.0)]
     found = by_topic(mcap_bytes(stream, UNFRAMED))
@@ -129,7 +129,7 @@ def test_a_vehicle_that_never_gets_a_position_on_the_earth_is_shown_after_a_whil
     assert "/devices/lead/fc/fix" not in found
 
 
-def test_a_track_shows_the_whole_way_with_a_bounded_number_of_points():
+def test_track_covers_the_whole_way_with_bounded_points():
     track = Track()
     for n in range(5000):
         track.add(MapPoint(float(n), math.sin(n), 5.0))
@@ -138,7 +138,7 @@ def test_a_track_shows_the_whole_way_with_a_bounded_number_of_points():
     assert track.points[-1]["x"] > 4900.0
 
 
-def test_a_track_is_drawn_once_a_second_while_it_grows():
+def test_growing_track_is_drawn_once_a_second():
     team = Team()
     north = [min(n, 20) for n in range(41)]
     stream = [team.sample(n / 4, "alpha", "lead.fc", position=[x, 0.0, 0.0]) for n, x in enumerate(north)]
@@ -149,7 +149,7 @@ def test_a_track_is_drawn_once_a_second_while_it_grows():
     assert [point["y"] for point in line] == [float(n) for n in range(21)]
 
 
-def test_lines_have_levels_and_the_name_of_host_or_program(whole):
+def test_log_lines_have_levels_and_names(whole):
     team = Team()
     stream = [
         *flight(),
@@ -165,13 +165,13 @@ def test_lines_have_levels_and_the_name_of_host_or_program(whole):
     ]
 
 
-def test_an_event_has_its_host_and_its_cause(whole):
+def test_mcap_event_has_its_host_and_cause(whole):
     came = next(m for _, m in by_topic(whole)["/events"] if m["kind"] == "came")
     expected = {"host": "bravo", "number": 1, "cause_host": "alpha", "cause_number": 3, "size": 600}
     assert came == came | expected
 
 
-def test_values_that_json_does_not_have_and_unknown_quantities_cost_nothing_else():
+def test_values_invalid_in_json_and_unknown_quantities_are_handled():
     team = Team()
     nan = float("nan")
     stream = [
@@ -182,7 +182,7 @@ def test_values_that_json_does_not_have_and_unknown_quantities_cost_nothing_else
     data = mcap_bytes(stream)
     values = [message for _, message in by_topic(data)["/devices/lead/fc"]]
     head = {"host": "alpha", "silent": 0.1}
-    # A mode that is a number is not what the schema says.
+    # A numeric mode does not match the schema and is dropped.
     assert values == [
         {**head, "position": [1.0, None, 0.0], "mode": "A"},
         {**head, "groundSpeed": 2, "tilt": 3},
@@ -193,14 +193,14 @@ def test_values_that_json_does_not_have_and_unknown_quantities_cost_nothing_else
     assert [c.topic for c in summary.channels.values()] == ["/devices/lead/fc"] * 3
 
 
-def test_without_the_files_of_the_mission_quantities_are_found_by_their_usual_names():
+def test_quantities_are_found_by_usual_names_without_mission_files():
     found = by_topic(mcap_bytes(flight(), NO_INFO))
     assert len(found["/hops"]) == 0
     stream = [Team().sample(t, "alpha", "x.fc", globalPosition=[47.0, 8.0, 1.0]) for t in (0.0, 1.0)]
     assert len(by_topic(mcap_bytes(stream, NO_INFO))["/devices/x/fc/fix"]) == 2
 
 
-def test_hosts_that_report_any_number_of_names_do_not_break_the_file(monkeypatch):
+def test_number_of_channels_is_bounded(monkeypatch):
     monkeypatch.setattr("lfield.export.mcap_writer.MAX_CHANNELS", 5)
     out = io.BytesIO()
     recording = McapRecording(NO_INFO, out)
@@ -211,11 +211,11 @@ def test_hosts_that_report_any_number_of_names_do_not_break_the_file(monkeypatch
     assert len(by_topic(out.getvalue())) == 5
 
 
-# --- files without an end -----------------------------------------------------------------------------------
+# --- unfinished files ---------------------------------------------------------------------------------------
 
 
 def flushed_flight() -> tuple[bytes, list[tuple[int, int]]]:
-    """A file that was flushed after each item; sizes of the file with the number of its messages."""
+    """A file flushed after each item; sizes of the file with the number of its messages."""
     out = io.BytesIO()
     recording = McapRecording(FRAMED, out)
     marks = []
@@ -226,17 +226,17 @@ def flushed_flight() -> tuple[bytes, list[tuple[int, int]]]:
     return out.getvalue(), marks
 
 
-def test_a_file_that_is_cut_anywhere_has_all_that_was_flushed_before():
+def test_truncated_file_has_all_messages_flushed_before():
     data, marks = flushed_flight()
     for size in range(0, len(data), 31):
         assert readable(data[:size]) >= max((count for at, count in marks if at <= size), default=0)
     assert [readable(data[:at]) for at, _ in marks] == [count for _, count in marks]
 
 
-def test_a_file_that_is_closed_by_the_short_end_is_complete():
+def test_file_with_the_short_end_is_complete():
     data, marks = flushed_flight()
     assert sum(map(len, by_topic(data + END_WITHOUT_SUMMARY).values())) == marks[-1][1]
 
 
-def test_the_same_stream_makes_the_same_bytes(whole):
+def test_same_stream_gives_the_same_bytes(whole):
     assert mcap_bytes(flight()) == whole

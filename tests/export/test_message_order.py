@@ -29,7 +29,7 @@ def log_times(order: MessageOrder, *, everything: bool = True) -> list[float]:
 
 
 @given(st.lists(st.tuples(st.floats(0.0, WINDOW / 4.0), st.floats(0.0, WINDOW)), max_size=60))
-def test_messages_that_are_late_by_less_than_the_window_are_ordered_by_their_times(steps) -> None:
+def test_messages_late_within_the_window_are_ordered_by_time(steps) -> None:
     clock, drained = ManualClock(START), []
     order = MessageOrder(clock)
     for pause, late in steps:
@@ -43,7 +43,7 @@ def test_messages_that_are_late_by_less_than_the_window_are_ordered_by_their_tim
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(-1e9, 1e9)), max_size=60))
-def test_log_times_never_decrease_whatever_the_clocks_of_the_hosts_are(steps) -> None:
+def test_log_times_never_decrease_for_any_host_clocks(steps) -> None:
     clock, drained = ManualClock(START), []
     order = MessageOrder(clock)
     for pause, ahead in steps:
@@ -55,7 +55,7 @@ def test_log_times_never_decrease_whatever_the_clocks_of_the_hosts_are(steps) ->
     assert all(before <= after for before, after in pairwise(drained))
 
 
-def test_a_message_waits_for_earlier_ones_and_no_longer_than_the_window() -> None:
+def test_message_waits_for_earlier_ones_at_most_the_window() -> None:
     clock = ManualClock(START)
     order = MessageOrder(clock)
     order.add(message(START + 0.2))
@@ -66,7 +66,7 @@ def test_a_message_waits_for_earlier_ones_and_no_longer_than_the_window() -> Non
     assert log_times(order, everything=False) == [START + 0.1, START + 0.2]
 
 
-def test_a_message_of_a_clock_that_was_never_set_does_not_move_the_later_ones() -> None:
+def test_message_of_a_wrong_clock_does_not_move_later_ones() -> None:
     clock = ManualClock(START)
     order = MessageOrder(clock)
     order.add(message(START))
@@ -76,7 +76,7 @@ def test_a_message_of_a_clock_that_was_never_set_does_not_move_the_later_ones() 
 
 
 @pytest.mark.parametrize("wall", [0.0, START + 1e8])
-def test_the_wall_clock_of_the_operator_may_be_wrong(wall: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_wall_clock_of_the_operator_is_tolerated(wall: float, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = ManualClock(START)
     monkeypatch.setattr(clock, "time", lambda: wall)
     order = MessageOrder(clock)
@@ -87,7 +87,7 @@ def test_the_wall_clock_of_the_operator_may_be_wrong(wall: float, monkeypatch: p
     assert log_times(order) == times
 
 
-def test_the_buffer_is_bounded() -> None:
+def test_message_buffer_is_bounded() -> None:
     order = MessageOrder(ManualClock(START))
     for number in range(MAX_WAITING):
         order.add(message(START + number))
@@ -99,7 +99,7 @@ def test_the_buffer_is_bounded() -> None:
     assert not order.is_full
 
 
-def test_a_live_recording_has_the_events_of_several_hosts_in_the_order_of_their_log_times(tmp_path) -> None:
+def test_live_recording_orders_events_of_several_hosts(tmp_path) -> None:
     clock, team = ManualClock(START), Team()
     recording = EventRecording(tmp_path / "flight.mcap", FRAMED, clock)
     times = [0.0, 0.5, 0.25, 0.375, 1.75, 1.5, 5.0, 2.0, 5.125, 8.0, 4.0]

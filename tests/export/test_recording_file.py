@@ -19,7 +19,7 @@ from lfield.operator.dashboard.event_feed import FeedNotice
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 
 
-def test_a_file_that_exists_is_kept(tmp_path):
+def test_existing_file_is_kept(tmp_path):
     path = tmp_path / "flight.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(OutputFileError):
@@ -32,12 +32,12 @@ def test_a_file_that_exists_is_kept(tmp_path):
 
 
 @pytest.mark.parametrize("path", [Path("/nowhere/at/all.mcap"), Path("/")])
-def test_a_path_that_cannot_be_written_is_an_error(path):
+def test_unwritable_path_is_an_error(path):
     with pytest.raises(OutputFileError):
         RecordingFile(path)
 
 
-def test_a_device_is_written_to():
+def test_device_file_is_written():
     file = RecordingFile(Path("/dev/full"))
     file.write(b"x")
     with pytest.raises(OutputFileError):
@@ -48,7 +48,7 @@ def test_a_device_is_written_to():
 
 
 class SmallDisk:
-    """A disk with so many bytes, and one file."""
+    """A disk with this many bytes, and one file."""
 
     def __init__(self, size: int) -> None:
         self.size, self.write_bytes = size, os.write
@@ -61,7 +61,7 @@ class SmallDisk:
 
 
 @pytest.mark.parametrize("size", [3000, 9000, 14000])
-def test_a_recording_on_a_full_disk_is_complete_up_to_the_last_flush(size, tmp_path, monkeypatch):
+def test_recording_on_a_full_disk_is_complete_up_to_the_last_flush(size, tmp_path, monkeypatch):
     path = tmp_path / "flight.mcap"
     file = RecordingFile(path, END_WITHOUT_SUMMARY)
     recording = McapRecording(FRAMED, file)
@@ -87,7 +87,7 @@ def test_a_recording_on_a_full_disk_is_complete_up_to_the_last_flush(size, tmp_p
     assert sum(map(len, by_topic(data).values())) == flushed
 
 
-def test_a_recording_is_a_valid_file_after_each_flush(tmp_path):
+def test_recording_is_valid_after_each_flush(tmp_path):
     path = tmp_path / "flight.mcap"
     file = RecordingFile(path, END_WITHOUT_SUMMARY)
     recording = McapRecording(FRAMED, file)
@@ -103,7 +103,7 @@ def test_a_recording_is_a_valid_file_after_each_flush(tmp_path):
     assert len(data) == recording.size
 
 
-def test_an_interrupted_recording_is_complete(tmp_path, capsys):
+def test_interrupted_recording_is_complete(tmp_path, capsys):
     path = tmp_path / "flight.mcap"
 
     def record() -> None:

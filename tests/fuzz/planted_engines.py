@@ -1,4 +1,4 @@
-"""Engines with a fault in each, as somebody could make it: the fuzzer must find every one."""
+"""Engines with one plausible fault each: the fuzzer must find every one."""
 
 from __future__ import annotations
 

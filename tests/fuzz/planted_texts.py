@@ -1,6 +1,6 @@
 """Faults in the text of the engine in WebAssembly, one each: random programs must find every one.
 
-`spoiled_rows.py` makes many more, blindly.
+`spoiled_rows.py` makes many more automatically.
 """
 
 from __future__ import annotations

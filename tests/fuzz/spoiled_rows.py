@@ -1,9 +1,9 @@
-"""Spoil the table of the engine in WebAssembly, row by row, and tell what random programs do not notice.
+"""Spoil the table of the engine in WebAssembly, row by row, and report mistakes that random programs miss.
 
     python tests/fuzz/spoiled_rows.py [PROGRAMS]
 
-One word of a row becomes another one, or a line that leaves is left out. What stays unnoticed is what the
-fuzzer does not reach; or makes no difference.
+One word of a row is replaced, or an exit line is omitted. A mistake that stays unnoticed is not reached
+by the fuzzer, or has no effect.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The fuzzer finds what is planted, says nothing of engines that are alike, and shrinks what it finds."""
+"""The fuzzer finds planted faults, reports no difference between equal engines, and reduces its findings."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from planted_texts import FAULTS, Fault, finder
 
 #: Programs in which a planted fault must be found.
 _SOON = 400
-#: Hypothesis throws them: it makes what fails smaller, too.
+#: Exceptions of hypothesis, which reduces failures too.
 DICE = st.randoms(use_true_random=False)
-#: What is not there without a driver, and offers within a together; golden programs have it.
+#: Instructions of devices, and offers within a together, which only golden programs have.
 _BEYOND = {"device", "settle"}
 
 
@@ -45,11 +45,11 @@ def test_a_planted_fault_is_found(planted: type[ReferenceEngine]) -> None:
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
+def test_planted_fault_in_the_engine_text_is_found(fault: Fault) -> None:
     assert finder(fault, _SOON) is not None
 
 
-def test_programs_have_every_instruction() -> None:
+def test_programs_contain_every_instruction() -> None:
     missing = {row.name for row in TABLE} - _BEYOND
     for seed in range(_SOON):
         program = compiled(random_program(random.Random(seed)).text())
@@ -59,22 +59,22 @@ def test_programs_have_every_instruction() -> None:
     pytest.fail(f"no program has {sorted(missing)}")
 
 
-def test_an_engine_does_what_it_does_itself() -> None:
+def test_engine_compared_with_itself_shows_no_difference() -> None:
     fuzz = EngineFuzzer(ReferenceEngine, mutants=3)
     assert [report for seed in range(10) for report in fuzz.seed(seed)] == []
     assert fuzz.tally.programs == 40
     assert fuzz.tally.slices > 200
 
 
-def test_the_engine_in_webassembly_does_the_same() -> None:
-    """`python tests/fuzz/fuzz.py` tries as many as there is time for."""
+def test_webassembly_engine_shows_no_difference() -> None:
+    """`python tests/fuzz/fuzz.py` runs as many programs as there is time for."""
     fuzz = EngineFuzzer(Wasm, mutants=3)
     assert [report for seed in range(8) for report in fuzz.seed(seed)] == []
 
 
 # 2,000 examples take three minutes on an idle machine, and hypothesis shrinks for up to five.
 @pytest.mark.timeout(1200)
-def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pytest.Config) -> None:
+def test_engines_agree_on_programs_of_hypothesis(pytestconfig: pytest.Config) -> None:
     @given(DICE, st.integers(0, 1000))
     @settings(max_examples=2000 if pytestconfig.option.every_case else 15)
     def same(dice: random.Random, seed: int) -> None:
@@ -84,7 +84,7 @@ def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pyt
     same()
 
 
-def test_a_difference_is_shrunk(capsys: pytest.CaptureFixture[str]) -> None:
+def test_difference_is_reduced(capsys: pytest.CaptureFixture[str]) -> None:
     engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
     assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
     report = capsys.readouterr().out
@@ -94,8 +94,8 @@ def test_a_difference_is_shrunk(capsys: pytest.CaptureFixture[str]) -> None:
     assert "1 differences" in report
 
 
-def test_a_difference_is_told_before_it_is_made_smaller() -> None:
-    """With the command that finds it again; one is reported before anything is left out."""
+def test_difference_is_reported_before_its_reduction() -> None:
+    """With the command that reproduces it, before anything is removed."""
     fuzz = EngineFuzzer(WrongOpcode, mutants=0)
     seed, report = next((seed, report) for seed in range(_SOON) for report in fuzz.seed(seed))
     again = f"--count 1 --seed {seed} --mutants 0 --engine {WrongOpcode.__module__}:WrongOpcode"
@@ -103,10 +103,10 @@ def test_a_difference_is_told_before_it_is_made_smaller() -> None:
     assert report.endswith(f"python tests/fuzz/fuzz.py {again}")
 
 
-def test_ctrl_c_leaves_what_was_found(
+def test_ctrl_c_prints_the_findings(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The smallest program so far, and what was done."""
+    """The smallest program so far, and the counts."""
 
     def interrupted(piece: ProgramPiece, shows: Callable[[], bool]) -> None:
         assert shows()
@@ -120,8 +120,8 @@ def test_ctrl_c_leaves_what_was_found(
     assert rest.endswith("1 differences\n")
 
 
-def test_mutants_are_programs() -> None:
-    """The verifier accepts them, and they are other programs."""
+def test_mutants_are_accepted_and_different() -> None:
+    """The verifier accepts them, and they differ from their program."""
     program = compiled(random_program(random.Random(5)).text())
     mutant, edits = random_edits(program, random.Random(6), 8)
     assert len(edits) >= 4

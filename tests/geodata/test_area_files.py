@@ -1,4 +1,4 @@
-"""KML and GeoJSON: what is read, and why a file or an area is refused."""
+"""KML and GeoJSON: accepted files, and reasons of refusal for files and areas."""
 
 from __future__ import annotations
 
@@ -47,10 +47,10 @@ def codes(data):
     return [finding.code for finding in shape_findings(shape)]
 
 
-# -- what is read ------------------------------------------------------------------------------------------
+# -- accepted files ----------------------------------------------------------------------------------------
 
 
-def test_a_polygon_of_kml():
+def test_polygon_of_kml():
     (shape,) = read(kml(polygon()))
     assert (shape.name, shape.kind, shape.corners, shape.holes) == ("p1", "polygon", CORNERS, 0)
     assert not shape.has_heights
@@ -77,7 +77,7 @@ def test_a_polygon_of_kml():
         b"\xef\xbb\xbf" + geojson(ring(*((east, north) for north, east in CORNERS))),
     ],
 )  # fmt: skip
-def test_ways_to_write_the_same_polygon(data):
+def test_notations_of_the_same_polygon(data):
     (shape,) = read(data)
     assert shape.corners == CORNERS
     assert shape_findings(shape) == []
@@ -97,7 +97,7 @@ def test_lines_points_and_multi_geometries():
     assert read(geojson(None)) == []
 
 
-def test_a_shape_is_chosen_by_name_or_number():
+def test_shape_is_selected_by_name_or_number():
     shapes = read(kml(polygon(), "<Point><coordinates>8,47</coordinates></Point>", polygon()))
     assert chosen_shape("f", shapes, "p3").number == 3
     assert chosen_shape("f", shapes, "1").name == "p1"
@@ -115,7 +115,7 @@ def test_a_shape_is_chosen_by_name_or_number():
     assert chosen_shape("f", same, "2").number == 2
 
 
-def test_which_files_are_areas():
+def test_area_files_are_recognised():
     assert is_area_file("a.txt", kml(polygon()))
     assert is_area_file("a.kml", kml(polygon()).decode().encode("utf-16"))
     assert is_area_file("a", geojson(None))
@@ -123,7 +123,7 @@ def test_which_files_are_areas():
     assert not is_area_file("a.waypoints", b"QGC WPL 110\n")
 
 
-# -- areas that are no areas -----------------------------------------------------------------------------
+# -- invalid areas ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -132,9 +132,9 @@ def test_which_files_are_areas():
         ([(8.0, 47.0), (8.1, 47.0)], "M201"),
         ([(8.0, 47.0), (8.1, 47.0), (8.0, 47.0)], "M201"),
         ([(8.0, 47.0), (8.1, 47.1), (8.1, 47.0), (8.0, 47.1)], "M202"),
-        # A spike: there and back on the same way.
+        # A spike: there and back on the same line.
         ([(8.0, 47.0), (8.2, 47.0), (8.1, 47.0), (8.1, 47.1)], "M202"),
-        # A corner on an edge that is not its own.
+        # A corner on an edge of other corners.
         ([(8.0, 47.0), (8.2, 47.0), (8.2, 47.1), (8.1, 47.0), (8.0, 47.1)], "M202"),
         ([(179.9, 10.0), (-179.9, 10.0), (-179.9, 11.0), (179.9, 11.0)], "M203"),
         ([(0.0, 80.0), (90.0, 80.0), (180.0, 80.0), (-90.0, 80.0)], "M204"),
@@ -144,13 +144,13 @@ def test_which_files_are_areas():
         ([(8.0, 47.0), (8.1, 47.0), (8.1, 47.0), (8.1, 47.1)], "M209"),
     ],
 )
-def test_areas_that_are_refused(corners, code):
+def test_invalid_area_is_refused(corners, code):
     assert codes(geojson(ring(*corners))) == [code]
     text = " ".join(f"{east},{north}" for east, north in (*corners, corners[0]))
     assert codes(kml(polygon(text))) == [code]
 
 
-def test_holes_heights_and_no_extent():
+def test_holes_heights_and_tiny_areas_have_findings():
     hole = INNER.format("8.502,47.302 8.503,47.302 8.503,47.303 8.502,47.302")
     assert codes(kml(polygon(SQUARE, hole))) == ["M205"]
     rings = [*ring((8, 47), (9, 47), (9, 48))["coordinates"], [[8.5, 47.1], [8.6, 47.1], [8.6, 47.2]]]
@@ -165,12 +165,12 @@ def test_holes_heights_and_no_extent():
     many = " ".join(f"{8 + each * 1e-6:.6f},47" for each in range(MAX_CORNERS + 1))
     assert codes(kml(f"<LineString><coordinates>{many}</coordinates></LineString>")) == ["M208"]
     assert codes(kml(polygon(many))) == ["M208"]
-    # A line may end where it began, or on the other side of the Earth from there.
+    # A line may end where it began, or on the other side of the Earth.
     assert codes(kml("<LineString><coordinates>-100,47 0,47 100,47</coordinates></LineString>")) == []
 
 
 @given(st.integers(3, 40), st.floats(0.0, 1.0), st.integers(0, 1000))
-def test_a_star_is_simple_in_every_order_of_its_corners(count, start, seed):
+def test_star_is_simple_in_every_order_of_its_corners(count, start, seed):
     radii = [0.01 + 0.01 * ((each * seed) % 7) for each in range(count)]
     corners = [
         (8.0 + r * math.cos(a), 47.0 + r * math.sin(a))
@@ -181,7 +181,7 @@ def test_a_star_is_simple_in_every_order_of_its_corners(count, start, seed):
     assert codes(geojson(ring(*reversed(corners)))) == []
 
 
-# -- files that are no such files -----------------------------------------------------------------------
+# -- invalid files ---------------------------------------------------------------------------------------
 
 _ENTITY = "<!DOCTYPE kml [<!ENTITY x {}>]>"
 _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
@@ -228,20 +228,20 @@ _BOMB = "<!DOCTYPE kml [<!ENTITY a 'aaaaaaaaaa'>" + "".join(
         (b"[]", ""),
     ],
 )
-def test_hostile_and_foreign_files(data, where):
+def test_malicious_and_foreign_files_are_refused(data, where):
     with pytest.raises(MissionFileError) as caught:
         read(data, "f.geojson")
     assert caught.value.where == where
     assert caught.value.file == "f.geojson"
 
 
-def test_a_crs_of_wgs_84_is_read():
+def test_crs_of_wgs_84_is_read():
     crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}
     point = {"type": "Point", "coordinates": [8, 47], "crs": crs}
     assert len(read(json.dumps(point).encode())) == 1
 
 
-def test_nested_geometry_collections_end():
+def test_deeply_nested_geometry_collections_are_bounded():
     geometry = {"type": "Point", "coordinates": [8, 47]}
     for _ in range(50):
         geometry = {"type": "GeometryCollection", "geometries": [geometry]}

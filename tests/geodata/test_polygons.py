@@ -1,4 +1,4 @@
-"""Geometry on a plane, against brute force."""
+"""Geometry on a plane, compared with brute force."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SQUARE = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)]
 POINTS = st.tuples(st.integers(0, 12).map(float), st.integers(0, 12).map(float))
 
 
-def test_a_plane_is_metres_east_and_north():
+def test_plane_coordinates_are_metres_east_and_north():
     plane = LocalPlane(47.0, 179.999)
     east, north = plane.point((47.001, -179.999))
     assert north == pytest.approx(111.3, abs=0.1)
@@ -46,11 +46,11 @@ def test_measures_of_a_square():
 
 
 @given(st.lists(POINTS, min_size=3, max_size=9, unique=True))
-def test_the_sweep_finds_what_all_pairs_find(corners):
+def test_sweep_equals_the_comparison_of_all_pairs(corners):
     count, sides = len(corners), list(edges(corners))
 
     def touch(one, other):
-        """Whether two edges have a common point that is not their common corner."""
+        """Whether two edges have a common point other than their common corner."""
         (a, b), (c, d) = sides[one], sides[other]
         common = {a, b} & {c, d}
         if common:

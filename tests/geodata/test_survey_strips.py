@@ -1,4 +1,4 @@
-"""Strips of a survey: they cover each point of a polygon, and are as few as the spacing needs."""
+"""Strips of a survey: they cover each point of a polygon, with the fewest strips for the spacing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def square(width, height):
 
 @st.composite
 def stars(draw):
-    """Polygons that do not cross themselves, mostly concave: corners at rising angles around a point."""
+    """Polygons without crossings, mostly concave: corners at rising angles around a point."""
     count = draw(st.integers(3, 12))
     radii = draw(st.lists(st.floats(5.0, 120.0), min_size=count, max_size=count))
     turn = draw(st.floats(0.0, 1.0))
@@ -33,7 +33,7 @@ def stars(draw):
 
 
 @given(stars(), st.floats(3.0, 60.0), st.floats(0.0, 359.0), st.randoms(use_true_random=False))
-def test_each_point_of_the_area_is_within_half_a_spacing_of_a_strip(points, spacing, heading, rng):
+def test_each_point_is_within_half_a_spacing_of_a_strip(points, spacing, heading, rng):
     assert crossing_edges(points) is None
     corners = degrees(points)
     strips = survey_strips(corners, spacing, heading)
@@ -47,13 +47,13 @@ def test_each_point_of_the_area_is_within_half_a_spacing_of_a_strip(points, spac
     ]
     for point in inside:
         assert min(distance_to_way(point, *way) for way in ways) <= spacing / 2 + 5e-3
-    # All lead along the heading or against it.
+    # All are parallel to the heading.
     for (x, y), (u, v) in ways:
         across = (u - x) * math.cos(math.radians(heading)) - (v - y) * math.sin(math.radians(heading))
         assert abs(across) < 1e-3
 
 
-def test_a_field_of_60_by_40_metres_in_four_strips():
+def test_field_of_60_by_40_metres_has_four_strips():
     strips = survey_strips(square(60.0, 40.0), 15.0, 0.0)
     ways = [(PLANE.point(strip.start), PLANE.point(strip.end)) for strip in strips]
     expected = [
@@ -70,13 +70,13 @@ def test_a_field_of_60_by_40_metres_in_four_strips():
     assert [round(strip.length) for strip in survey_strips(square(60.0, 40.0), 15.0, 90.0)] == [60, 60, 60]
 
 
-def test_a_notch_divides_strips():
+def test_notch_divides_strips():
     shape = [(0, 0), (60, 0), (60, 50), (40, 50), (40, 20), (20, 20), (20, 50), (0, 50)]
     lengths = [round(strip.length) for strip in survey_strips(degrees(shape), 10.0, 90.0)]
     assert lengths == [20, 20, 20, 20, 20, 20, 60, 60]
 
 
-def test_one_strip_covers_what_is_narrower_than_the_spacing():
+def test_area_narrower_than_the_spacing_has_one_strip():
     assert len(survey_strips(square(3.0, 40.0), 15.0, 0.0)) == 1
 
 
@@ -93,7 +93,7 @@ def test_one_strip_covers_what_is_narrower_than_the_spacing():
         (5.0, math.nan),
     ],
 )
-def test_values_that_make_no_survey(spacing, heading):
+def test_invalid_spacing_or_heading_is_refused(spacing, heading):
     with pytest.raises(ValueError, match="not"):
         survey_strips(square(60.0, 40.0), spacing, heading)
 

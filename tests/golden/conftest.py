@@ -1,4 +1,4 @@
-"""Each golden program on two engines that take turns and are compared; or on the reference engine."""
+"""Each golden program on two engines in turn, compared; or on the reference engine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every golden program does what its own lines say; see lfield.testing.golden for the notation."""
+"""Every golden program does what its comments state; see lfield.testing.golden for the notation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every instruction of the tables of appendix J: a program that has it, and prints what the table says.
+"""Every instruction of the tables of appendix J: a program that uses it, and prints as in the table.
 
 Each program runs on two engines, as the golden programs do (conftest.py).
 """
@@ -121,7 +121,7 @@ CASES: dict[str, Case] = {
     "find": Case("", 'Rover r = findRover("rover"); print(r.agent());', "rover"),
     "findall": Case("", "Rover[] all = findRover(); print(all.length()); print(all[0].agent());", "1 rover"),
 }
-#: Table J.11: the instructions that carry each addressing mode here.
+#: Table J.11: the instructions for each addressing mode here.
 ADDRESSING: dict[str, tuple[tuple[str, ...], Case]] = {
     "global": (("addi", "lds"), Case('int i = 2; print(i + 5); print("text");', "", "7 text")),
     "local": (("move",), Case("int i = 2; int j = i; i = 3; print(j);", "", "2")),

@@ -1,4 +1,4 @@
-"""Golden files: the expectation stands on the line itself, as `// error L405: part of the message`."""
+"""Golden files: the expectation is on the line itself, as `// error L405: part of the message`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ THESIS = Path(__file__).parents[2].parent / "shared" / "thesis-programs"
 
 _EXPECTED = re.compile(r"(?P<severity>error|warning) (?P<code>L\d{3}): (?P<part>.*)$")
 
-#: A device type as a driver would bring it.
+#: A device type of a driver.
 ROVER = DeviceManifest(
     type="Rover",
     driver="rover",
@@ -43,7 +43,7 @@ def expected(path: Path) -> list[tuple[int, str, str, str]]:
 
 
 def assert_exactly(path: Path, diagnostics: list[Diagnostic]) -> None:
-    """The diagnostics are those the file expects, no more and no fewer."""
+    """The diagnostics are exactly those that the file expects."""
     wanted = expected(path)
     drawn = "\n".join(d.render() for d in diagnostics)
     assert [(d.span.line, d.severity, d.code) for d in diagnostics] == [w[:3] for w in wanted], drawn

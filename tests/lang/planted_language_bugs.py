@@ -1,4 +1,4 @@
-"""Bugs of constants, enums, functions and parameters of queries: golden programs must find each."""
+"""Planted bugs of constants, enums, functions and query parameters: a golden program must find each."""
 
 from __future__ import annotations
 

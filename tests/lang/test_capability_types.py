@@ -1,4 +1,4 @@
-"""Capabilities as types of L: when the registry is read, what fits a program, where mistakes are shown."""
+"""Capabilities as types of L: when the registry is read, which ways a program gets, and places of errors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def class_of(name: str, *resources: str) -> str:
     return next(source.text for source in made if source.name == f"{name}.L")
 
 
-def test_a_program_that_names_no_capability_does_not_pay_for_the_registry() -> None:
+def test_registry_is_not_read_without_a_capability_in_the_program() -> None:
     text = CRANE + BOSS % 'Crane c = findCrane("a"); find(); finder(); findPath(); Exception e = null;'
     own = "private void find() { } private void finder() { } private void findPath() { } init("
     text = text.replace("coordinator Boss { init(", "coordinator Boss { " + own)
@@ -50,13 +50,13 @@ def test_a_program_that_names_no_capability_does_not_pay_for_the_registry() -> N
     assert drawn(found) == []
 
 
-def test_a_capability_is_reached_by_its_type_or_by_a_question_alone() -> None:
+def test_capability_is_imported_by_its_type_or_a_query_alone() -> None:
     for body in ("Lift[] who;", "findLift();", "explainLift();", "Lift who = null;"):
         program = checked(CRANE + BOSS % body).or_raise()
         assert [unit.name for unit in program.units if unit.capability] == ["Lift"], body
 
 
-def test_the_text_of_a_class_reads_like_a_program_by_hand() -> None:
+def test_generated_class_is_readable_l() -> None:
     text = class_of("Lift", "Winch")
     assert text.startswith(
         "// Lift: raises a load by some height\n// Made from the registry (skill.lifting).\n"
@@ -75,7 +75,7 @@ def test_the_text_of_a_class_reads_like_a_program_by_hand() -> None:
     assert "byCrane" not in text
 
 
-def test_only_ways_that_the_program_can_have_are_in_its_class() -> None:
+def test_generated_class_has_only_the_possible_ways() -> None:
     assert "as_climb_lifts" not in class_of("Lift", "Hand", "Claw")
     assert "as_climb_lifts" in class_of("Lift", "Copter")
     assert "of_grip_and_climb" not in class_of("Lift", "Copter")
@@ -86,7 +86,7 @@ def test_only_ways_that_the_program_can_have_are_in_its_class() -> None:
     assert [source.name for source in taken] == ["Lift.L"]
 
 
-def test_the_caret_stands_under_the_very_characters_of_a_condition() -> None:
+def test_caret_is_below_the_characters_of_a_condition() -> None:
     (found,) = checked(CRANE + BOSS % 'findLift("payload > 1 && paylod < 3");').diagnostics
     assert found.render().split("\n") == [
         "team.L:7:66: error[L422]: there is no attribute 'paylod'",
@@ -96,25 +96,25 @@ def test_the_caret_stands_under_the_very_characters_of_a_condition() -> None:
     ]
 
 
-def test_where_a_condition_has_escapes_all_of_it_is_meant() -> None:
+def test_condition_with_escapes_is_underlined_completely() -> None:
     (found,) = checked(CRANE + BOSS % r'findLift("\u{70}aylod > 1");').diagnostics
     assert found.span.text == r'"\u{70}aylod > 1"'
 
 
-def test_unknown_names_may_be_misspelt_capabilities() -> None:
+def test_unknown_name_gets_a_similar_capability_as_hint() -> None:
     (unknown_type,) = checked(CRANE + BOSS % "Lft who = null;").diagnostics
     (unknown_find,) = checked(CRANE + BOSS % "explainLft();").diagnostics
     assert unknown_type.hint == "did you mean 'Lift'?"
     assert unknown_find.hint == "did you mean 'explainLift'?"
 
 
-def test_a_class_of_the_name_offer_is_in_the_way() -> None:
+def test_class_named_offer_conflicts_with_queries() -> None:
     found = checked(CRANE + "class Offer { }\n" + BOSS % "findLift();")
     assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is already declared in Offer.L, line 4"]
     assert drawn(checked("class Offer { }\n" + BOSS % "")) == []
 
 
-def test_a_mission_must_fit_its_program() -> None:
+def test_mission_registry_must_fit_its_program() -> None:
     found = checked(CRANE.replace("lift(", "hoist(") + BOSS % "findLift();")
     (line,) = drawn(found)
     assert line.startswith(f"{REGISTRY}:")
@@ -122,10 +122,10 @@ def test_a_mission_must_fit_its_program() -> None:
     assert found.program is None
 
 
-def test_what_we_ship_does_not_count_for_another_of_the_name(
+def test_shipped_provider_does_not_apply_to_another_type_of_its_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A program may have a Crane of its own that is none of ours."""
+    """A program may define a Crane of its own that differs from the shipped one."""
     monkeypatch.setattr(
         registry_types, "is_shipped", lambda finding: finding.span.source.name == str(REGISTRY)
     )
@@ -136,7 +136,7 @@ def test_what_we_ship_does_not_count_for_another_of_the_name(
 
 @pytest.fixture
 def with_class(tmp_path: Path) -> Callable[[str], RegistryTypes]:
-    """The registry with another text of the class that puts the parts together."""
+    """The registry with another text of the class that combines the parts."""
 
     def make(text: str) -> RegistryTypes:
         registry = tmp_path / "registry.yaml"
@@ -153,7 +153,7 @@ resource Hand { init(string[] arg) { } portal grip() emit boolean { return true;
 """
 
 
-def test_mistakes_in_the_class_of_a_rule_show_their_place(
+def test_errors_in_the_class_of_a_rule_have_their_place(
     with_class: Callable[[str], RegistryTypes],
 ) -> None:
     good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")
@@ -164,7 +164,7 @@ def test_mistakes_in_the_class_of_a_rule_show_their_place(
     assert (bad.code, bad.span.text) == ("L301", "lifst")
 
 
-def test_the_class_of_a_rule_may_name_more_capabilities(
+def test_class_of_a_rule_may_use_more_capabilities(
     with_class: Callable[[str], RegistryTypes],
 ) -> None:
     good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")

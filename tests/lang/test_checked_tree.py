@@ -1,4 +1,4 @@
-"""What the compiler is handed: sugar spelled out, names resolved, conversions as nodes."""
+"""The checked tree for the compiler: sugar expanded, names resolved, conversions as nodes."""
 
 from typing import TypeVar
 
@@ -39,7 +39,7 @@ def call(statements: str, kind: type[Node], members: str = "", after: str = "") 
     return last.value
 
 
-def test_field_initialisers_run_first_in_init_and_in_every_constructor() -> None:
+def test_field_initialisers_run_first_in_init_and_every_constructor() -> None:
     units = program(
         "resource Arm { int a = 1; init(string[] arg) { a = 2; } }"
         "class Box { public real size = 3; public Box() { } public Box(int n) { } }"
@@ -83,7 +83,7 @@ def test_for_is_a_block_with_a_loop_and_its_step() -> None:
     assert loop.condition.value is True
 
 
-def test_int_widens_in_assignment_argument_return_arithmetic_and_comparison() -> None:
+def test_int_is_widened_to_real_in_every_context() -> None:
     (declare,) = body("real x = 1;")
     assert isinstance(declare, tree.Declare)
     assert isinstance(declare.value, tree.ToReal)
@@ -102,7 +102,7 @@ def test_int_widens_in_assignment_argument_return_arithmetic_and_comparison() ->
     assert isinstance(less.right, tree.ToReal)
 
 
-def test_overloads_choose_the_exact_match_then_the_fewest_widenings() -> None:
+def test_overload_is_the_exact_match_or_has_the_fewest_widenings() -> None:
     members = "private void f(int a, real b) { } private void f(real a, real b) { }"
     members += "private void f(string s, int[] a) { }"
     assert call("f(1, 2);", tree.Call, members).method.signature == "f(int, real)"
@@ -111,7 +111,7 @@ def test_overloads_choose_the_exact_match_then_the_fewest_widenings() -> None:
     assert call("print(min(1, 2.0));", tree.LibraryCall).operation == "print_float"
 
 
-def test_null_stands_right_in_comparisons_and_keeps_its_type() -> None:
+def test_null_is_the_right_operand_and_keeps_its_type() -> None:
     (same,) = call("print(null == arg);", tree.LibraryCall).arguments
     assert isinstance(same, tree.Binary)
     assert (same.left.type, same.right.type) == (array_of(STRING), NULL)
@@ -123,7 +123,7 @@ def test_smallest_int_is_one_literal() -> None:
     assert (least.value, least.type) == (-(2**63), INT)
 
 
-def test_operators_group_like_in_c() -> None:
+def test_operators_have_the_precedence_of_c() -> None:
     def shape(expression: tree.Expr) -> str:
         if isinstance(expression, tree.Binary | tree.Logical):
             return f"({shape(expression.left)}{expression.op}{shape(expression.right)})"
@@ -150,7 +150,7 @@ def test_dangling_else_belongs_to_the_nearest_if() -> None:
     assert (len(inner.otherwise), outer.otherwise) == (1, [])
 
 
-def test_portals_find_and_proxies() -> None:
+def test_portal_calls_and_finds_of_agents() -> None:
     units = program(
         "resource Arm { init(string[] a) { } portal go(real x) emit int { return 1; } }"
         'coordinator Boss { init(string[] a) { Arm x = findArm("a"); Arm[] all = findArm(); all[0].go(1); } }'
@@ -182,7 +182,7 @@ def test_device_calls() -> None:
     assert isinstance(first.value.arguments[0], tree.ToReal)
 
 
-def test_exceptions() -> None:
+def test_throw_and_catch_of_exceptions() -> None:
     statements = body(
         'try throw new NullException("x"); catch (Box b) print(1); catch (Exception e) throw e;',
         "",
@@ -205,7 +205,7 @@ def test_lengths_of_arrays_and_strings() -> None:
     assert (text.operation, len(text.arguments)) == ("substring", 3)
 
 
-def test_new_arrays_carry_their_whole_type() -> None:
+def test_new_array_has_its_complete_type() -> None:
     made = call("int[][] a; a = new int[2][];", tree.Assign).value
     assert isinstance(made, tree.NewArray)
     assert (made.type, len(made.lengths)) == (array_of(array_of(INT)), 1)
@@ -225,7 +225,7 @@ ARM = "resource Arm { init(string[] arg) { } portal lift(real m) emit real { ret
 
 
 def boss(statements: str, before: str = "") -> list[tree.Stmt]:
-    """The statements of a coordinator that knows an arm."""
+    """The statements of a coordinator with an arm."""
     known = f'Arm arm = findArm("a"); real x; real[] a = new real[3]; {before}'
     text = f"{ARM} coordinator Boss {{ init(string[] arg) {{ {known} {statements} }} }}"
     checked = check_text(text, capabilities=CAPABILITIES).or_raise()
@@ -233,7 +233,7 @@ def boss(statements: str, before: str = "") -> list[tree.Stmt]:
     return init.body
 
 
-def test_a_together_begins_its_calls() -> None:
+def test_together_starts_its_calls() -> None:
     calls = "x = arm.lift(1); if (i > 2) a[i + 1] = arm.lift(2); arm.stop(); print(1);"
     block = boss(f"together {{ {calls} }}", "int i = 1;")[-1]
     assert isinstance(block, tree.Together)
@@ -253,7 +253,7 @@ def test_a_together_begins_its_calls() -> None:
     assert isinstance(printed, tree.Evaluate)
 
 
-def test_a_together_inside_another_one_begins_its_own_calls() -> None:
+def test_nested_together_starts_its_own_calls() -> None:
     outer = boss("together { arm.stop(); try { together { x = arm.lift(1); } } finally { print(1); } }")[-1]
     assert isinstance(outer, tree.Together)
     begun, attempt = outer.body
@@ -265,7 +265,7 @@ def test_a_together_inside_another_one_begins_its_own_calls() -> None:
     assert isinstance(inner.body[0].target, tree.LocalGet)
 
 
-def test_portals_of_offers_are_begun_and_what_offers_tell_is_asked_in_place() -> None:
+def test_together_starts_portals_of_offers_and_not_their_own_methods() -> None:
     offers = "Lift[] who = findLift();"
     portal = "portal lift(real height) emit real { return height; } portal stop() { }"
     crane = f"resource Crane {{ init(string[] arg) {{ }} {portal} }}"
@@ -305,6 +305,6 @@ def test_finally_is_the_last_part_of_its_try() -> None:
     assert empty.last == []
 
 
-def test_every_exception_is_asked_for_the_others() -> None:
+def test_every_exception_has_others() -> None:
     others = call("Exception e = new NullException(); e.others();", tree.LibraryCall)
     assert (others.operation, others.type) == ("exc_others", array_of(EXCEPTION))

@@ -1,4 +1,4 @@
-"""Deployment files: what they say, and what identifies them."""
+"""Deployment files: their contents and their hash."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def test_every_form_of_a_line() -> None:
     assert mission.agents[2].span.line == 5
 
 
-def test_hash_is_of_what_is_deployed_and_not_of_how_it_is_written() -> None:
+def test_hash_depends_on_the_content_and_not_on_the_notation() -> None:
     plain = deployment("//Arm:a@x?1&2\n//Boss:b@y\n").hash
     assert len(plain) == 64
     assert deployment("# team\n\n  pitp://Arm:a@x:9000?%31&2   # first\nBoss:b@y").hash == plain
@@ -59,26 +59,26 @@ def test_witnesses_come_last_and_count_for_the_hash() -> None:
         assert deployment(other).hash != said.hash
 
 
-def test_a_team_of_witnesses_only_is_none() -> None:
+def test_deployment_of_witnesses_only_is_refused() -> None:
     _, (found,) = parse_deployment("//@w\n//@v", "mission.dL", UNITS)
     assert (found.code, found.message) == ("L712", "the deployment is empty")
 
 
-def test_without_the_program_types_are_not_checked() -> None:
+def test_types_are_not_checked_without_the_program() -> None:
     found, diagnostics = parse_deployment("//Anything:a@x", "mission.dL", None)
     assert diagnostics == []
     assert found is not None
     assert found.agents[0].kind == "unknown"
 
 
-def test_all_mistakes_of_a_file_and_of_a_line_are_told() -> None:
+def test_all_errors_of_a_file_and_a_line_are_reported() -> None:
     _, found = parse_deployment("//Amr:a!@x?%\n//Arm:a@x\n//Arm:a@x:0", "mission.dL", UNITS)
     assert [(d.code, d.span.line) for d in found] == [("L704", 1), ("L710", 1), ("L707", 3)]
     _, found = parse_deployment("//Amr:a@x\n//Arm:a@x", "mission.dL", UNITS)
     assert (found[0].code, found[0].hint) == ("L702", "did you mean 'Arm'?")
 
 
-def test_a_caret_under_the_part_that_is_wrong() -> None:
+def test_caret_is_below_the_wrong_part() -> None:
     _, (found,) = parse_deployment("//Arm:a@x:99999?1", "mission.dL", UNITS)
     assert found.render().split("\n")[:3] == [
         "mission.dL:1:11: error[L707]: the port '99999' is not valid",
@@ -87,7 +87,7 @@ def test_a_caret_under_the_part_that_is_wrong() -> None:
     ]
 
 
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_missing_deployment_file_is_an_input_file_error(tmp_path: Path) -> None:
     with pytest.raises(InputFileError):
         read_deployment(tmp_path / "nobody.dL", UNITS)
 
@@ -99,13 +99,13 @@ SIX = "//Arm:a@alpha\n//Arm:b@bravo\n//Arm:c@chrlie\n//Arm:d@zulu\n//Arm:e@port\
     ("inventory", "unknown"),
     [
         ((), []),
-        # Of another team.
+        # An inventory of another team.
         (("xray", "yankee"), []),
         (("alpha", "bravo", "charlie", "port", "post"), ["chrlie", "zulu"]),
         (("alpha", "bravo", "chrlie", "zulu", "port", "post"), []),
     ],
 )
-def test_a_host_without_keys_in_a_team_with_keys_is_unknown(inventory, unknown) -> None:
+def test_host_missing_in_the_inventory_of_its_team_is_unknown(inventory, unknown) -> None:
     _, found = parse_deployment(SIX, "mission.dL", UNITS, inventory)
     assert [diagnostic.span.text for diagnostic in found if diagnostic.code == "L908"] == unknown
     hints = {diagnostic.span.text: diagnostic.hint for diagnostic in found}

@@ -1,8 +1,8 @@
-"""Syntax of Python, C++, Java and ROS: each gets an error with a hint that says what L has instead.
+"""Syntax of Python, C++, Java and ROS: each gets an error with a hint for L.
 
-`cases.txt` holds the snippets, `findings.txt` what is reported for each: place, code, sentence and hint.
-`python tests/lang/test_foreign_syntax.py` rewrites the latter. `suggestions.txt` holds each hint that shows
-L, with its L in backticks and snippets that follow it: they compile.
+`cases.txt` has the snippets, `findings.txt` the report for each: place, code, sentence and hint.
+`python tests/lang/test_foreign_syntax.py` rewrites the latter. `suggestions.txt` has each hint that shows
+L, with its L in backticks and snippets that apply it: they compile.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ coordinator C {{
     }}
 }}
 """
-#: How deep the parts of the program are indented.
+#: Indentation of the parts of the program.
 DEPTHS = {"unit": 0, "member": 4, "statement": 8, "coordinator": 8}
 
 
 def blocks(name: str) -> list[str]:
-    """A line and the indented lines behind it, for each."""
+    """Each line with the indented lines after it."""
     return re.split(r"\n(?! )", (FOLDER / name).read_text(encoding="utf-8").rstrip("\n"))
 
 
@@ -71,24 +71,24 @@ GOLDEN = dict(zip(cases(), blocks("findings.txt"), strict=True)) if __name__ != 
 
 
 @pytest.mark.parametrize("case", cases())
-def test_the_findings_are_those_of_the_golden_file(case: str) -> None:
+def test_findings_equal_the_golden_file(case: str) -> None:
     assert described(case) == GOLDEN[case]
 
 
 @pytest.mark.parametrize("case", cases())
-def test_the_first_finding_is_an_error_with_a_hint(case: str) -> None:
+def test_first_finding_is_an_error_with_a_hint(case: str) -> None:
     first = findings(case)[0]
     assert (first.severity, bool(first.hint)) == ("error", True)
 
 
 def suggestions() -> dict[str, list[str]]:
-    """The snippets that follow each hint. A hint has its L in backticks."""
+    """The snippets that apply each hint. A hint has its L in backticks."""
     found = [block.split("\n    ") for block in blocks("suggestions.txt")]
     return {hint: snippets for hint, *snippets in found}
 
 
 def pattern(code: str) -> re.Pattern[str]:
-    """What matches L that is written as a hint shows it: names that stand for others, and `...`, are free."""
+    """Matches L in the notation of a hint: placeholder names and `...` are free."""
     placeholders = r"\b(?:Name|name|object|array|x|y|T|t|seconds|reason|value|from|to)\b|\.\.\.|\?"
     free = {"...": ".*", "?": r"\S+"}
     parts, at = [], 0
@@ -98,7 +98,7 @@ def pattern(code: str) -> re.Pattern[str]:
     return re.compile("".join([*parts, re.escape(code[at:])]))
 
 
-def test_every_hint_that_shows_l_has_a_snippet_that_follows_it() -> None:
+def test_every_hint_with_l_has_a_snippet() -> None:
     shown = {
         found.hint for case in cases() for found in findings(case) if re.search(r"[][(){}=|<]|&&", found.hint)
     }
@@ -111,7 +111,7 @@ def test_every_suggestion_is_a_hint_of_a_case() -> None:
 
 
 @pytest.mark.parametrize("hint", suggestions())
-def test_the_l_that_a_hint_suggests_compiles(hint: str) -> None:
+def test_suggested_l_compiles(hint: str) -> None:
     snippets = suggestions()[hint]
     text = "\n".join(snippets)
     assert [code for code in re.findall("`(.*?)`", hint) if not pattern(code).search(text)] == []
@@ -125,6 +125,6 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     "ending", ["while x", "if x and y", "for x in y", "elif x", "for (auto x :", "f((", "f ("]
 )
-def test_a_program_that_ends_in_a_head_is_read_to_its_end(ending: str) -> None:
+def test_program_that_ends_in_a_statement_head_is_read_to_its_end(ending: str) -> None:
     """Without a line break behind it."""
     assert check_text(f"coordinator A {{ init(string[] arg) {{ {ending}", "m.L").diagnostics

@@ -1,4 +1,4 @@
-"""No text makes the front end raise, hang or accept a tree with holes."""
+"""For any text, the front end neither raises, hangs nor accepts an incomplete tree."""
 
 import dataclasses
 from pathlib import Path
@@ -53,7 +53,7 @@ LENIENT = settings(max_examples=30, deadline=None, suppress_health_check=[Health
 
 
 def assert_sound(checked: CheckResult) -> None:
-    """A program exists exactly when there are no errors, and then every type in it is known."""
+    """A program exists exactly without errors, and then every type in it is known."""
     assert (checked.program is None) == bool(checked.errors)
     for diagnostic in checked.diagnostics:
         assert diagnostic.render()
@@ -78,7 +78,7 @@ def assert_types_known(program: tree.CheckedProgram) -> None:
 
 @st.composite
 def mutated_programs(draw: st.DrawFn) -> str:
-    """A good program with a few cuts, repetitions and insertions at random places."""
+    """A valid program with a few cuts, repetitions and insertions at random places."""
     text = PROGRAM
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(text)))
@@ -117,7 +117,7 @@ def test_any_bytes_give_diagnostics(tmp_path: Path, data: bytes) -> None:
 
 @LENIENT
 @given(mutated_programs())
-def test_what_the_parser_loses_is_always_told(text: str) -> None:
+def test_text_skipped_by_the_parser_is_always_reported(text: str) -> None:
     found = Diagnostics()
     file = parse_file(Source("any.L", text), found)
     broken = file.broken or any(u.broken or any(m.broken for m in u.methods) for u in file.units)
@@ -139,7 +139,7 @@ def test_tokens_cover_the_text(text: str) -> None:
         at = token.span.end
 
 
-def test_deep_nesting_is_an_error_and_no_crash() -> None:
+def test_deep_nesting_is_an_error() -> None:
     depth = 5_000
     inits = ["x = " + "(" * depth, "{" * depth, "if (true) " * depth, "x = " + "-" * 3 + "!" * depth + "x;"]
     inits += [
@@ -161,7 +161,7 @@ def test_deep_nesting_is_an_error_and_no_crash() -> None:
         assert "L211" in {d.code for d in checked.diagnostics}, text[:40]
 
 
-def test_a_chain_with_mistakes_is_as_long_as_it_likes() -> None:
+def test_long_chain_with_errors_is_no_deep_nesting() -> None:
     length = 5_000
     inits = ["x = " + "1 + " * length + "1;", "x" + ".y" * length + ";", "x" + "[0]" * length + ";"]
     inits += ["if (x) y(); " + "else if (x) y(); " * length, "x" + ".y()" * length + ";"]
@@ -171,7 +171,7 @@ def test_a_chain_with_mistakes_is_as_long_as_it_likes() -> None:
         assert "L301" in {d.code for d in checked.diagnostics}, text[:40]
 
 
-def test_the_deepest_program_allowed_checks() -> None:
+def test_deepest_allowed_program_checks() -> None:
     for text in [
         "print(" + "(" * 90 + "1" + ")" * 90 + ");",
         "print(" + "1 + (" * 48 + "1" + ")" * 48 + ");",
@@ -181,7 +181,7 @@ def test_the_deepest_program_allowed_checks() -> None:
         assert check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}").program is not None
 
 
-def test_calls_of_a_together_stand_in_chains_as_long_as_they_like() -> None:
+def test_together_calls_in_long_chains_are_no_deep_nesting() -> None:
     length = 3_000
     ladder = "if (x > 1) arm.go(); " + "else if (x > 2) arm.go(); " * length
     limit = "within (" + "1 + " * length + "1) { arm.go(); }"
@@ -194,7 +194,7 @@ def test_calls_of_a_together_stand_in_chains_as_long_as_they_like() -> None:
         assert (checked.program is None) == (code is not None)
 
 
-def test_a_long_chain_of_classes_is_no_problem() -> None:
+def test_long_chain_of_classes_is_checked() -> None:
     classes = "".join(f"class C{i} {{ public C{i + 1} next; }}\n" for i in range(3000))
     classes += "class C3000 { public Exception e; }\n"
     text = classes + "resource A { init(string[] a) { } portal p(C0 c) { } }"

@@ -53,13 +53,13 @@ def test_every_code_has_a_golden_file_of_its_name() -> None:
 
 
 @pytest.mark.parametrize("path", sorted((GOLDEN / "ok").glob("*.L")), ids=lambda p: p.stem)
-def test_good_program_checks_without_a_word(path: Path) -> None:
+def test_valid_program_has_no_diagnostics(path: Path) -> None:
     checked = check_file(path, devices=DEVICES, capabilities=CAPABILITIES)
     assert [d.render() for d in checked.diagnostics] == []
     assert checked.program is not None
 
 
-def test_good_deployment_checks_without_a_word() -> None:
+def test_valid_deployment_has_no_diagnostics() -> None:
     path = GOLDEN / "deployments" / "ok" / "forms.dL"
     deployment, found = parse_deployment(path.read_text(encoding="utf-8"), path.name, UNITS)
     assert (deployment is not None, found) == (True, [])

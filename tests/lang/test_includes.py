@@ -18,7 +18,7 @@ def write(folder: Path, files: dict[str, str]) -> Path:
     return folder
 
 
-def test_includes_are_relative_to_the_file_that_has_them(tmp_path: Path) -> None:
+def test_includes_are_relative_to_the_including_file(tmp_path: Path) -> None:
     box, lid = 'include "lid.L"; class Box { private Lid lid; }', 'include "../main.L"; class Lid { }'
     write(tmp_path, {"main.L": MAIN, "parts/box.L": box, "parts/lid.L": lid})
     program = check_file(tmp_path / "main.L").or_raise()
@@ -26,13 +26,13 @@ def test_includes_are_relative_to_the_file_that_has_them(tmp_path: Path) -> None
     assert [Path(source.name).name for source in program.sources] == ["main.L", "box.L", "lid.L"]
 
 
-def test_errors_are_drawn_in_the_file_they_are_in(tmp_path: Path) -> None:
+def test_error_is_rendered_in_its_own_file(tmp_path: Path) -> None:
     write(tmp_path, {"main.L": MAIN, "parts/box.L": "class Box { public Lid lid; }"})
     (found,) = check_file(tmp_path / "main.L").diagnostics
     assert found.span.source.name.endswith("box.L")
 
 
-def test_a_missing_file_does_not_make_its_types_unknown_too(tmp_path: Path) -> None:
+def test_missing_file_does_not_make_its_types_unknown(tmp_path: Path) -> None:
     write(tmp_path, {"main.L": MAIN})
     assert [d.code for d in check_file(tmp_path / "main.L").diagnostics] == ["L601"]
 
@@ -50,12 +50,12 @@ def test_library_includes_are_found_by_the_caller(tmp_path: Path) -> None:
     assert asked == ["rover/box.L"]
 
 
-def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+def test_byte_order_mark_is_skipped(tmp_path: Path) -> None:
     (tmp_path / "main.L").write_bytes(b"\xef\xbb\xbfresource Arm { init(string[] arg) { } }")
     assert check_file(tmp_path / "main.L").program is not None
 
 
-def test_an_included_file_that_is_not_utf8(tmp_path: Path) -> None:
+def test_included_file_that_is_not_utf8_is_an_error(tmp_path: Path) -> None:
     write(tmp_path, {"main.L": MAIN, "parts/box.L": ""})
     (tmp_path / "parts/box.L").write_bytes(b"class Box {}\n\xff")
     (found,) = check_file(tmp_path / "main.L").diagnostics
@@ -63,7 +63,7 @@ def test_an_included_file_that_is_not_utf8(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["nobody.L", ".", "a\0b"])
-def test_a_main_file_that_cannot_be_read(tmp_path: Path, name: str) -> None:
+def test_unreadable_main_file_is_an_input_file_error(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputFileError):
         check_file(tmp_path / name)
 

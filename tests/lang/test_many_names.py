@@ -1,4 +1,4 @@
-"""Hints that name what a type has stay short, however much it has."""
+"""Hints that list names stay short for any number of names."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def finding(statement: str) -> Diagnostic:
     return found
 
 
-def test_an_unknown_instruction_is_answered_with_similar_ones() -> None:
+def test_unknown_instruction_gets_similar_names() -> None:
     found = finding("w.driveTo();")
     assert (found.code, found.hint) == ("L305", "similar names: goTo and goToGlobal")
 
 
-def test_without_similar_ones_the_first_are_named() -> None:
+def test_without_similar_names_the_first_are_listed() -> None:
     found = finding("w.zz();")
     assert (found.code, found.hint) == ("L305", f"it has {', '.join(NAMES[:8])}, ...")
 
 
-def test_an_unknown_field_is_answered_alike() -> None:
+def test_unknown_field_gets_a_list_of_methods() -> None:
     found = finding("int n = w.zz;")
     assert (found.code, found.hint) == ("L304", f"its methods are {', '.join(NAMES[:8])}, ...")

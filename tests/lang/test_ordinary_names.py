@@ -1,4 +1,4 @@
-"""Words of other languages, and words like keywords, are ordinary names where a name may stand."""
+"""Words of other languages, and soft keywords, are ordinary names where a name is allowed."""
 
 import pytest
 
@@ -67,18 +67,18 @@ class WORD {
 
 
 @pytest.mark.parametrize("word", WORDS)
-def test_as_a_field_a_method_a_portal_and_a_local(word: str) -> None:
+def test_word_as_a_field_method_portal_and_local(word: str) -> None:
     assert [d.render() for d in check_text(MEMBERS.replace("WORD", word)).diagnostics] == []
 
 
 @pytest.mark.parametrize(
     "word", sorted({*LIKE_KEYWORDS, *foreign_words.FOREIGN_TYPES, *foreign_words.FOREIGN_VALUES})
 )
-def test_as_a_class(word: str) -> None:
+def test_word_as_a_class(word: str) -> None:
     assert [d.render() for d in check_text(UNITS.replace("WORD", word)).diagnostics] == []
 
 
-#: `WORD` where a statement begins, behind a `try`, and with whatever follows a name.
+#: `WORD` at the start of a statement, after a `try`, and before each token that may follow a name.
 STATEMENTS = """
 resource Arm {
     int WORD;
@@ -131,5 +131,5 @@ resource Machine {
 
 
 @pytest.mark.parametrize("word", ["together", "within", "reserve", "finally"])
-def test_a_word_of_0_4_is_a_name_where_no_block_follows(word: str) -> None:
+def test_soft_keyword_is_a_name_without_a_block(word: str) -> None:
     assert [d.render() for d in check_text(STATEMENTS.replace("WORD", word)).diagnostics] == []

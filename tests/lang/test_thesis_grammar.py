@@ -1,4 +1,4 @@
-"""Every production of appendix A: a program that needs it and checks, or the error and its reason.
+"""Every production of appendix A: a program that uses it and compiles, or the error and its reason.
 
 Misprints are read as the programs of appendices C to E require: `;` after `return` and `throw`, a comma
 between parameters and between arguments, any number of variables, names and texts as expressions.
@@ -17,7 +17,7 @@ CLASS = "class K { }"
 
 
 def coordinator(members: str = "", body: str = "") -> str:
-    """A coordinator with these fields and the statements of its init, beside a resource with a portal."""
+    """A coordinator with these fields and statements of its init, beside a resource with a portal."""
     portal = "portal get(int i, int j) emit int { return i + j; }"
     return (
         f"resource R {{ init(string[] arg) {{ }} {portal} }} "
@@ -135,13 +135,13 @@ PRODUCTIONS: dict[str, list[str]] = {
     "STATEMENT_X_CATCH_LIST": [statements("try { } catch (Node x) { } catch (Exception e) { }")],
     "STATEMENT_CATCH": [statements("try { f(); } catch (Node x) { n = x.n; }")],
 }
-#: What object-based languages of chapter III lack, and L too, with the code of the error.
+#: Features that object-based languages of chapter III lack, and L too; the error is L217.
 ABSENT = {
     "inheritance": "class K extends M { } class M { }",
     "interfaces": "interface K { }",
     "packages": f"package p; {RESOURCE}",
 }
-#: What the printed grammar permits and L does not, with the code of the error.
+#: Constructs that the printed grammar permits and L refuses, with the code of the error.
 REFUSED: dict[str, tuple[str, str]] = {
     "an assignment as a condition": (statements("if (b = true) n = 1;"), "L412"),
     "an assignment as an operand": (statements("n = 1 + (n = 2);"), "L412"),
@@ -178,28 +178,28 @@ def errors(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("production", PRODUCTIONS)
-def test_production(production: str) -> None:
+def test_production_compiles(production: str) -> None:
     for text in PRODUCTIONS[production]:
         assert errors(text) == [], text
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_is_refused(what: str) -> None:
+def test_refused_construct_has_its_error(what: str) -> None:
     text, code = REFUSED[what]
     assert errors(text)[0] == code
 
 
-def test_a_program_without_units_is_permitted() -> None:
+def test_program_without_units_is_permitted() -> None:
     assert errors("// nothing yet\n") == []
 
 
 @pytest.mark.parametrize("what", ABSENT)
-def test_what_is_absent(what: str) -> None:
+def test_absent_feature_is_an_error(what: str) -> None:
     assert errors(ABSENT[what])[0] == "L217"
 
 
 @pytest.mark.parametrize("word", [*WORDS, *ADDED])
-def test_a_reserved_word_is_no_name(word: str) -> None:
+def test_reserved_word_is_no_name(word: str) -> None:
     assert errors(class_of(f"public int {word};")) == ["L204"]
 
 

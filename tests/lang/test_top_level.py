@@ -1,4 +1,4 @@
-"""Constants, enums and functions across files: order, names, what hides what."""
+"""Constants, enums and functions across files: order, names, and hiding."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ real clipped(real x) { return min(x, FAST); }
 """
 
 
-def test_declarations_of_all_files_are_one_name_space(tmp_path: Path) -> None:
+def test_declarations_of_all_files_share_one_namespace(tmp_path: Path) -> None:
     program = checked(tmp_path, main=MAIN, limits=LIMITS, shapes=SHAPES).or_raise()
     assert [enum.name for enum in program.enums] == ["Phase"]
     (arm,) = program.units
@@ -51,7 +51,7 @@ def test_declarations_of_all_files_are_one_name_space(tmp_path: Path) -> None:
     assert sorted(method.name for method in arm.library_methods) == ["area", "clipped"]
 
 
-def test_the_order_of_includes_does_not_matter(tmp_path: Path) -> None:
+def test_order_of_includes_does_not_matter(tmp_path: Path) -> None:
     one, other = tmp_path / "one", tmp_path / "other"
     one.mkdir()
     other.mkdir()
@@ -62,20 +62,20 @@ def test_the_order_of_includes_does_not_matter(tmp_path: Path) -> None:
     assert first.digest == second.digest
 
 
-def test_a_name_in_two_files_is_reported_with_the_other_place(tmp_path: Path) -> None:
+def test_name_in_two_files_is_reported_with_the_other_place(tmp_path: Path) -> None:
     found = checked(tmp_path, main=MAIN + "const int SLOW = 1;", limits=LIMITS, shapes=SHAPES)
     assert drawn(found) == ["limits:2 L307"]
     assert "main.L, line 8" in found.diagnostics[0].message
 
 
-def test_a_cycle_over_files(tmp_path: Path) -> None:
+def test_cycle_of_constants_over_files_is_reported(tmp_path: Path) -> None:
     limits = LIMITS.replace("2.5", "FAST / 2")
     found = checked(tmp_path, main=MAIN, limits=limits, shapes=SHAPES)
     assert drawn(found) == ["main:3 L320"]
     assert found.diagnostics[0].message.endswith("FAST - SLOW - FAST")
 
 
-def test_a_missing_file_does_not_make_further_errors(tmp_path: Path) -> None:
+def test_missing_file_gives_no_further_errors(tmp_path: Path) -> None:
     assert drawn(checked(tmp_path, main=MAIN, shapes=SHAPES)) == ["main:1 L601"]
 
 
@@ -94,12 +94,12 @@ class Other {
 """
 
 
-def test_members_and_locals_hide_what_is_at_the_top_level() -> None:
+def test_members_and_locals_hide_top_level_names() -> None:
     program = check_text(HIDING).or_raise()
     box, other = program.units
     assert [method.name for method in box.library_methods] == ["both", "twice"]
     assert [method.name for method in other.library_methods] == ["twice"]
-    # The function `both` calls the function, not the method of Box.
+    # The function `both` calls the function `twice`, not the method of Box.
     (both,) = (method for method in box.library_methods if method.name == "both")
     called = both.body[0].value.left.method  # type: ignore[attr-defined]
     assert called in box.library_methods
@@ -107,7 +107,7 @@ def test_members_and_locals_hide_what_is_at_the_top_level() -> None:
     assert own.body[0].value.left.method in box.methods  # type: ignore[attr-defined]
 
 
-def test_an_enum_or_function_with_the_name_of_a_capability_takes_precedence() -> None:
+def test_enum_or_function_precedes_a_capability_of_its_name() -> None:
     text = "enum Lift { UP, DOWN } coordinator Boss { init(string[] arg) { Lift l = Lift.DOWN; } }"
     program = check_text(text, capabilities=CAPABILITIES).or_raise()
     assert [unit.name for unit in program.units] == ["Boss"]
@@ -117,7 +117,7 @@ def test_an_enum_or_function_with_the_name_of_a_capability_takes_precedence() ->
 
 
 @pytest.mark.parametrize("word", ["const", "enum"])
-def test_the_words_are_names_elsewhere(word: str) -> None:
+def test_const_and_enum_are_names_elsewhere(word: str) -> None:
     text = f"""
     class {word} {{ public int {word}; public {word}({word} {word}) {{ this.{word} = 1; }} }}
     {word} f({word} {word}) {{ return {word}; }}
@@ -132,7 +132,7 @@ def test_the_words_are_names_elsewhere(word: str) -> None:
     assert [d.render() for d in check_text(text).diagnostics] == []
 
 
-def test_a_long_chain_and_a_deep_cycle_are_no_recursion() -> None:
+def test_long_chain_and_deep_cycle_need_no_recursion() -> None:
     chain = "const int A0 = 1; " + " ".join(f"const int A{i} = A{i - 1} + 1;" for i in range(1, 3000))
     found = check_text(
         f"{chain} const int SUM = {' + '.join(['1'] * 5000)}; class K {{ public int n = A2999 + SUM; }}"
@@ -142,7 +142,7 @@ def test_a_long_chain_and_a_deep_cycle_are_no_recursion() -> None:
     assert [d.code for d in check_text(cycle).diagnostics] == ["L320"]
 
 
-def test_uses_of_constants_are_checked_like_literals() -> None:
+def test_constants_are_checked_like_literals() -> None:
     program = """
     const real NEVER = -1.0;
     const string LATER = "payload >=";
@@ -169,8 +169,8 @@ def test_uses_of_constants_are_checked_like_literals() -> None:
     assert [d.code for d in found.diagnostics] == ["L902"]
 
 
-#: What functions of the library do, by name. A new one belongs into one of the two, and into purity.py if it
-#: does more than compute.
+#: Effects of the library functions by name. Add a new one to one of the two sets, and to purity.py if it does
+#: more than compute.
 PURE = {
     *("s2i", "s2f", "i2f", "f2i", "i2s", "f2s", "b2s", "abs", "min", "max", "sqrt", "sin", "cos", "tan"),
     *("asin", "acos", "atan2", "exp", "log", "pow", "floor", "ceil", "round", "mapArea"),
@@ -179,7 +179,7 @@ PURE = {
 IMPURE = {"print", "yield", "sleep", "now", "random"}
 
 
-def test_each_function_of_the_library_is_pure_or_reported() -> None:
+def test_each_library_function_is_pure_or_reported() -> None:
     assert {function.name for function in FUNCTIONS if function.scope == "any"} == PURE | IMPURE
     values = {"int": "1", "real": "0.5", "string": '"1"', "boolean": "true"}
     for function in FUNCTIONS:
@@ -189,7 +189,7 @@ def test_each_function_of_the_library_is_pure_or_reported() -> None:
         assert codes == ([] if function.name in PURE else ["L437"]), text
 
 
-def test_functions_have_no_access_to_what_calls_them() -> None:
+def test_functions_have_no_access_to_their_caller() -> None:
     text = "int f() { return n; } class Box { private int n; public int get() { return f(); } }"
     (found,) = check_text(text).diagnostics
     assert (found.code, found.span.line, found.span.column) == ("L301", 1, 18)

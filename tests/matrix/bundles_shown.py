@@ -1,4 +1,4 @@
-"""Bundles that somebody has signed, and that were changed since, as they are shown to a host with keys."""
+"""Signed bundles, and bundles changed after their signature, as a host with keys receives them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lfield.mission.loader import load_mission
 
 DAY = 86400.0
 PURPOSE = b"lfield bundle\0"
-#: Every part of its bundle has something in it.
+#: Every part of the bundle has content.
 FILES = {
     ".L": """resource Crane {
     Mavlink fc;
@@ -48,7 +48,7 @@ providers: {Crane: {attributes: {payload: 50.0}, serves: {Lift: {portals: {lift:
 
 
 class Bundles:
-    """Who signs, and what becomes of it."""
+    """The signers of a bundle and its changed forms."""
 
     def __init__(self, place: Path) -> None:
         self._place = place
@@ -74,9 +74,9 @@ class Bundles:
         keystore.write_keys(place / "alpha", replace(keys, revoked=self.team.revoked(1, gone)))
 
     def tried(self, who: str, what: str) -> bool:
-        """Whether a host of the team runs it."""
+        """Whether a host of the team runs the bundle."""
         keys = self.signers[who]
-        # Whoever has ended meanwhile has signed while it was time.
+        # A signer whose certificate has expired meanwhile signed while it was valid.
         at = NOW - 2 * DAY
         shown = self.data if what in ("whole", "signature", "moved") else changed(self.data, what)
         signed = self.another if what == "moved" else self.data
@@ -86,7 +86,7 @@ class Bundles:
         return self._runs(bundle.with_signature(shown, signature))
 
     def runs_if_signed(self, part: str) -> bool:
-        """Whether a host runs what was changed so, when somebody signs that who may."""
+        """Whether a host runs the changed bundle when an authorised person signs it."""
         keys, shown = self.signers["commander"], changed(self.data, part)
         assert keys is not None
         return self._runs(bundle.with_signature(shown, sealed(shown, keys, NOW - 2 * DAY)))
@@ -99,7 +99,7 @@ class Bundles:
 
 @cache
 def changed(data: bytes, part: str) -> bytes:
-    """The bundle with one bit of a part changed that makes it another one, which can be flown as well."""
+    """The bundle with one bit of a part changed such that it is a different, still valid bundle."""
     dice = random.Random(part)
     while True:
         found = resealed(data, part, dice)
@@ -111,14 +111,14 @@ def changed(data: bytes, part: str) -> bytes:
 
 
 def sealed(data: bytes, keys: Keys, at: float) -> bytes:
-    """A signature as `authority.signature` makes it, by whoever has keys: also by those who may not."""
+    """A signature in the form of `authority.signature`, with any keys, also those without the right."""
     second = int(at)
     signed = private_in(keys.key).sign(PURPOSE + bundle.contents(data).digest + struct.pack("<Q", second))
     return msgspec.msgpack.encode([der_of(keys.certificate), second, signed])
 
 
 def resealed(data: bytes, part: str, rng: random.Random) -> bytes:
-    """The bundle with one bit of a part changed, and all digests as they must be then."""
+    """The bundle with one bit of a part changed, and all digests recomputed."""
     parts = {name: bytes(value) for name, value in bundle.contents(data).parts.items()}
     value = bytearray(parts[part])
     value[rng.randrange(len(value))] ^= 1 << rng.randrange(8)

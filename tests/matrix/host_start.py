@@ -1,4 +1,4 @@
-"""A host as `lfield up` starts it, up to the moment from which on it would live."""
+"""A host as `lfield up` starts it, up to its first event."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lfield.host.host import Host
 def does_host_start(bundle: Path, host: str, keys: Path, at: float, *more: str) -> bool:
     """Whether the command starts that host with these keys at a time, in seconds since 1970 UTC.
 
-    What keeps it from that is a KeysError: anything else is raised.
+    A refusal is a KeysError: any other exception is raised.
     """
-    begun: list[str] = []
+    started: list[str] = []
 
     async def live(host: Host, *_: object) -> int:
-        begun.append(host.name)
+        started.append(host.name)
         return exit_status.DONE
 
     parser = argparse.ArgumentParser()
@@ -34,7 +34,7 @@ def does_host_start(bundle: Path, host: str, keys: Path, at: float, *more: str) 
         try:
             assert up.run(parser.parse_args(words)) == exit_status.DONE
         except KeysError:
-            assert not begun
+            assert not started
             return False
-    assert begun == [host]
+    assert started == [host]
     return True

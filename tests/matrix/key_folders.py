@@ -1,4 +1,4 @@
-"""Folders with keys, good ones and others, as they are given to a host that starts."""
+"""Folders with valid and invalid keys, for the start of a host."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 
 DAY = 86400.0
-#: By column: which host starts, and for how many seconds.
+#: By column: the host that starts, and its minimum lifetime in seconds.
 STARTS = {"alpha": ("alpha", 3600.0), "bravo": ("bravo", 3600.0), "long": ("alpha", 10 * DAY)}
 FILES = {
     ".L": "coordinator Idler { init(string[] arg) { } }\n",
@@ -57,7 +57,7 @@ class Folders:
             (base / f"mission{ending}").write_text(text)
         data = bundle.encode(load_mission(base / "mission.dL"))
         self._bundle = base / f"mission{bundle.SUFFIX}"
-        # By the clock in 1970 it is the time at which the oldest certificate was made.
+        # With the clock of 1970, the time is that of the oldest certificate.
         self._bundle.write_bytes(bundle.with_signature(data, sealed(data, anna, NOT_BEFORE.timestamp())))
 
     def tried(self, who: str, what: str) -> bool:

@@ -1,7 +1,7 @@
-"""Somebody at the other end of a host's link who knows the protocol, and need not keep to it.
+"""A peer on a host's link that knows the protocol and may violate it.
 
-None of lfield's own links is used: OpenSSL over a socket, and frames as bytes. But whoever `ask_at_socket`,
-did so as a command of lfield does.
+None of lfield's own links is used: OpenSSL over a socket, and frames as bytes. Only `ask_at_socket`
+does as a command of lfield does.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from lfield.wire.codec import TRANSFER, decode, encode, frame_decoder, limits
 from lfield.wire.messages import Message, Ping, Pong
 from lfield.wire.observer_messages import EmergencyStopResult
 
-#: Bytes of a transfer that nobody here sends.
+#: Size of a transfer block; no transfer is that long here.
 _BLOCK = 1 << 16
-#: Seconds for a host to answer or to hang up.
-PATIENCE = 60.0
-#: What pings are about: the last word, and the first.
+#: Seconds for a host to answer or to close the connection.
+TIMEOUT = 60.0
+#: Tokens of the pings: of the last message, and of the first.
 TOKEN, FIRST = 77, 1
-#: What a host without anything in it answers.
+#: The answer of a host without agents.
 ANSWER = EmergencyStopResult({})
 
 
 def context(keys: Keys | None) -> ssl.SSLContext:
-    """TLS of whoever believes everybody, and shows these keys, or none."""
+    """TLS without verification, with these keys or none."""
     made = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     made.check_hostname, made.verify_mode = False, ssl.CERT_NONE
     if keys is not None:
@@ -43,9 +43,9 @@ def context(keys: Keys | None) -> ssl.SSLContext:
 
 
 class Attacker:
-    """One connection. With a `context` it speaks TLS; `bent` changes what it sends on the wire.
+    """One connection. With a `context` it uses TLS; `bent` changes the bytes on the wire.
 
-    What went out is in `sent`, by pieces.
+    The sent bytes are in `sent`, by pieces.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Attacker:
         self.received: list[Message] = []
 
     async def open(self, address: str) -> None:
-        """Connect, and shake hands as far as the host does."""
+        """Connect, and perform the handshake as far as the host does."""
         if address.startswith("unix:"):
             self._reader, self._writer = await asyncio.open_unix_connection(address.removeprefix("unix:"))
         else:
@@ -78,7 +78,7 @@ class Attacker:
                 self._incoming.write(data)
 
     async def say(self, data: bytes) -> None:
-        """Send bytes as they are, in TLS where there is any."""
+        """Send bytes, in TLS if there is any."""
         if self._tls is None:
             await self._put(data)
         else:
@@ -86,13 +86,13 @@ class Attacker:
             await self._flush()
 
     async def repeat(self, pieces: list[bytes]) -> None:
-        """Send what another connection has sent."""
+        """Send the bytes of another connection."""
         for piece in pieces:
             await self._put(piece)
 
     async def listen(self, token: int) -> None:
-        """Until the host has answered that ping, or hangs up."""
-        async with asyncio.timeout(PATIENCE):
+        """Wait until the host has answered that ping, or has closed the connection."""
+        async with asyncio.timeout(TIMEOUT):
             while Pong(token) not in self.received:
                 if not (data := await self._read()):
                     return
@@ -123,7 +123,7 @@ class Attacker:
                 yield plain
 
     async def _read(self) -> bytes:
-        """What came; b"" when the host has hung up."""
+        """Received bytes; b"" after the host has closed the connection."""
         try:
             return await self._reader.read(1 << 16)
         except OSError:
@@ -147,9 +147,9 @@ async def send_messages(
     messages: Sequence[bytes],
     between: Callable[[], None] | None = None,
 ) -> None:
-    """Say these words on a link, until the host has heard all or hangs up.
+    """Send these messages on a link, until the host has received all or closes the connection.
 
-    What comes `between` happens when it has taken the first, the greeting.
+    `between` is called after the host has received the first message, the greeting.
     """
     await attacker.open(address)
     if between is not None:
@@ -173,8 +173,8 @@ async def repeated(address: str, pieces: list[bytes]) -> Attacker:
 
 
 async def ask_at_socket(path: str, message: Message) -> bool:
-    """What a command of lfield comes to that says this to the host at a door: whether it was answered."""
-    request = Request(message, EmergencyStopResult, PATIENCE)
+    """Send a message at a socket as a command of lfield does; returns whether it was answered."""
+    request = Request(message, EmergencyStopResult, TIMEOUT)
     try:
         return await send_request(TcpTransport(_BLOCK), path, request, "alpha") == ANSWER
     except LfieldError:

@@ -1,4 +1,4 @@
-"""Whoever calls a host in the matrix, and a host that notes what it was brought to do."""
+"""Peers that call a host in the matrix, and a host that records the accepted messages."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ HOSTS, ADDRESSES = ("alpha", "bravo", "charlie"), ("127.0.0.1:1", "127.0.0.1:2",
 OWN = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32, 1 << 16, bundle=b"b" * 32)
 BLOCK = b"block"
 HOP = Transfer("tom", 1, 2, 3, b"p" * 32, 7, len(BLOCK))
-#: What is sent, by column: to whom only hosts say it, and what commands say.
+#: Messages by column: those that only hosts send, and those of commands.
 SAID_BY_HOSTS: dict[str, Message] = {
     "ended": Terminated("tom", 1, "done", "", "bravo"),
     "report": DirectoryUpdate(9, 0, 1, [AgentUpdate(0, "", None, [], [])]),
@@ -78,12 +78,12 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "type": InputLine("yes"),
     "call": PortalCallRequest(ID, 1, "echo", "say", b"\x90", 1.0),
 }
-#: What the mission says of persons.
+#: The rules of the mission for persons.
 RULES = Access("mission.access.yaml", (PersonRule("maria", (Right.OBSERVE,), 2), PersonRule("nina", (), 3)))
 
 
 class RecordingHost:
-    """A host without anything in it, that notes what its links let through."""
+    """A host without agents, which records the messages that its links accept."""
 
     def __init__(self) -> None:
         self.hybrid_clock = HybridClock(0.0, 0.0)
@@ -103,7 +103,7 @@ class RecordingHost:
         return ()
 
     def on_message(self, host: str, message: Control, link: Link) -> None:
-        # What only hosts say counts from a host alone, and a command is no word of a host.
+        # Messages between hosts count from a host only, and a host sends no commands.
         if bool(host) == (message in SAID_BY_HOSTS.values()):
             self.done.append(message)
             link.send(ANSWER)
@@ -118,16 +118,16 @@ class RecordingHost:
         pass
 
     def forget(self) -> None:
-        """As if nothing had been."""
+        """Clear the record."""
         self.linked_with.clear()
         self.done.clear()
 
 
 @dataclass(frozen=True)
 class Caller:
-    """What somebody shows, and calls itself. `keys` None is no certificate, without `tls` there is no TLS.
+    """The certificate of a peer and its claimed name. `keys` None: no certificate; `tls` False: no TLS.
 
-    Who `replays` makes a good link, and then sends the same bytes again on another one.
+    A peer that `replays` makes a valid link, and then sends the same bytes on another one.
     """
 
     keys: Keys | None
@@ -139,7 +139,7 @@ class Caller:
     replays: bool = False
 
     def hello(self, role: Role, name: str = "") -> Hello:
-        """Its greeting: as a host it fits the other one's own, and a command says nothing of a mission."""
+        """Its greeting: as a host it matches the called host; a command states no mission."""
         if role == "observer":
             return Hello("observer", name or "observer", 99)
         return replace(
@@ -149,14 +149,14 @@ class Caller:
 
 @dataclass(frozen=True)
 class LinkFate:
-    """What becomes of a caller while a link of it stands: its certificate `ends`, or a list comes."""
+    """An event on an open link: the certificate `ends`, or a revocation list arrives."""
 
     ends: bool
     flies: bool
 
 
 class Network:
-    """One team, another one, and everybody who might call host alpha of the first."""
+    """A team, another team, and all peers that call host alpha of the first."""
 
     def __init__(self) -> None:
         self.team, self.other = Team(), Team()
@@ -208,16 +208,16 @@ class Network:
         }
 
     def tried(self, who: str, what: str) -> bool:
-        """Whether a host did what somebody tried over the network."""
+        """Whether a host accepted the action over the network."""
         return any(asyncio.run(self._try(self.callers[who], what, role)) for role in _roles(what))
 
     def tried_at_socket(self, users: Users, who: str, what: str) -> bool:
-        """The same of a user of this computer at the host's Unix socket, and by lfield's own commands."""
+        """The same for a user of this computer at the host's Unix socket, also by lfield's own commands."""
         with users.at_socket(who, self._rehearse) as user:
             done = any(asyncio.run(self._try_at_socket(user, what, role)) for role in _roles(what))
             if what in SAID_BY_COMMANDS:
                 by_command = asyncio.run(self._try_at_socket(user, what, None))
-                assert by_command == done, "whoever has a right has a command for it"
+                assert by_command == done, "each right has its command"
             return done
 
     def _rehearse(self, user: SocketUser) -> None:
@@ -225,7 +225,7 @@ class Network:
             assert asyncio.run(self._try_at_socket(user, "ps", role)) == (role != "host")
 
     def tried_on_a_link(self, who: str, what: str) -> bool:
-        """The same on a link that was made before its caller's certificate ended or was revoked."""
+        """The same on a link that was made before the certificate of its peer expired or was revoked."""
         kind, event, state = who.split("_")
         caller = self.open_link_callers[kind, event]
         fate = LinkFate(event == "ended", flies=state == "flies")
@@ -233,7 +233,7 @@ class Network:
 
     @cached_property
     def open_link_callers(self) -> dict[tuple[str, str], Caller]:
-        """Who has a link, by what they are and what becomes of their certificates."""
+        """Peers with an open link, by kind and by the event of their certificate."""
         team, end = self.team, NOW + 60.0
         bravo, carl = (Caller(keys) for keys in self._revoked)
         ends = Caller(team.host("bravo", end=end))
@@ -249,9 +249,9 @@ class Network:
         }
 
     async def _try(self, caller: Caller, what: str, role: Role, fate: LinkFate | None = None) -> bool:
-        """One link that greets in a role and says one thing; whether it had what it wanted.
+        """One link that greets in a role and sends one message; returns whether the action was accepted.
 
-        With a `fate` that comes between the greeting and the rest.
+        A `fate` occurs between the greeting and the rest.
         """
         noted, clock = RecordingHost(), ManualClock(NOW)
         admission = self._admission(clock, self.list if fate is None else self.none)
@@ -272,7 +272,7 @@ class Network:
             peers.close()
 
     async def _try_at_socket(self, user: SocketUser, what: str, role: Role | None) -> bool:
-        """The same of a user of this computer; without a role by a command of lfield."""
+        """The same for a user of this computer; without a role by a command of lfield."""
         noted, clock = RecordingHost(), ManualClock(NOW)
         admission = self._admission(clock, self.list)
         peers = self._peers(noted, clock, admission)
@@ -306,7 +306,7 @@ class Network:
     def _befall(
         self, fate: LinkFate, admission: CertificateAdmission, clock: ManualClock, peers: LinkManager
     ) -> None:
-        """A certificate ends, or a list comes that revokes some."""
+        """A certificate expires, or a revocation list arrives."""
         admission.is_mission_active = lambda: fate.flies
         if fate.ends:
             clock.advance(120.0)
@@ -344,5 +344,5 @@ def _roles(what: str) -> tuple[Role, ...]:
 
 
 def _bent(number: int, data: bytes) -> bytes:
-    """One bit of the first words after the handshake, which is three pieces at most."""
+    """Change one bit of the first message after the handshake, which has at most three pieces."""
     return data[:-9] + bytes([data[-9] ^ 1]) + data[-8:] if number == 2 else data

@@ -1,6 +1,6 @@
-"""Holes that are planted in a copy of lfield, one by one: a cell of the security matrix must fail with each.
+"""Holes planted in a copy of lfield, one by one: a cell of the security matrix must fail with each.
 
-A hole with which none fails is a way that the matrix does not test.
+A hole that makes no cell fail is a path that the matrix does not test.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """What stands in a file of lfield once, and what somebody might make of it; the cells of `ways` fail."""
+    """Text that occurs once in a file of lfield, and its replacement; the cells of `ways` must fail."""
 
     name: str
     file: str
@@ -29,7 +29,7 @@ class Hole:
 
     @property
     def broken(self) -> str:
-        """What is changed, for the catalogue."""
+        """The change, for the catalogue."""
         new, old = (" ".join(text.split()) for text in (self.becomes, self.stands))
         return f"`{self.file}`: `{new or 'nothing'}` for `{old}`"
 
@@ -166,7 +166,7 @@ HOLES = (
 
 
 def planted(hole: Hole, folder: Path) -> None:
-    """A copy of lfield with that hole, in a folder, beside what else lfield has beside it."""
+    """A copy of lfield with that hole, in a folder with the other folders that lfield needs."""
     (folder / "capabilities").symlink_to(ROOT / "capabilities")
     shutil.copytree(ROOT / "lfield", folder / "lfield", ignore=shutil.ignore_patterns("__pycache__"))
     file = folder / "lfield" / hole.file
@@ -174,10 +174,10 @@ def planted(hole: Hole, folder: Path) -> None:
 
 
 def noticed(hole: Hole) -> int:
-    """How many cells fail. Raises RuntimeError where none was tried."""
+    """The number of failed cells. Raises RuntimeError when no cell was tested."""
     with tempfile.TemporaryDirectory(prefix="lfield-hole-") as name:
         planted(hole, Path(name))
-        # The folder where it runs is the first in which Python looks.
+        # Python searches the working directory first.
         command = [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", "-c"]
         words = [str(ROOT / "pyproject.toml"), "--rootdir", str(ROOT), "--tb=no", "-k", hole.ways]
         told = subprocess.run(

@@ -1,7 +1,7 @@
-"""Hosts of a mission whose access file says which coordinators may call which portals.
+"""Hosts of a mission whose access file states which coordinators may call which portals.
 
-Every coordinator tries every portal in every way that there is, and it is the resource that says what it was
-brought to do: the machines are those that hosts have, on simulated computers.
+Every coordinator tries every portal in every way, and the resource prints each call that it
+executes: the machines are those of hosts, on simulated computers.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from pathlib import Path
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 
-#: The portals of each resource, and the primitives by which they are offered.
+#: The portals of each resource, and the primitives that offer them.
 PORTALS = {
     ("Arm", "arm1"): ("home", "grab"),
     ("Arm", "arm2"): ("home", "grab"),
     ("Winch", "winch"): ("up", "unreel"),
 }
 OFFERED = {"home": "Homing", "grab": "Grabbing", "up": "Raising", "unreel": "Unreeling"}
-#: How a portal may be called: it begins in each of these, or in none.
+#: The ways of calling a portal: access is allowed in all of these, or in none.
 PLAIN, TOGETHER, RESERVED, OFFER = HOW = ("plain", "together", "reserved", "offered")
-#: What a coordinator says of an offer before it calls it, of a resource that it has reserved, and at its end.
+#: Output of a coordinator before it calls an offer, in a reservation, and at its end.
 FOUND, KEPT, THROUGH = "found", "kept", "through"
-#: Seconds that all of them have to try everything.
-PATIENCE = 60.0
+#: Seconds of virtual time for all attempts.
+MAX_TIME = 60.0
 
 
 def _resource(kind: str, portals: tuple[str, ...]) -> str:
@@ -53,7 +53,7 @@ def _tries(kind: str, resource: str, portals: tuple[str, ...]) -> str:
 
 
 def _coordinator(kind: str) -> str:
-    """One after the other: what somebody has reserved is offered to nobody else."""
+    """One resource after the other: a reserved resource is not offered to others."""
     body = "".join(_tries(*who, portals) for who, portals in PORTALS.items())
     begins = "string me = arg[0];\nsleep(s2f(arg[1]));\n"
     return f'coordinator {kind} {{\ninit(string[] arg) {{\n{begins}{body}print("{THROUGH}");\n}}\n}}\n'
@@ -105,7 +105,7 @@ FILES = {
 
 
 class Portals:
-    """What came of all that was tried in that mission."""
+    """The results of all attempts in that mission."""
 
     def __init__(self, folder: Path) -> None:
         for ending, text in FILES.items():
@@ -114,11 +114,11 @@ class Portals:
 
     @cached_property
     def said(self) -> frozenset[str]:
-        """Every line of the team, until each coordinator has tried everything."""
+        """Every line of the team, until each coordinator has finished."""
         fleet = Fleet(self._mission, 1, options=FleetOptions(keeps=False))
         through = {f"{member.id}: {THROUGH}" for member in self._mission.team.coordinators}
         while not through <= (said := frozenset(text.strip() for _, _, text in fleet.log)):
-            assert fleet.now < PATIENCE, f"somebody has not tried everything: {fleet.log}"
+            assert fleet.now < MAX_TIME, f"a coordinator has not finished: {fleet.log}"
             fleet.run(1.0)
         fleet.close()
         return said
@@ -132,7 +132,7 @@ class Portals:
         return done[PLAIN]
 
     def reserved(self, who: str, resource: str) -> bool:
-        """Whether a coordinator has had a resource for itself."""
+        """Whether a coordinator has reserved a resource."""
         return f"{who}: {KEPT} {resource}" in self.said
 
     def _has_started(self, who: str, how: str, resource: str, portal: str) -> bool:

@@ -11,30 +11,30 @@ import yaml
 
 HERE = Path(__file__).parent
 TABLE, PAGE = HERE / "security.yaml", HERE.parents[1] / "lfield" / "docs" / "security-matrix.md"
-#: How the page shows what a cell says: done, refused, and what is not as it should be yet.
+#: Marks on the page: done, refused, and deviations from the intention.
 SHOWN = {"y": "yes", "n": "–", "!": "**yes, not yet refused**", "?": "**–, not yet done**"}
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Somebody who tries something over a way; `done` says whether that should be."""
+    """An action of a peer over a path; `done` states whether it should be accepted."""
 
     way: str
     who: str
     what: str
     done: bool
-    #: Whether it is so today.
+    #: Whether this is so today.
     kept: bool
 
     @property
     def name(self) -> str:
-        """What it is called in a list of cells."""
+        """Its name in a list of cells."""
         return f"{self.way}-{self.who}-{self.what}"
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A way to a host: the words of its columns and rows, and the cells."""
+    """An access path to a host: the texts of its columns and rows, and the cells."""
 
     name: str
     title: str

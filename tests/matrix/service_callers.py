@@ -33,7 +33,7 @@ from lfield.wire.service_messages import (
 )
 
 ID, DIGEST = bytes(16), bytes(32)
-#: What is sent, by column.
+#: Requests by column.
 REQUESTS: dict[str, ServiceMessage] = {
     "status": ServiceQuery(),
     "offer": BundleOffer(DIGEST, DIGEST, 1, 1, 0, [(ID, 1)]),
@@ -68,7 +68,7 @@ class Services:
         self._network = network
 
     def tried(self, who: str, what: str) -> bool:
-        """Whether the service did what somebody tried, as a host or as an observer."""
+        """Whether the service accepted the request, from a host or an observer."""
         caller = self._network.callers[who]
         return any(asyncio.run(self._try(caller.hello(role), caller, what)) for role in ("host", "observer"))
 

@@ -1,8 +1,8 @@
-"""Users of this computer who call a host at its Unix socket, and the user who runs that host.
+"""Users of this computer who call a host at its Unix socket, and the user that runs the host.
 
-Whoever calls is a process of its own. Where root runs the tests, it is a process of that user and its groups,
-this one runs the host as another user meanwhile, and the kernel says to both who the other one is. Anybody
-else can be nobody but themselves: for other users there is a stand-in then, for what the kernel says alone.
+Each caller is a process of its own. If root runs the tests, it is a process of that user with its groups,
+this process runs the host as another user meanwhile, and the kernel reports each to the other. Other
+users cannot change their identity: for other callers the answers of the kernel are replaced.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from lfield.wire.messages import Message
 #: Linux: the other groups of the process at the other end.
 _SO_PEERGROUPS = 59
 _ROOTS_TESTS = os.geteuid() == peer_credentials.ROOT
-#: The line that makes somebody of whoever does errands.
+#: The line that makes the process change to its user.
 _BECOME = b"\n"
 
 
 class User(msgspec.Struct, frozen=True):
-    """A user by number, whose own group has that number too, and whether it is in the group of
+    """A user by number, with a group of the same number, and whether it is in the group of
     `peer_credentials.py`.
     """
 
@@ -56,7 +56,7 @@ class User(msgspec.Struct, frozen=True):
 
 ROOT, OWNER = User(peer_credentials.ROOT), User(1000 if _ROOTS_TESTS else os.geteuid())
 SERVICE = User(OWNER.number, member=True)
-#: By row: who calls, and who runs the host. A service and a member are in the group, other users are not.
+#: By row: the caller, and the user that runs the host. Service and member are in the group, others not.
 SOCKET_USERS = {
     "same": (OWNER, OWNER),
     "root": (ROOT, OWNER),
@@ -67,7 +67,7 @@ SOCKET_USERS = {
 
 
 class UserTask(msgspec.Struct):
-    """What a user is to do at a door: say these words, or else ask this as a command of lfield."""
+    """A task of a user at a socket: send these messages, or send one as a command of lfield."""
 
     socket: str
     messages: list[bytes]
@@ -75,25 +75,25 @@ class UserTask(msgspec.Struct):
 
 
 class Outcome(msgspec.Struct):
-    """What came of it: the messages that were heard, and whether the command was answered."""
+    """The result: the received messages, and whether the command was answered."""
 
     received: list[bytes] = []
     answered: bool = False
 
 
 class Cast(msgspec.Struct):
-    """Who somebody is, who runs the host, and the name of the group on this computer."""
+    """The caller, the user that runs the host, and the name of the group on this computer."""
 
     caller: User
     host: User
     group: str
 
 
-# --- whoever runs the tests -------------------------------------------------------------------------------
+# --- the process of the tests -------------------------------------------------------------------------------
 
 
 class Users:
-    """All of them, each started when somebody wants it."""
+    """All users; each process starts when it is first needed."""
 
     def __init__(self) -> None:
         self._left = ExitStack()
@@ -102,7 +102,7 @@ class Users:
     def __enter__(self) -> Users:
         patch = self._left.enter_context(pytest.MonkeyPatch.context())
         patch.setattr(peer_credentials, "GROUP", _group())
-        # Whom a folder lets in is not what is tried here: it lets everybody in.
+        # The folder admits all users: its rights are not tested here.
         self._folder = Path(self._left.enter_context(tempfile.TemporaryDirectory(prefix="lfield-door-")))
         shutil.chown(self._folder, OWNER.number)
         self._folder.chmod(0o701)
@@ -113,10 +113,10 @@ class Users:
 
     @contextmanager
     def at_socket(self, who: str, rehearse: Callable[[SocketUser], None]) -> Iterator[SocketUser]:
-        """A row's user, while this process is whoever runs the host.
+        """The user of a row, while this process is the user that runs the host.
 
-        Others may not be able to read Python's own files: what there is to do is rehearsed before, so that
-        everything is imported when somebody becomes somebody else.
+        Other users may be unable to read Python's own files: each action is rehearsed before, so that all
+        modules are imported before the process changes its user.
         """
         caller, host = SOCKET_USERS[who]
         if who not in self._known:
@@ -130,28 +130,28 @@ class Users:
 
 @dataclass
 class SocketUser:
-    """One of them, and where the host's door is."""
+    """A user, and the place of the host's socket."""
 
     _process: subprocess.Popen[bytes]
     _socket: str
 
     def become_it(self) -> None:
-        """Until now it was whoever runs the tests."""
+        """Change to the user; until now the process had the user of the tests."""
         self._answer(_BECOME)
 
     async def listen(self, peers: LinkManager) -> None:
-        """Open the door, to everybody who wants to knock there."""
+        """Open the socket for all users."""
         await peers.open("")
         await peers.open_control_socket(self._socket)
         Path(self._socket.removeprefix("unix:")).chmod(0o666)
 
     async def send(self, messages: list[bytes]) -> list[Message]:
-        """Say words as they are; what was heard."""
+        """Send messages; returns the received ones."""
         outcome = await self._sent_on(UserTask(self._socket, messages))
         return [decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]) for frame in outcome.received]
 
     async def asked(self, message: Message) -> bool:
-        """Ask by a command of lfield; whether it was answered."""
+        """Send a message as a command of lfield; returns whether it was answered."""
         return (await self._sent_on(UserTask(self._socket, [], encode(message)))).answered
 
     async def _sent_on(self, errand: UserTask) -> Outcome:
@@ -169,7 +169,7 @@ class SocketUser:
 
 
 def _group() -> str:
-    """A group of this computer that none of these users has as its own."""
+    """A group of this computer that is not the own group of any of these users."""
     taken = {peer_credentials.ROOT, *(user.number for row in SOCKET_USERS.values() for user in row)}
     return next(group.gr_name for group in grp.getgrall() if group.gr_gid not in taken)
 
@@ -186,7 +186,7 @@ def _process(cast: Cast) -> Iterator[subprocess.Popen[bytes]]:
 
 @contextmanager
 def _acting_as(user: User, other: User) -> Iterator[None]:
-    """Be somebody for a while, with somebody else at the other end of every Unix socket."""
+    """Act as a user for a while, with another user at the other end of every Unix socket."""
     with pytest.MonkeyPatch.context() as patch:
         if not _ROOTS_TESTS:
             _stand_in(patch, user, other)
@@ -204,11 +204,11 @@ def _acting_as(user: User, other: User) -> Iterator[None]:
             os.setgroups(groups)
 
 
-# --- both -------------------------------------------------------------------------------------------------
+# --- both processes -----------------------------------------------------------------------------------------
 
 
 def _stand_in(patch: pytest.MonkeyPatch, user: User, other: User) -> None:
-    """What the kernel would say to a user of another one; nothing where both are whoever runs the tests."""
+    """Replace the kernel's answers about another user; nothing if both are the user of the tests."""
     if user.number == other.number == os.geteuid() and not user.member and not other.member:
         return
     kernel: Any = TransportSocket.getsockopt
@@ -225,11 +225,11 @@ def _stand_in(patch: pytest.MonkeyPatch, user: User, other: User) -> None:
     patch.setattr(os, "geteuid", lambda: user.number)
 
 
-# --- whoever calls ----------------------------------------------------------------------------------------
+# --- the process of the caller ------------------------------------------------------------------------------
 
 
 def main() -> None:
-    """Do errands, first as whoever runs the tests, and then as somebody for good."""
+    """Perform tasks, first as the user of the tests, and then permanently as another user."""
     cast = msgspec.json.decode(sys.argv[1], type=Cast)
     peer_credentials.GROUP = cast.group
     for line in sys.stdin.buffer:

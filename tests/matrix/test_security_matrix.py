@@ -1,8 +1,8 @@
-"""Every cell of the security matrix, tried where a host decides of it: on its links, at its Unix socket, as
-`lfield up` starts it, and in its machine. `planted_holes.py` tells whether cells notice what is not asked.
+"""Every cell of the security matrix, tested where a host decides: on its links, at its Unix socket, at the
+start by `lfield up`, and in its machine. `planted_holes.py` checks that cells detect missing checks.
 
-`pytest -s` prints how many are as the table says. A cell that is not yet as it should be fails too when that
-changes: then the table has to say so.
+`pytest -s` prints how many agree with the intention. A cell with a known deviation also fails when that
+changes: then the table must be updated.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def portals(tmp_path_factory):
     return Portals(tmp_path_factory.mktemp("portals"))
 
 
-#: The ways by name.
+#: The access paths by name.
 WAYS = {way.name: way for way in ways()}
 
 
@@ -54,8 +54,8 @@ def of(way):
     return [pytest.param(cell, id=cell.name) for cell in WAYS[way].cells()]
 
 
-def is_as_told(cell: Cell, done: bool) -> None:
-    """What happens today is what the mark says, also where that is not what should be."""
+def assert_as_marked(cell: Cell, done: bool) -> None:
+    """The present behaviour equals the mark, also where it deviates from the intention."""
     assert done == (cell.done if cell.kept else not cell.done), (
         f"{cell.name}: {'done' if done else 'refused'}"
     )
@@ -63,40 +63,40 @@ def is_as_told(cell: Cell, done: bool) -> None:
 
 @pytest.mark.few(120)
 @pytest.mark.parametrize("cell", of("network"))
-def test_over_the_network(network, cell):
-    is_as_told(cell, network.tried(cell.who, cell.what))
+def test_access_over_the_network(network, cell):
+    assert_as_marked(cell, network.tried(cell.who, cell.what))
 
 
 @pytest.mark.few(40)
 @pytest.mark.parametrize("cell", of("door"))
-def test_at_the_door(network, users, cell):
-    is_as_told(cell, network.tried_at_socket(users, cell.who, cell.what))
+def test_access_at_the_door(network, users, cell):
+    assert_as_marked(cell, network.tried_at_socket(users, cell.who, cell.what))
 
 
 @pytest.mark.few(60)
 @pytest.mark.parametrize("cell", of("service"))
-def test_at_the_service_of_a_robot(network, cell):
-    is_as_told(cell, Services(network).tried(cell.who, cell.what))
+def test_access_at_the_service_of_a_robot(network, cell):
+    assert_as_marked(cell, Services(network).tried(cell.who, cell.what))
 
 
 @pytest.mark.few(40)
 @pytest.mark.parametrize("cell", of("standing"))
-def test_on_a_link_that_stands(network, cell):
-    is_as_told(cell, network.tried_on_a_link(cell.who, cell.what))
+def test_access_on_a_link_that_is_open(network, cell):
+    assert_as_marked(cell, network.tried_on_a_link(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("cell", of("keys"))
-def test_with_keys(folders, cell):
-    is_as_told(cell, folders.tried(cell.who, cell.what))
+def test_start_with_keys(folders, cell):
+    assert_as_marked(cell, folders.tried(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("cell", of("portals"))
-def test_from_a_coordinator(portals, cell):
-    is_as_told(cell, portals.tried(cell.who, cell.what))
+def test_portal_call_from_a_coordinator(portals, cell):
+    assert_as_marked(cell, portals.tried(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("who", WAYS["portals"].rows)
-def test_a_resource_is_reserved_by_whom_it_serves(portals, who):
+def test_resource_is_reserved_by_a_coordinator_that_may_call_it(portals, who):
     cells = [cell for cell in WAYS["portals"].cells() if cell.who == who]
     for resource in {cell.what.partition(".")[0] for cell in cells}:
         served = any(cell.done for cell in cells if cell.what.startswith(f"{resource}."))
@@ -105,20 +105,20 @@ def test_a_resource_is_reserved_by_whom_it_serves(portals, who):
 
 @pytest.mark.few(30)
 @pytest.mark.parametrize("cell", of("bundle"))
-def test_as_a_bundle(bundles, cell):
-    is_as_told(cell, bundles.tried(cell.who, cell.what))
+def test_start_as_a_bundle(bundles, cell):
+    assert_as_marked(cell, bundles.tried(cell.who, cell.what))
 
 
 @pytest.mark.parametrize("part", bundle.PARTS)
-def test_what_was_changed_would_be_run_if_it_were_signed(bundles, part):
+def test_changed_part_is_run_when_signed(bundles, part):
     assert bundles.runs_if_signed(part)
 
 
-def test_the_page_is_the_table():
+def test_matrix_page_equals_the_table():
     assert PAGE.read_text(encoding="utf-8") == page(), "python tests/matrix/page.py --write"
 
 
-def test_there_are_cells_enough_and_ways_have_both_marks():
+def test_matrix_has_enough_cells_and_both_marks_per_path():
     every = cells()
     print(f"security matrix: {sum(cell.kept for cell in every)} of {len(every)} cells are as they should be")
     assert len(every) >= 200
@@ -126,7 +126,7 @@ def test_there_are_cells_enough_and_ways_have_both_marks():
 
 
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: hole.name)
-def test_holes_can_still_be_planted(hole):
+def test_planted_holes_match_the_code(hole):
     text = (ROOT / "lfield" / hole.file).read_text(encoding="utf-8")
     assert text.count(hole.stands) == 1
 
@@ -134,5 +134,5 @@ def test_holes_can_still_be_planted(hole):
 @pytest.mark.few(0)
 @pytest.mark.parametrize("hole", HOLES, ids=lambda hole: hole.name)
 def test_a_planted_security_hole_is_found(hole):
-    """In a copy of lfield that has the hole, a cell of the matrix fails."""
+    """A copy of lfield with the hole makes a cell of the matrix fail."""
     assert noticed(hole) > 0

@@ -1,4 +1,4 @@
-"""The wheel and the editable install: what is in them, and that both work."""
+"""The wheel and the editable install: their contents, and that both work."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def installed(wheel, tmp_path_factory) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(folder)}
 
 
-def test_the_wheel_holds_the_packages_and_their_data(wheel):
+def test_wheel_contains_the_packages_and_their_data(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {
         "lfield/py.typed",
@@ -74,7 +74,7 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel):
     assert not [name for name in names if "__pycache__" in name or "/tests/" in name]
 
 
-def test_the_wheel_has_no_developer_tool_and_no_page(wheel):
+def test_wheel_contains_no_developer_tool_and_no_page(wheel):
     """Scenarios, invariants, fault injection, the fuzzer and the pages are in the clone only."""
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {name for name in names if name.startswith("lfield/simulate/") and "/computers/" not in name} == {
@@ -85,7 +85,7 @@ def test_the_wheel_has_no_developer_tool_and_no_page(wheel):
     assert [name for name in names if tools & set(name.split("/"))] == []
 
 
-def test_everything_of_the_packages_is_in_the_wheel(wheel):
+def test_wheel_contains_every_file_of_the_packages(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     for base in (ROOT / "lfield", *(ROOT / "drivers").glob("lfield_*"), ROOT / "sim-adapters/lfield_sim"):
         for path in base.rglob("*"):
@@ -101,7 +101,7 @@ def _metadata(wheel: Path, name: str) -> str:
     return archive.read(found).decode()
 
 
-def test_the_metadata_names_licence_extras_and_entry_points(wheel):
+def test_metadata_names_licence_extras_and_entry_points(wheel):
     metadata = email.message_from_string(_metadata(wheel, "METADATA"))
     assert metadata["Name"] == "lfield"
     assert metadata["License-Expression"] == "Apache-2.0"
@@ -127,7 +127,7 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
         assert f"{name} = lfield_sim.{name}:SIM" in points
 
 
-def test_the_installed_wheel_runs(installed, tmp_path):
+def test_installed_wheel_runs(installed, tmp_path):
     (tmp_path / "hello.L").write_text(PROGRAM)
     (tmp_path / "hello.dL").write_text("//Hello:tom@alpha\n")
 
@@ -144,7 +144,7 @@ def test_the_installed_wheel_runs(installed, tmp_path):
     assert "alpha | tom: hello tom" in flown.stderr
 
 
-def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
+def test_installed_wheel_finds_its_plugins(installed, tmp_path):
     script = (
         "from lfield.driver.plugins import discover; from lfield.driver.sims import discover_sims; "
         "import lfield_mavlink; print(lfield_mavlink.__file__); "
@@ -159,7 +159,7 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
     assert found == f"{types} ['can', 'dynamixel', 'mavlink']"
 
 
-def test_the_editable_install_finds_its_plugins():
+def test_editable_install_finds_its_plugins():
     assert [point.value for point in entry_points(group="console_scripts", name="lfield")] == [
         "lfield.__main__:main"
     ]

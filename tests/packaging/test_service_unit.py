@@ -12,7 +12,7 @@ import pytest
 from lfield.provision.robot_facts import CURRENT, SETTINGS
 
 UNIT = Path(__file__).parents[2] / "deploy" / "lfield.service"
-#: What `systemd-analyze security` calls it at most.
+#: Upper bound of the exposure level of `systemd-analyze security`.
 MAX_EXPOSURE = 2.5
 
 needs_analyze = pytest.mark.skipif(
@@ -36,8 +36,8 @@ def analyze(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @needs_analyze
-def test_systemd_can_load_it(tmp_path):
-    """With a program that exists here: verify reports one that does not."""
+def test_systemd_loads_the_service_unit(tmp_path):
+    """With an existing program: verify reports a missing one."""
     text = UNIT.read_text(encoding="utf-8").replace(f"{CURRENT}/bin/lfield", "/bin/true")
     (tmp_path / UNIT.name).write_text(text, encoding="utf-8")
     done = analyze("verify", tmp_path / UNIT.name)
@@ -45,19 +45,19 @@ def test_systemd_can_load_it(tmp_path):
 
 
 @needs_analyze
-def test_systemd_calls_it_little_exposed():
+def test_service_unit_has_low_exposure():
     done = analyze("security", "--offline=yes", UNIT)
     (level,) = re.findall(r"exposure level for .*: ([0-9.]+) ", done.stdout)
     print(f"systemd-analyze security: {level}")
     assert float(level) < MAX_EXPOSURE
 
 
-def test_it_runs_what_provision_installs(settings):
+def test_service_unit_runs_the_provisioned_command(settings):
     assert settings["ExecStart"] == [f"{CURRENT}/bin/lfield service --host ${{LFIELD_HOST}}"]
     assert settings["EnvironmentFile"] == [f"{SETTINGS}/service.env", f"-{SETTINGS}/local.env"]
 
 
-def test_a_crash_of_the_service_does_not_end_the_host(settings):
+def test_crash_of_the_service_does_not_end_the_host(settings):
     assert settings["KillMode"] == ["process"]
     assert settings["Restart"] == ["always"]
     assert settings["OOMPolicy"] == ["continue"]

@@ -1,4 +1,4 @@
-"""The unit for systemd: what a host never needs is taken away, and all that it needs is still there."""
+"""The systemd unit of a host: unneeded rights are removed, and needed ones are present."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ def settings() -> dict[str, list[str]]:
         *("LockPersonality", "RestrictNamespaces", "RestrictSUIDSGID", "RemoveIPC"),
     ],
 )
-def test_what_no_host_needs_is_taken_away(settings, key):
+def test_unneeded_rights_are_removed(settings, key):
     assert settings[key] == ["yes"]
 
 
-def test_no_capability_is_left_and_no_file_is_for_others(settings):
+def test_unit_has_no_capability_and_a_private_umask(settings):
     assert settings["CapabilityBoundingSet"] == settings["AmbientCapabilities"] == [""]
     assert settings["UMask"] == ["0077"]
     assert settings["ProtectSystem"] == ["strict"]
     assert settings["SystemCallArchitectures"] == ["native"]
 
 
-def test_serial_ports_can_and_the_network_are_there(settings):
+def test_serial_ports_can_and_network_are_allowed(settings):
     assert settings["DevicePolicy"] == ["closed"]
     allowed = {f"char-{kind} rw" for kind in ("ttyS", "ttyAMA", "ttyUSB", "ttyACM", "ttyTHS")}
     assert set(settings["DeviceAllow"]) == allowed
@@ -47,10 +47,10 @@ def test_serial_ports_can_and_the_network_are_there(settings):
     assert set(settings["RestrictAddressFamilies"][0].split()) == {"AF_INET", "AF_INET6", "AF_UNIX", "AF_CAN"}
 
 
-def test_guards_may_be_prompt_and_confine_themselves(settings):
+def test_guards_may_use_realtime_and_landlock(settings):
     assert settings["LimitRTPRIO"] == ["1"]
     assert settings["RestrictRealtime"] == ["no"]
-    # What a line takes away, a later one may give back.
+    # A later line may restore calls that an earlier one removes.
     first, without, *back = settings["SystemCallFilter"]
     assert (first, without[0]) == ("@system-service", "~")
     calls = {name for line in back for name in line.split()}
@@ -58,11 +58,11 @@ def test_guards_may_be_prompt_and_confine_themselves(settings):
     assert calls == landlock | {"sched_setscheduler", "prlimit64", "setrlimit"}
 
 
-def test_machine_code_the_visitors_number_and_the_serial_number_of_a_pi_stay(settings):
+def test_machine_code_caller_uid_and_serial_number_are_allowed(settings):
     assert settings["MemoryDenyWriteExecute"] == settings["PrivateUsers"] == ["no"]
     assert settings["ProcSubset"] == ["all"]
 
 
-def test_what_a_host_keeps_has_a_place(settings):
+def test_state_cache_and_runtime_folders_are_set(settings):
     for folder in ("StateDirectory", "CacheDirectory", "RuntimeDirectory"):
         assert settings[folder] == ["lfield"]

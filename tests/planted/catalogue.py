@@ -91,7 +91,7 @@ FINDERS = (
     ),
     BugFinder("tests/matrix/test_security_matrix.py", "test_a_planted_security_hole_is_found", SOURCE),
     BugFinder("tests/fuzz/test_fuzz.py", "test_a_planted_fault_is_found", ENGINE),
-    BugFinder("tests/fuzz/test_fuzz.py", "test_a_fault_in_the_text_of_the_engine_is_found", TEXT),
+    BugFinder("tests/fuzz/test_fuzz.py", "test_planted_fault_in_the_engine_text_is_found", TEXT),
     BugFinder("tests/vm/turns/test_loops.py", "test_a_planted_loop_bug_is_found", PATCH),
     BugFinder("tests/vm/calls/test_operator_input.py", "test_a_planted_read_bug_is_found", PATCH),
     BugFinder("tests/vm/maths/test_maths_lowering.py", "test_a_planted_fault_is_found", PATCH),

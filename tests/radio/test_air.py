@@ -22,7 +22,7 @@ def air(cell: Cell, seed: int = 1) -> Air:
 
 
 def arrivals(model: Air, until: float = 1e9) -> list[tuple[float, int, bytes]]:
-    """When each packet arrives, where, and what it is: the events in the order of time."""
+    """The time, destination and content of each packet, in the order of time."""
     found = []
     while (at := model.next_event()) is not None and at <= until:
         found += [(at, to, packet) for to, packet in model.advance(at)]
@@ -30,14 +30,14 @@ def arrivals(model: Air, until: float = 1e9) -> list[tuple[float, int, bytes]]:
 
 
 def fates(model: Air, count: int, every: float = 1.0, source: int = 0, to: int = 1) -> list[float | None]:
-    """The delay of each of so many packets, None for those that were lost."""
+    """The delay of each packet, None for lost ones."""
     for number in range(count):
         model.send(number * every, source, to, number.to_bytes(4, "big"))
     found = {int.from_bytes(packet, "big"): at for at, _, packet in arrivals(model)}
     return [found[n] - n * every if n in found else None for n in range(count)]
 
 
-def test_a_perfect_radio_delivers_at_once() -> None:
+def test_perfect_radio_delivers_at_once() -> None:
     assert fates(air(Cell()), 5) == [0.0] * 5
 
 
@@ -57,12 +57,12 @@ def test_packets_of_a_direction_stay_in_order() -> None:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.05, 0.2, 1.0])
-def test_random_loss_is_of_each_packet(loss: float) -> None:
+def test_random_loss_is_independent_per_packet(loss: float) -> None:
     found = fates(air(Cell(Link(loss=loss))), 4000)
     assert found.count(None) / len(found) == pytest.approx(loss, abs=0.02)
 
 
-def test_one_seed_is_one_fate_and_other_directions_do_not_change_it() -> None:
+def test_same_seed_gives_the_same_losses_despite_other_directions() -> None:
     link = Cell(Link(delay=0.1, jitter=0.02, loss=0.3))
     first = fates(air(link), 200)
     assert fates(air(link), 200) == first
@@ -92,14 +92,14 @@ def test_bursts_take_both_directions_and_their_share_of_time() -> None:
     assert sum(lost) * 0.01 / runs == pytest.approx(0.25, abs=0.06)
 
 
-def test_the_shared_channel_carries_one_packet_at_a_time() -> None:
+def test_shared_channel_carries_one_packet_at_a_time() -> None:
     model = air(Cell(Link(delay=0.05), Channel(rate=8000)))
     for source, to in ((0, 1), (1, 0), (2, 0)):
         model.send(0.0, source, to, bytes(100))
     assert [(round(at, 6), to) for at, to, _ in arrivals(model)] == [(0.15, 1), (0.25, 0), (0.35, 0)]
 
 
-def test_senders_take_turns_and_a_full_queue_delays_the_others_by_one_packet() -> None:
+def test_senders_take_turns_on_the_shared_channel() -> None:
     channel = SharedChannel[str](Channel(rate=8000), 3)
     for number in range(5):
         assert channel.offer(0.0, 0, f"a{number}", 100)
@@ -109,7 +109,7 @@ def test_senders_take_turns_and_a_full_queue_delays_the_others_by_one_packet() -
     assert [round(transmission.end, 6) for transmission in sent] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 
 
-def test_a_free_channel_begins_when_the_packet_comes() -> None:
+def test_free_channel_begins_when_the_packet_comes() -> None:
     channel = SharedChannel[str](Channel(rate=8000), 1)
     channel.offer(5.0, 0, "late", 100)
     ((_, _, begin, end),) = channel.pop_started(7.0)
@@ -117,16 +117,16 @@ def test_a_free_channel_begins_when_the_packet_comes() -> None:
     assert channel.next_event is None
 
 
-def test_what_exceeds_the_queue_is_lost() -> None:
+def test_packets_beyond_the_queue_are_lost() -> None:
     model = air(Cell(Link(), Channel(rate=8000, queue=250)))
     for _ in range(5):
         model.send(0.0, 0, 1, bytes(100))
-    # One is on the channel, two wait.
+    # One is on the channel, two are queued.
     assert len(model.pop_lost()) == 2
     assert len(arrivals(model)) == 3
 
 
-def test_an_outage_loses_what_is_sent_in_it() -> None:
+def test_outage_loses_packets_sent_in_it() -> None:
     model = air(Cell(Link(delay=0.1)))
     model.cut(0, 1, until=5.0)
     assert [delay is None for delay in fates(model, 8)] == [True] * 5 + [False] * 3
@@ -138,14 +138,14 @@ def test_an_outage_loses_what_is_sent_in_it() -> None:
     assert len(arrivals(model)) == 1
 
 
-def test_one_pair_may_differ() -> None:
+def test_one_pair_may_have_another_link() -> None:
     model = air(Cell())
     model.set_link(Link(loss=1.0), 0, 1)
     assert fates(model, 3) == [None] * 3
     assert fates(model, 3, to=2) == [0.0] * 3
 
 
-def test_cells_are_what_they_are_called_and_travel_as_json() -> None:
+def test_cells_match_their_names_and_survive_json() -> None:
     assert {name: Cell.from_json(cell.as_json()) for name, cell in CELLS.items()} == CELLS
     trips = {name: 2 * cell.link.delay for name, cell in CELLS.items()}
     assert trips["50 ms"] == 0.05
@@ -189,16 +189,16 @@ TCP_PACKET = (
         (bytes([0x50]) + bytes(40), None),
     ],
 )
-def test_headers(packet: bytes, expected: Header | None) -> None:
+def test_packet_header_is_decoded(packet: bytes, expected: Header | None) -> None:
     assert read_header(packet) == expected
 
 
-def test_no_bytes_are_too_odd_for_the_reader_of_headers() -> None:
-    dice = random.Random(1)
+def test_any_bytes_are_accepted_by_the_header_reader() -> None:
+    rng = random.Random(1)
     whole: Iterable[bytes] = (ipv4(TCP, TCP_PACKET), ipv4(UDP, UDP_PACKET))
     for packet in whole:
         for cut in range(len(packet)):
             header = read_header(packet[:cut])
             assert header is None or header.size == cut
     for _ in range(2000):
-        read_header(dice.randbytes(dice.randrange(70)))
+        read_header(rng.randbytes(rng.randrange(70)))

@@ -1,4 +1,4 @@
-"""The emulated radio itself, with namespaces and a router; the model is tried in test_air.py."""
+"""The emulated radio itself, with namespaces and a router; the model is tested in test_air.py."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_packets_are_delayed_counted_cut_and_follow_an_address() -> None:
 @pytest.mark.process
 @pytest.mark.few(0)
 @pytest.mark.parametrize("ipv6", [False, True])
-def test_robots_have_loopback_and_the_radio_alone(ipv6: bool) -> None:
+def test_robots_have_only_loopback_and_the_radio(ipv6: bool) -> None:
     with Radio("alpha", ipv6=ipv6) as radio:
         shown = radio["alpha"].run(["ip", "-o", "addr"], capture_output=True, text=True, check=True).stdout
         assert {line.split()[1] for line in shown.splitlines()} == {"lo", "air0"}
@@ -87,7 +87,7 @@ def test_robots_have_loopback_and_the_radio_alone(ipv6: bool) -> None:
 @pytest.mark.process
 @pytest.mark.few(0)
 @pytest.mark.parametrize("name", ["50 ms", "200 ms + 5 %", "500 ms + 2 %", "57.6 kbit/s + 100 ms + 5 %"])
-def test_a_cell_has_the_round_trip_of_its_name(name: str) -> None:
+def test_cell_has_the_round_trip_of_its_name(name: str) -> None:
     cell = CELLS[name]
     with Radio("alpha", "bravo") as radio:
         echo(radio, "bravo")
@@ -100,7 +100,7 @@ def test_a_cell_has_the_round_trip_of_its_name(name: str) -> None:
 @pytest.mark.process
 @pytest.mark.few(0)
 @pytest.mark.parametrize("ways", [1])
-def test_the_router_ends_with_the_radio(ways: int) -> None:
+def test_router_ends_with_the_radio(ways: int) -> None:
     with Radio("alpha", "bravo") as radio:
         pids = [robot.pid for robot in radio]
         sleeper = radio["alpha"].start(["sleep", "600"])

@@ -1,4 +1,4 @@
-"""Pushes over a radio that loses packets and breaks every few seconds, by desks that are killed."""
+"""Pushes over a radio with losses and frequent outages, by desks that are killed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.skipif(bool(why := missing()), reason=why), pytest.mar
 
 @contextmanager
 def breaking(radio: Radio, every: float, lasting: float) -> Iterator[None]:
-    """The radio of the desk is gone for `lasting` seconds, every so many seconds."""
+    """Cut the radio of the desk for `lasting` seconds, every so many seconds."""
     ended = threading.Event()
 
     def work() -> None:
@@ -36,7 +36,7 @@ def breaking(radio: Radio, every: float, lasting: float) -> Iterator[None]:
         radio.mend()
 
 
-def test_a_push_ends_on_a_radio_that_breaks_and_a_killed_desk_loses_nothing(tmp_path: Path) -> None:
+def test_push_completes_despite_outages_and_a_killed_desk(tmp_path: Path) -> None:
     with Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, tmp_path)
         fleet.up()
@@ -49,7 +49,7 @@ def test_a_push_ends_on_a_radio_that_breaks_and_a_killed_desk_loses_nothing(tmp_
             desk.wait()
             done = result_of(fleet.desk("push", mission, "--json"), 120)
         assert done["outcome"] == "activated"
-        # What had arrived before the desk was killed was not sent again.
+        # Data that had arrived before the desk was killed was not sent again.
         assert all(each["bytes"] < done["size"] for each in done["sent"].values())
 
         radio.set(Cell())
@@ -64,9 +64,7 @@ def test_a_push_ends_on_a_radio_that_breaks_and_a_killed_desk_loses_nothing(tmp_
 @pytest.mark.few(0)
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 0.9, 1.2, 1.6, 2.0])
 @pytest.mark.parametrize("killed", [DESK, "alpha"])
-def test_a_desk_or_a_service_that_is_killed_in_any_phase_leaves_one_bundle_active(
-    tmp_path: Path, killed: str, seconds: float
-) -> None:
+def test_killed_desk_or_service_leaves_one_active_bundle(tmp_path: Path, killed: str, seconds: float) -> None:
     with Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, tmp_path)
         fleet.up()

@@ -1,4 +1,4 @@
-"""What a computer lacks for the emulated radio: one sentence that tests and the bench print."""
+"""Missing requirements of the emulated radio: one sentence that tests and the benchmark print."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ def as_root(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
 
 
-def test_the_user_is_not_root(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_user_without_root_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     assert "root" in tun.missing()
 
 
-def test_there_is_no_tun_device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_tun_device_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tun, "CLONE", tmp_path / "tun")
     assert str(tmp_path / "tun") in tun.missing()
 
 
-def test_there_are_no_tools(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_tools_are_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tun, "CLONE", tmp_path)
     monkeypatch.setattr(shutil, "which", lambda tool: None if tool == "nsenter" else f"/usr/bin/{tool}")
     assert "nsenter" in tun.missing()

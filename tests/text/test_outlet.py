@@ -1,4 +1,4 @@
-"""Output whose reader is slow, stuck or gone: what is kept, what is counted, and that nobody waits."""
+"""Output to a slow, stuck or closed reader: kept lines, counted losses, and writers that never wait."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 
 from lfield.text.nonblocking_output import MAX_WRITE, LineBacklog, NonBlockingOutput, nonblocking_output
 
-PATIENCE = 30.0
+TIMEOUT = 30.0
 
 
 def all_of(backlog: LineBacklog) -> list[tuple[int, bytes]]:
@@ -28,10 +28,10 @@ def all_of(backlog: LineBacklog) -> list[tuple[int, bytes]]:
     return taken
 
 
-# --- what is kept ---------------------------------------------------------------------------------------
+# --- kept and dropped lines -----------------------------------------------------------------------------
 
 
-def test_lines_come_out_as_they_went_in():
+def test_lines_are_returned_unchanged():
     backlog = LineBacklog()
     backlog.put(b"a\nb\n")
     backlog.put(b"c")
@@ -40,7 +40,7 @@ def test_lines_come_out_as_they_went_in():
     assert not backlog
 
 
-def test_the_oldest_lines_go_first_and_are_counted():
+def test_oldest_lines_are_dropped_and_counted():
     backlog = LineBacklog(limit=8)
     backlog.put(b"".join(b"%03d\n" % number for number in range(10)))
     assert backlog.drain() == (8, b"008\n009\n")
@@ -55,12 +55,12 @@ def test_one_line_over_the_limit_is_kept_whole():
     assert backlog.drain() == (1, b"a line that is longer\n")
 
 
-def test_what_is_taken_at_once_is_whole_lines_that_no_pipe_tears():
-    dice = random.Random(7)
-    lines = [b"%d " % number * dice.randrange(1, 400) + b"\n" for number in range(500)]
+def test_each_write_has_whole_lines_within_an_atomic_pipe_write():
+    rng = random.Random(7)
+    lines = [b"%d " % number * rng.randrange(1, 400) + b"\n" for number in range(500)]
     backlog = LineBacklog()
     for line in lines:
-        cut = dice.randrange(len(line))
+        cut = rng.randrange(len(line))
         backlog.put(line[:cut])
         backlog.put(line[cut:])
     taken = [data for _, data in all_of(backlog)]
@@ -69,10 +69,10 @@ def test_what_is_taken_at_once_is_whole_lines_that_no_pipe_tears():
 
 
 def test_every_line_is_kept_or_counted():
-    dice, backlog, kept, lost, sent = random.Random(3), LineBacklog(limit=200), 0, 0, 0
+    rng, backlog, kept, lost, sent = random.Random(3), LineBacklog(limit=200), 0, 0, 0
     for _ in range(2000):
-        if dice.random() < 0.8:
-            backlog.put(b"x" * dice.randrange(40) + b"\n")
+        if rng.random() < 0.8:
+            backlog.put(b"x" * rng.randrange(40) + b"\n")
             sent += 1
         else:
             dropped, data = backlog.drain()
@@ -83,25 +83,25 @@ def test_every_line_is_kept_or_counted():
     assert kept + lost == sent
 
 
-# --- nobody waits ---------------------------------------------------------------------------------------
+# --- writers never wait ---------------------------------------------------------------------------------
 
 
 def a_pipe():
-    """With a buffer so small that it is full however rarely the writing thread is scheduled."""
+    """A pipe with a small buffer that is full however rarely the writing thread runs."""
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     return reading, writing
 
 
 def a_socket():
-    """With a small buffer, for the same reason."""
+    """A socket with a small buffer, for the same reason."""
     ours, theirs = socket.socketpair()
     theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     return ours.detach(), theirs.detach()
 
 
 def a_terminal():
-    """A terminal as ssh has one, without the change of line ends."""
+    """A terminal as of ssh, without conversion of line ends."""
     ours, theirs = pty.openpty()
     attributes = termios.tcgetattr(theirs)
     attributes[1] &= ~termios.OPOST
@@ -111,7 +111,7 @@ def a_terminal():
 
 @pytest.fixture(params=[a_pipe, a_socket, a_terminal], ids=["pipe", "socket", "terminal"])
 def ends(request):
-    """Where is read, and where is written; both blocking, as a shell gives them."""
+    """The reading and the writing end; both blocking, as a shell opens them."""
     reading, writing = request.param()
     yield reading, writing
     os.close(reading)
@@ -119,7 +119,7 @@ def ends(request):
 
 
 class Reader:
-    """Begins to read at last."""
+    """A reader that starts late."""
 
     def __init__(self, descriptor: int) -> None:
         self.data = b""
@@ -134,35 +134,35 @@ class Reader:
             pass
 
     def lines_when(self, end: bytes) -> list[bytes]:
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + TIMEOUT
         while not self.data.endswith(end):
             assert time.monotonic() < until, self.data[-200:]
             time.sleep(0.01)
         return self.data.splitlines()
 
 
-def test_nobody_waits_for_a_reader_and_what_is_missing_is_said_in_its_place(ends):
+def test_writer_does_not_wait_and_dropped_lines_are_reported_in_place(ends):
     reading, writing = ends
     outlet = NonBlockingOutput(writing, limit=20_000)
     before = time.monotonic()
     for number in range(100_000):
         outlet.write(f"line {number:6} of the log\n")
-    assert time.monotonic() - before < PATIENCE
+    assert time.monotonic() - before < TIMEOUT
     assert not outlet.drain(0.1)
-    assert not fcntl.fcntl(writing, fcntl.F_GETFL) & os.O_NONBLOCK, "the shell has the same one"
+    assert not fcntl.fcntl(writing, fcntl.F_GETFL) & os.O_NONBLOCK, "the shell shares this descriptor"
     reader = Reader(reading)
-    assert outlet.drain(PATIENCE)
+    assert outlet.drain(TIMEOUT)
     outlet.write("end\n")
     lines = reader.lines_when(b"end\n")
-    told = [number for number, line in enumerate(lines) if b"missing: output" in line]
-    missing = sum(int(lines[number].split()[1]) for number in told)
+    reports = [number for number, line in enumerate(lines) if b"missing: output" in line]
+    missing = sum(int(lines[number].split()[1]) for number in reports)
     assert missing > 50_000
-    assert missing + len(lines) - len(told) - 1 == 100_000
+    assert missing + len(lines) - len(reports) - 1 == 100_000
     assert lines[-2] == b"line  99999 of the log"
-    assert {len(line) for line in lines[:-1]} - {len(lines[number]) for number in told} == {22}
+    assert {len(line) for line in lines[:-1]} - {len(lines[number]) for number in reports} == {22}
 
 
-def test_a_stream_that_somebody_made_nonblocking_is_written_whole():
+def test_nonblocking_descriptor_gets_all_lines():
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     outlet = NonBlockingOutput(writing)
@@ -171,7 +171,7 @@ def test_a_stream_that_somebody_made_nonblocking_is_written_whole():
     assert Reader(reading).lines_when(b"line  19999\n") == [b"line %6d" % n for n in range(20_000)]
 
 
-def test_an_incomplete_line_waits_for_its_end_or_flush():
+def test_incomplete_line_waits_for_its_end_or_flush():
     reading, writing = os.pipe()
     outlet = NonBlockingOutput(writing)
     outlet.write("a prompt: ")
@@ -184,25 +184,25 @@ def test_an_incomplete_line_waits_for_its_end_or_flush():
 
 
 @pytest.mark.parametrize(("gone", "why"), [(False, "No space left on device"), (True, "Broken pipe")])
-def test_what_cannot_be_written_is_told_once(gone, why):
+def test_failed_write_is_reported_once(gone, why):
     if gone:
         reading, target = os.pipe()
         os.close(reading)
     else:
         target = os.open("/dev/full", os.O_WRONLY)
-    told: list[str | None] = []
-    outlet = NonBlockingOutput(target, lost=lambda error: told.append(error.strerror))
+    reports: list[str | None] = []
+    outlet = NonBlockingOutput(target, lost=lambda error: reports.append(error.strerror))
     for _ in range(3):
         outlet.write("a line\n")
-        assert outlet.drain(PATIENCE)
-    assert told == [why]
+        assert outlet.drain(TIMEOUT)
+    assert reports == [why]
     os.close(target)
 
 
-# --- a process's own streams ----------------------------------------------------------------------------
+# --- streams of a process -------------------------------------------------------------------------------
 
 
-def test_the_streams_of_a_process_are_outlets_for_the_duration(capfd):
+def test_process_streams_are_nonblocking_within_the_block(capfd):
     before = sys.stdout, sys.stderr
     with nonblocking_output():
         print("output")
@@ -212,7 +212,7 @@ def test_the_streams_of_a_process_are_outlets_for_the_duration(capfd):
     assert capfd.readouterr() == ("output\n", "log\n")
 
 
-def test_lost_program_output_is_told_in_the_log(capfd, monkeypatch):
+def test_lost_program_output_is_reported_in_the_log(capfd, monkeypatch):
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
         with nonblocking_output("somebody: "):
@@ -222,7 +222,7 @@ def test_lost_program_output_is_told_in_the_log(capfd, monkeypatch):
     )
 
 
-def test_streams_that_are_stuck_stay_outlets_and_the_end_is_not_far(monkeypatch):
+def test_stuck_streams_stay_nonblocking_and_the_block_ends(monkeypatch):
     reading, writing = os.pipe()
     with os.fdopen(writing, "w") as stuck, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stuck)
@@ -230,12 +230,12 @@ def test_streams_that_are_stuck_stay_outlets_and_the_end_is_not_far(monkeypatch)
         with nonblocking_output():
             print("x" * 100_000)
         print("a last sentence")
-        assert time.monotonic() - before < PATIENCE
+        assert time.monotonic() - before < TIMEOUT
         reader = Reader(reading)
         assert reader.lines_when(b"a last sentence\n") == [b"x" * 100_000, b"a last sentence"]
 
 
-def test_a_process_without_streams(monkeypatch):
+def test_process_without_streams(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
     with nonblocking_output():
@@ -243,13 +243,13 @@ def test_a_process_without_streams(monkeypatch):
 
 
 @pytest.mark.parametrize("process", ["lfield.guard.process", "lfield.driver.sims"])
-def test_a_library_that_prints_does_not_stop_a_guard_or_fake_whose_log_nobody_reads(tmp_path, process):
+def test_printing_library_does_not_block_a_process_with_an_unread_log(tmp_path, process):
     (tmp_path / "chatty.py").write_text("print('x\\n' * 200_000)\nTHING = None\n")
     command = [sys.executable, "-m", process, "chatty:THING"]
     reading, writing = os.pipe()
     with os.fdopen(reading), os.fdopen(writing, "w") as unread:
         environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
         done = subprocess.run(
-            command, env=environment, stdin=subprocess.DEVNULL, stdout=unread, stderr=unread, timeout=PATIENCE
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=unread, stderr=unread, timeout=TIMEOUT
         )
     assert done.returncode == 69

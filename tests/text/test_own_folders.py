@@ -1,4 +1,4 @@
-"""Where a user's own folders are, and whoever has no home."""
+"""Places of a user's own folders, and users without a home."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lfield.text.user_dirs import cache_dir, config_dir, session_runtime_dir, st
         ({"XDG_STATE_HOME": "/named", "HOME": "relative"}, "/named/lfield"),
     ],
 )
-def test_the_variable_precedes_the_home_and_a_relative_path_is_ignored(monkeypatch, variables, folder):
+def test_xdg_variable_precedes_home_and_relative_paths_are_ignored(monkeypatch, variables, folder):
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
@@ -29,7 +29,7 @@ def test_the_variable_precedes_the_home_and_a_relative_path_is_ignored(monkeypat
 
 
 @pytest.mark.parametrize("home", ["", ".", "relative"])
-def test_an_unknown_user_without_an_absolute_home_has_no_directory(monkeypatch, home):
+def test_unknown_user_without_an_absolute_home_has_no_folder(monkeypatch, home):
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.delenv("XDG_STATE_HOME", raising=False)
     monkeypatch.setenv("HOME", home)
@@ -38,13 +38,13 @@ def test_an_unknown_user_without_an_absolute_home_has_no_directory(monkeypatch, 
         state_dir()
 
 
-def test_without_home_the_home_of_the_user_counts(monkeypatch):
+def test_home_of_the_user_is_used_without_home_variable(monkeypatch):
     monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
     monkeypatch.delenv("HOME", raising=False)
     assert config_dir() == Path(pwd.getpwuid(os.getuid()).pw_dir, ".config/lfield")
 
 
-def test_a_service_needs_no_home(monkeypatch):
+def test_service_needs_no_home(monkeypatch):
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/lfield:/var/lib/other")
     monkeypatch.setenv("HOME", "")
     assert state_dir() == Path("/var/lib/lfield")
@@ -66,8 +66,8 @@ def foreign(link: Path, target: Path) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link that belongs to another user")
 @pytest.mark.parametrize("variable", _FOLDERS)
 @pytest.mark.parametrize("where", ["the folder", "above", "above that", "behind a link"])
-def test_a_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable, where):
-    """In a base folder that others may write to, such as /tmp, another user may have made it first."""
+def test_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable, where):
+    """In a base folder that others may write to, such as /tmp, another user may have created it first."""
     target, base = tmp_path / "sources", tmp_path / "base"
     (target / "in").mkdir(mode=0o700, parents=True)
     if where == "the folder":
@@ -91,7 +91,7 @@ def test_a_link_of_another_user_is_not_followed(monkeypatch, tmp_path, variable,
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a link that belongs to another user")
-def test_a_runtime_folder_by_a_link_of_another_user_is_none(monkeypatch, tmp_path):
+def test_runtime_folder_by_a_link_of_another_user_is_not_used(monkeypatch, tmp_path):
     (tmp_path / "mine").mkdir(mode=0o700)
     foreign(tmp_path / "run", tmp_path / "mine")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
@@ -100,7 +100,7 @@ def test_a_runtime_folder_by_a_link_of_another_user_is_none(monkeypatch, tmp_pat
     assert session_runtime_dir() == tmp_path / "mine" / "lfield"
 
 
-def test_links_that_lead_round_are_refused(monkeypatch, tmp_path):
+def test_cyclic_links_are_refused(monkeypatch, tmp_path):
     (tmp_path / "lfield").symlink_to(tmp_path / "other")
     (tmp_path / "other").symlink_to("lfield")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -109,7 +109,7 @@ def test_links_that_lead_round_are_refused(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("variable", _FOLDERS)
-def test_a_link_of_this_user_is_followed(monkeypatch, tmp_path, variable):
+def test_link_of_the_same_user_is_followed(monkeypatch, tmp_path, variable):
     target = tmp_path / "disk"
     target.mkdir(mode=0o700)
     (tmp_path / "lfield").symlink_to(target)

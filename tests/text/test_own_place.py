@@ -10,12 +10,12 @@ from lfield.errors import OutputFileError
 from lfield.text import user_dirs
 from lfield.text.user_dirs import private_runtime_dir, runtime_dir
 
-_STRANGER = 54321
+_OTHER_USER = 54321
 
 
 @pytest.fixture
 def shared(tmp_path, monkeypatch):
-    """What /tmp is here; no unit and no session has a runtime directory."""
+    """The directory in place of /tmp; neither unit nor session has a runtime directory."""
     folder = tmp_path / "tmp"
     folder.mkdir()
     folder.chmod(0o1777)
@@ -29,7 +29,7 @@ def _usual(shared):
     return shared / f"lfield-{os.geteuid()}"
 
 
-def test_the_directory_of_a_unit_precedes_that_of_a_session_and_the_one_in_tmp(shared, tmp_path, monkeypatch):
+def test_unit_directory_precedes_session_directory_and_tmp(shared, tmp_path, monkeypatch):
     assert runtime_dir() == _usual(shared)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert runtime_dir() == tmp_path / "lfield"
@@ -38,17 +38,17 @@ def test_the_directory_of_a_unit_precedes_that_of_a_session_and_the_one_in_tmp(s
 
 
 @pytest.mark.parametrize("value", ["", "run", "relative/run"])
-def test_a_session_directory_must_be_absolute(shared, monkeypatch, value):
+def test_session_directory_must_be_absolute(shared, monkeypatch, value):
     monkeypatch.setenv("XDG_RUNTIME_DIR", value)
     assert runtime_dir() == _usual(shared)
 
 
-def test_the_directory_in_tmp_does_not_depend_on_tmpdir(shared, tmp_path, monkeypatch):
+def test_directory_in_tmp_does_not_depend_on_tmpdir(shared, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     assert runtime_dir() == _usual(shared)
 
 
-def test_a_session_directory_that_others_may_write_to_is_not_used(shared, tmp_path, monkeypatch):
+def test_session_directory_writable_by_others_is_not_used(shared, tmp_path, monkeypatch):
     loose = tmp_path / "loose"
     loose.mkdir()
     loose.chmod(0o777)
@@ -58,15 +58,15 @@ def test_a_session_directory_that_others_may_write_to_is_not_used(shared, tmp_pa
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to another user")
-def test_a_directory_of_another_user_is_refused(shared):
+def test_directory_of_another_user_is_refused(shared):
     _usual(shared).mkdir(mode=0o755)
-    os.chown(_usual(shared), _STRANGER, _STRANGER)
+    os.chown(_usual(shared), _OTHER_USER, _OTHER_USER)
     with pytest.raises(OutputFileError, match="belongs to another user") as refused:
         private_runtime_dir("doors")
     assert refused.value.path == str(_usual(shared))
 
 
-def test_a_link_is_refused(shared, tmp_path):
+def test_linked_directory_is_refused(shared, tmp_path):
     (tmp_path / "target").mkdir(mode=0o700)
     _usual(shared).symlink_to(tmp_path / "target")
     with pytest.raises(OutputFileError, match="link"):
@@ -74,13 +74,13 @@ def test_a_link_is_refused(shared, tmp_path):
     assert list((tmp_path / "target").iterdir()) == []
 
 
-def test_a_directory_that_others_may_write_to_is_refused(shared):
+def test_directory_writable_by_others_is_refused(shared):
     private_runtime_dir("doors").chmod(0o777)
     with pytest.raises(OutputFileError, match="others may write"):
         private_runtime_dir("doors")
 
 
-def test_a_directory_that_others_could_remove_is_refused(shared):
+def test_directory_removable_by_others_is_refused(shared):
     shared.chmod(0o777)
     with pytest.raises(OutputFileError, match="others could remove files in it"):
         private_runtime_dir("doors")

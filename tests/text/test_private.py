@@ -1,4 +1,4 @@
-"""Files of this user alone: through no link, into nobody else's folder, whole, and never blocking."""
+"""Private files of one user: no links, no folders of other users, complete, and never blocking."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def refused(path: Path, words: str) -> None:
         write_private(path, b"new")
 
 
-def test_what_is_written_is_read_by_this_user_alone(path):
+def test_written_file_is_readable_by_its_user_only(path):
     before = os.umask(0)
     try:
         write_private(path, b"data")
@@ -47,7 +47,7 @@ def test_what_is_written_is_read_by_this_user_alone(path):
         read_private(path, 3)
 
 
-def test_a_folder_that_is_there_stays_as_it_is(path):
+def test_existing_folder_keeps_its_mode(path):
     path.parent.mkdir(parents=True)
     path.parent.chmod(0o755)
     write_private(path, b"data")
@@ -55,7 +55,7 @@ def test_a_folder_that_is_there_stays_as_it_is(path):
 
 
 @pytest.mark.parametrize("others", [0o770, 0o707, 0o777, 0o1777])
-def test_a_folder_that_others_may_write_to_is_refused(path, others):
+def test_folder_writable_by_others_is_refused(path, others):
     path.parent.mkdir(parents=True)
     path.write_bytes(b"old")
     path.parent.chmod(others)
@@ -65,7 +65,7 @@ def test_a_folder_that_others_may_write_to_is_refused(path, others):
         read_private(path, 10)
 
 
-def test_a_folder_of_somebody_else_is_refused(path, monkeypatch):
+def test_folder_of_another_user_is_refused(path, monkeypatch):
     path.parent.mkdir(parents=True)
     path.write_bytes(b"old")
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
@@ -75,7 +75,7 @@ def test_a_folder_of_somebody_else_is_refused(path, monkeypatch):
     assert path.read_bytes() == b"old"
 
 
-def test_what_another_user_wrote_is_believed_only_of_those_who_are_named(path, monkeypatch):
+def test_file_of_another_user_is_read_from_named_owners_only(path, monkeypatch):
     write_private(path, b"data")
     writer = os.getuid()
     monkeypatch.setattr(os, "geteuid", lambda: writer + 1)
@@ -87,14 +87,14 @@ def test_what_another_user_wrote_is_believed_only_of_those_who_are_named(path, m
 
 
 @pytest.mark.parametrize("others", [0o620, 0o602, 0o666])
-def test_a_file_that_others_may_write_to_is_not_read(path, others):
+def test_file_writable_by_others_is_not_read(path, others):
     write_private(path, b"data")
     path.chmod(others)
     with pytest.raises(PermissionError, match="others may write to it"):
         read_private(path, 10)
 
 
-def test_a_group_may_be_let_read_whatever_the_umask(path):
+def test_group_read_is_granted_despite_the_umask(path):
     before = os.umask(0o077)
     try:
         new_private_folder(path.parent)
@@ -106,8 +106,8 @@ def test_a_group_may_be_let_read_whatever_the_umask(path):
     assert (mode(path.parent.parent), mode(path.parent), mode(path)) == (0o700, 0o750, 0o640)
 
 
-def test_a_group_that_may_read_already_is_let_be(path):
-    """A service may have given its folder other rights, and may not change whose it is."""
+def test_existing_group_read_is_unchanged(path):
+    """A service may have set other rights on its folder, and may be unable to change its group."""
     path.parent.mkdir(parents=True)
     path.parent.chmod(0o755)
     grant_group_read(path.parent, os.getegid())
@@ -115,7 +115,7 @@ def test_a_group_that_may_read_already_is_let_be(path):
 
 
 @pytest.mark.parametrize("made", ["link", "writable"])
-def test_a_group_is_not_let_read_what_others_could_have_put_there(path, tmp_path, made):
+def test_group_read_is_refused_for_links_and_writable_folders(path, tmp_path, made):
     private_folder(path.parent)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
@@ -132,7 +132,7 @@ def test_a_group_is_not_let_read_what_others_could_have_put_there(path, tmp_path
 @pytest.mark.parametrize(
     ("others", "kept"), [(0o700, True), (0o755, True), (0o1777, True), (0o777, False), (0o770, False)]
 )
-def test_what_a_folder_keeps(tmp_path, monkeypatch, others, kept):
+def test_trusted_folder_keeps_files_from_others(tmp_path, monkeypatch, others, kept):
     tmp_path.chmod(others)
     assert is_trusted_dir(tmp_path) == kept
     assert not is_trusted_dir(tmp_path / "nowhere")
@@ -141,7 +141,7 @@ def test_what_a_folder_keeps(tmp_path, monkeypatch, others, kept):
         assert not is_trusted_dir(tmp_path)
 
 
-def test_a_new_folder_is_new(path):
+def test_new_folder_must_not_exist(path):
     private_folder(path.parent)
     with pytest.raises(OutputFileError, match="folder: File exists"):
         new_private_folder(path.parent)
@@ -150,7 +150,7 @@ def test_a_new_folder_is_new(path):
         new_private_folder(path)
 
 
-def test_a_folder_that_is_none_is_refused(path, tmp_path):
+def test_link_or_file_in_place_of_a_folder_is_refused(path, tmp_path):
     path.parent.parent.mkdir()
     path.parent.symlink_to(tmp_path)
     refused(path, "it is a link; name its target instead")
@@ -164,7 +164,7 @@ def test_a_folder_that_is_none_is_refused(path, tmp_path):
         private_folder(Path("/proc/nowhere"))
 
 
-def test_a_link_is_neither_written_through_nor_read(path, tmp_path):
+def test_link_is_neither_written_through_nor_read(path, tmp_path):
     private_folder(path.parent)
     precious = tmp_path / "precious"
     precious.write_bytes(b"old")
@@ -175,7 +175,7 @@ def test_a_link_is_neither_written_through_nor_read(path, tmp_path):
     assert precious.read_bytes() == b"old"
 
 
-def test_the_other_names_of_a_file_keep_what_was_there(path, tmp_path):
+def test_hard_links_of_a_file_keep_the_old_content(path, tmp_path):
     private_folder(path.parent)
     precious = tmp_path / "precious"
     precious.write_bytes(b"old")
@@ -184,7 +184,7 @@ def test_the_other_names_of_a_file_keep_what_was_there(path, tmp_path):
     assert (path.read_bytes(), precious.read_bytes()) == (b"new", b"old")
 
 
-def test_a_fifo_that_nobody_reads_or_writes_does_not_block(path):
+def test_fifo_does_not_block(path):
     private_folder(path.parent)
     os.mkfifo(path)
     refused(path, "is not a plain file; remove it")
@@ -192,7 +192,7 @@ def test_a_fifo_that_nobody_reads_or_writes_does_not_block(path):
         read_private(path, 10)
 
 
-def test_a_file_that_cannot_be_finished_leaves_the_old_one(path, monkeypatch):
+def test_unfinished_write_keeps_the_old_file(path, monkeypatch):
     write_private(path, b"old")
 
     def full(*words: object, **more: object) -> None:
@@ -204,5 +204,5 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one(path, monkeypatch):
     assert path.read_bytes() == b"old"
 
 
-def test_a_folder_whose_name_is_too_long_is_refused(tmp_path):
+def test_folder_with_too_long_a_name_is_refused(tmp_path):
     refused(tmp_path / ("x" * 300) / "file", "too long")

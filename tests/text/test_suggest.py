@@ -1,4 +1,4 @@
-"""Did-you-mean finds the likest name, and is bounded however many names and mistakes there are."""
+"""Suggestions find the most similar name, in bounded time for any number of names and errors."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from unittest.mock import patch
 from lfield.text import suggestions
 
 
-def test_the_likest_is_found_and_case_does_not_count() -> None:
+def test_most_similar_name_is_found_in_any_case() -> None:
     assert suggestions.closest("cuont", ["count", "mount", "x"]) == "count"
     assert suggestions.closest("COUNT", ["count"]) == "count"
     assert suggestions.closest("wing", ["count"]) is None
 
 
-def test_of_thousands_of_names_it_is_looked_for_near_in_the_alphabet() -> None:
+def test_search_among_thousands_is_limited_to_near_names() -> None:
     known = [f"value{number:05}" for number in range(10_000)]
     assert suggestions.closest("valeu05000", [*known, "valeur05000"]) == "valeur05000"
     with patch.object(suggestions, "get_close_matches", return_value=[]) as look:
@@ -21,7 +21,7 @@ def test_of_thousands_of_names_it_is_looked_for_near_in_the_alphabet() -> None:
     assert len(look.call_args.args[1]) <= suggestions.MAX_NAMES
 
 
-def test_a_name_that_is_no_name_is_like_none() -> None:
+def test_overlong_name_has_no_similar_name() -> None:
     long = "a" * 10_000
     assert suggestions.closest(long, [f"{long}b"]) is None
 
@@ -29,14 +29,14 @@ def test_a_name_that_is_no_name_is_like_none() -> None:
 MANY = ["arm", "land", "goTo", "goToGlobal", "setSpeed", "mode", "hold", "orbit", "yaw"]
 
 
-def test_few_names_are_listed_and_of_many_the_similar_or_the_first() -> None:
+def test_few_names_are_listed_and_many_are_reduced() -> None:
     assert suggestions.choice("driveTo", MANY[:8], "it has") == f"it has {', '.join(MANY[:7])} and orbit"
     assert suggestions.choice("driveTo", MANY, "it has") == "similar names: goTo and goToGlobal"
     assert suggestions.choice("modus", MANY, "it has") == "similar names: mode"
     assert suggestions.choice("zzz", MANY, "it has") == f"it has {', '.join(MANY[:8])}, ..."
 
 
-def test_similar_names_are_few_and_come_from_a_bounded_number() -> None:
+def test_similar_names_are_bounded() -> None:
     known = [f"setValue{number}" for number in range(10_000)]
     assert len(suggestions.similar("getValue", known)) == suggestions.MAX_SIMILAR
     assert suggestions.similar("getValue9999", known[suggestions.MAX_NAMES :]) != []

@@ -1,4 +1,4 @@
-"""Values of devices as people read them."""
+"""Text of device values."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ from lfield.text.value_text import value_text
         ([1.0, 2.5e7], "(1.00 2.5e07)"),
     ],
 )
-def test_a_number_is_never_longer_than_can_be_read(value, words):
+def test_number_is_shown_in_bounded_length(value, words):
     assert value_text(value) == words

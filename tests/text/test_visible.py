@@ -1,4 +1,4 @@
-"""What reaches a terminal orders it nothing."""
+"""Control characters never reach a terminal."""
 
 import io
 import re
@@ -38,7 +38,7 @@ from lfield.text.terminal_escape import (
         ("two\n\tlines\0", "two\n\tlines\\0"),
     ],
 )
-def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
+def test_control_characters_are_escaped(text: str, shown: str) -> None:
     assert escape(text) == shown
 
 
@@ -46,19 +46,19 @@ def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
     ("word", "text"),
     [("grün\n\x1b", "grün\n\x1b"), ("gr\udcf6\udcdfe", r"gr\u{dcf6}\u{dcdf}e"), ("\ud83e", r"\u{d83e}")],
 )
-def test_bytes_that_are_no_text_become_text(word: str, text: str) -> None:
+def test_undecodable_bytes_are_escaped(word: str, text: str) -> None:
     assert printable_argument(word) == text
     text.encode()
 
 
-def test_what_an_encoding_does_not_have_is_an_escape_too() -> None:
+def test_characters_outside_an_encoding_are_escaped() -> None:
     assert "ü\udcff日".encode("latin-1", ESCAPES) == b"\xfc\\u{dcff}\\u{65e5}"
     with pytest.raises(UnicodeDecodeError):
         b"\xff".decode("ascii", ESCAPES)
 
 
 @given(st.text())
-def test_one_line_stays_one(text: str) -> None:
+def test_escaped_line_is_one_line(text: str) -> None:
     shown = escape_line(text)
     assert len(shown.splitlines()) <= 1
     assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in shown)
@@ -74,15 +74,15 @@ def test_one_line_stays_one(text: str) -> None:
         ("two\n\x1b[2J", "two\n    \\u{1b}[2J"),
     ],
 )
-def test_what_has_lines_begins_no_other_entry(text: str, shown: str) -> None:
+def test_text_with_lines_is_indented(text: str, shown: str) -> None:
     assert escape_indented(text) == shown
 
 
-def test_what_is_too_long_is_cut() -> None:
+def test_long_text_is_truncated() -> None:
     assert (truncate("abcd", 4), truncate("abcde", 4)) == ("abcd", "abc…")
 
 
-def test_a_finding_is_short_and_orders_nothing() -> None:
+def test_finding_is_bounded_and_escaped() -> None:
     source = Source("a\x1bb.L", "x" * 7000)
     found = FindingTable("L9").message("L301", "no '{name}' here", "declare {name}")
     drawn = found.at(Span(source, 0, 7000), name="x" * 7000).render()
@@ -100,7 +100,7 @@ class Screen(io.StringIO):
         return True
 
 
-def test_a_terminal_gets_no_orders_and_a_file_gets_all_bytes() -> None:
+def test_terminal_gets_escaped_text_and_a_file_all_bytes() -> None:
     text = "\x1b[31mred\x9b2J\ttab\r\n"
     screen, file = Screen(), io.StringIO()
     print(text, end="", file=escaping_stream(screen))
@@ -112,7 +112,7 @@ def test_a_terminal_gets_no_orders_and_a_file_gets_all_bytes() -> None:
     assert (again.isatty(), unescaped_stream(again), unescaped_stream(file)) == (True, screen, file)
 
 
-def test_a_table_on_a_terminal_has_the_control_sequences_of_rich_alone() -> None:
+def test_table_on_a_terminal_has_control_sequences_of_rich_only() -> None:
     screen = Screen()
     table = rich.table.Table("NOW")
     table.add_row(Text("\x1b]0;title\x07", style="bold"))

@@ -33,7 +33,7 @@ def errors(text: str) -> str:
     return "\n".join(d.render() for d in found.errors)
 
 
-def test_values():
+def test_scalar_and_nested_values():
     text = "a: 1\nb: [1.5, -2, 1e3, 0x1F]\nc: {d: true, e: null, f: ~, g:}\nh: 'it'\ni: |\n  two\n  lines\n"
     assert value(text) == {
         "a": 1,
@@ -50,12 +50,12 @@ def test_words_of_yaml_1_1_are_text():
     ]  # fmt: skip
 
 
-def test_an_empty_document_is_null():
+def test_empty_document_is_null():
     assert value("") is None
     assert value("# only a comment\n") is None
 
 
-def test_places():
+def test_nodes_have_their_places():
     found = Diagnostics()
     node = parse(Source("t.yaml", "# c\na:\n  b: 12\n"), found)
     assert isinstance(node, YamlMapping)
@@ -106,11 +106,11 @@ def test_places():
         ("[" * 40, "error[Y102]: more than 32 levels deep"),
     ],
 )
-def test_what_is_refused(text, drawn):
+def test_invalid_yaml_is_refused_at_its_place(text, drawn):
     assert drawn in errors(text)
 
 
-def test_too_large_and_not_utf8():
+def test_oversized_or_undecodable_file_is_refused():
     found = Diagnostics()
     assert decode("t.yaml", b"#" * (MAX_BYTES + 1), found) is None
     assert found.errors[0].code == "Y102"
@@ -121,7 +121,7 @@ def test_too_large_and_not_utf8():
     assert found.errors[0].hint == "save it as UTF-8 text"
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_missing_yaml_file_is_an_input_file_error(tmp_path):
     with pytest.raises(InputFileError, match="No such file"):
         read(str(tmp_path / "none.yaml"), Diagnostics())
 
@@ -143,7 +143,7 @@ def test_any_text_gives_a_value_or_a_diagnostic(text):
 
 
 def drawn(text: str, libyaml: bool) -> tuple[object, list[str]]:
-    """The nodes of a text with their places, and what is said of it, with or without the C library."""
+    """The nodes of a text with their places, and the diagnostics, with or without the C library."""
     found = Diagnostics()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(yaml, "__with_libyaml__", libyaml)
@@ -152,7 +152,7 @@ def drawn(text: str, libyaml: bool) -> tuple[object, list[str]]:
 
 
 def placed(node):
-    """A node as plain data, with the characters it stands on; an empty one stands nowhere."""
+    """A node as plain data with its place; an empty one has no place."""
     if not isinstance(node, YamlMapping | YamlList) and not node.value:
         return node.value, type(node.value)
     place = (node.span.start, node.span.end)
@@ -193,8 +193,8 @@ def placed(node):
         ).map("".join),
     )
 )
-def test_the_c_library_reads_the_same(text):
-    # The C library lets a few spellings pass that PyYAML refuses, as a tab between key and value.
+def test_c_library_reads_the_same(text):
+    # The C library accepts a few spellings that PyYAML refuses, such as a tab between key and value.
     fast, slow = drawn(text, True), drawn(text, False)
     assert fast == slow or (slow[0] is None and fast[1] == [])
 
@@ -213,7 +213,7 @@ def fields(text: str) -> tuple[YamlFields, Diagnostics]:
     return YamlFields(node, found, "a thing"), found
 
 
-def test_fields_report_everything_at_once():
+def test_fields_report_all_errors_at_once():
     top, found = fields("name: 5\nspeed: -1\nkind: coptr\nflag: maybe\ncount: 1.5\nmore: x\nlist: 3\n")
     top.text("name")
     top.number("speed", minimum=0.0)
@@ -236,7 +236,7 @@ def test_fields_report_everything_at_once():
     assert found.errors[3].hint == "did you mean 'copter'?"
 
 
-def test_a_section_that_is_no_mapping():
+def test_section_that_is_no_mapping_is_reported():
     top, found = fields("a: [1]\nb:\n")
     assert list(top.section("a").entries()) == []
     assert list(top.section("b").entries()) == []

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 
-#: Statements and expressions that a rule looks at.
+#: Statements and expressions that a rule examines.
 KEPT = (
     *(ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef, ast.Import, ast.Call, ast.withitem),
     *(ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Delete, ast.For, ast.AsyncFor, ast.comprehension),
 )
-#: What has nothing of that below it.
+#: Nodes that contain no such statements.
 LEAVES = (ast.Name, ast.Constant, ast.expr_context, ast.operator, ast.cmpop, ast.boolop, ast.unaryop)
 
 Trees = Mapping[str, ast.Module]
@@ -22,7 +22,7 @@ Trees = Mapping[str, ast.Module]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One violation: of which rule, where, the name in question, and what is wrong."""
+    """One violation: rule, place, name and problem."""
 
     rule: str
     file: str
@@ -36,7 +36,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """Where a statement is: the innermost class around it and the functions around it within that class."""
+    """The place of a statement: the innermost class around it and the functions within that class."""
 
     cls: ast.ClassDef | None = None
     functions: tuple[ast.FunctionDef | ast.AsyncFunctionDef, ...] = ()
@@ -44,7 +44,7 @@ class Scope:
 
 @cache
 def scoped(tree: ast.Module) -> tuple[tuple[ast.AST, Scope], ...]:
-    """The nodes of a file that a rule looks at, each with its scope, in the order of the text."""
+    """The nodes of a file that a rule examines, each with its scope, in the order of the text."""
     found = []
     left: list[tuple[ast.AST, Scope]] = [(tree, Scope())]
     while left:
@@ -67,7 +67,7 @@ def scoped(tree: ast.Module) -> tuple[tuple[ast.AST, Scope], ...]:
 
 
 def assignments(tree: ast.Module) -> Iterator[tuple[int, ast.expr, str, Scope]]:
-    """Each assignment to an attribute of something else than `self` and `cls`: line, object, name, scope."""
+    """Each assignment to an attribute of an object other than `self` and `cls`: line, object, name, scope."""
     for node, scope in scoped(tree):
         for target in targets(node):
             if isinstance(target, ast.Attribute) and not of_self(target):
@@ -75,7 +75,7 @@ def assignments(tree: ast.Module) -> Iterator[tuple[int, ast.expr, str, Scope]]:
 
 
 def targets(node: ast.AST) -> Iterator[ast.expr]:
-    """What a node assigns or deletes, `setattr` with a constant name included."""
+    """The targets that a node assigns or deletes, including `setattr` with a constant name."""
     match node:
         case ast.Assign(targets=found) | ast.Delete(targets=found):
             yield from (each for target in found for each in unpacked(target))
@@ -114,7 +114,7 @@ def classes(tree: ast.Module) -> list[ast.ClassDef]:
 
 
 def is_record(cls: ast.ClassDef) -> bool:
-    """Is a class a dataclass without methods? Properties and `__str__` and the like are none."""
+    """Whether a class is a dataclass without methods; properties, `__str__` and the like are allowed."""
     return is_dataclass(cls) and not any(
         isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)
         and not each.name.startswith("__")
@@ -128,7 +128,7 @@ def is_dataclass(cls: ast.ClassDef) -> bool:
 
 
 def attributes(tree: ast.Module) -> list[tuple[ast.ClassDef, frozenset[str], frozenset[str]]]:
-    """Each class, what its body declares (fields, methods, slots), and what its methods assign on `self`."""
+    """Each class, names that its body declares (fields, methods, slots), and names assigned on `self`."""
     own: dict[ast.ClassDef | None, set[str]] = defaultdict(set)
     for node, scope in scoped(tree):
         own[scope.cls] |= {
@@ -207,7 +207,7 @@ def names_in(kind: ast.expr, scope: Scope) -> set[str]:
 
 
 def same(base: ast.expr, other: ast.expr) -> bool:
-    """Are two expressions the same variable or attribute of `self`? Fields of a dataclass are such too."""
+    """Whether two expressions are the same variable or attribute of `self`, or dataclass field."""
     match base, other:
         case ast.Name(id=one), ast.Name(id=two):
             return one == two

@@ -13,9 +13,9 @@ from code_tree import Finding, Trees
 
 @dataclass(frozen=True, slots=True)
 class Banned:
-    """Words that no name contains, names, and terms that are accepted although they contain such a word.
+    """Words that no name may contain, banned names, and accepted terms that contain such a word.
 
-    A term that is accepted in some folders or files only has their paths; () stands for everywhere.
+    A term that is accepted in some folders or files only has their paths; () means all.
     """
 
     words: Mapping[str, str]
@@ -23,7 +23,7 @@ class Banned:
     terms: Mapping[str, tuple[str, ...]]
 
     def instead(self, name: str, file: str = "") -> str | None:
-        """What to use instead of a name in a file, or None where it may be used."""
+        """The replacement of a name in a file, or None where it may be used."""
         plain = name.strip("_").lower()
         terms = [term for term, paths in self.terms.items() if not paths or file.startswith(paths)]
         if plain in self.names and plain not in terms:
@@ -74,7 +74,7 @@ _BINDING: Mapping[type[ast.AST], Callable[..., Iterable[tuple[str, str | None]]]
 
 
 def named(file: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
-    """Line, kind and name of the module, or of its package, and of all that a file binds to a name."""
+    """Line, kind and name of the module, or of its package, and of every name that a file binds."""
     path = Path(file)
     yield 1, "module", path.parent.name if path.stem == "__init__" else path.stem
     for node in ast.walk(tree):
@@ -85,7 +85,7 @@ def named(file: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
 
 
 def banned_names(trees: Trees, banned: Banned) -> list[Finding]:
-    """What has a banned name, in the order of files and lines."""
+    """Banned names, in the order of files and lines."""
     return [
         Finding("name", file, line, name.replace("_", "") if kind == "class" else name, problem)
         for file, tree in trees.items()

@@ -1,8 +1,8 @@
 """Draws the packages of lfield from its imports: `python tests/tidy/package_diagram.py --write` updates the
 diagram in the docs.
 
-A package of lfield or a plugin is in the layer above everything that it imports, types included. Arrows that
-follow from others are left out (transitive reduction), and so are arrows to the lowest layer. Nothing is set
+A package of lfield or a plugin is in the layer above everything that it imports, types included. Implied
+arrows are omitted (transitive reduction), and so are arrows to the lowest layer. No position is set
 by hand; a test compares the result with the file in the docs.
 """
 
@@ -17,7 +17,7 @@ import grimp
 
 PAGE = Path(__file__).parents[2] / "lfield" / "docs" / "packages.svg"
 PLUGINS = ("lfield_can", "lfield_dynamixel", "lfield_mavlink", "lfield_sim")
-#: Modules that start everything: not drawn.
+#: Entry modules: not drawn.
 ENTRY_POINTS = ("__main__",)
 
 PackageImports = Mapping[str, frozenset[str]]

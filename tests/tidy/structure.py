@@ -1,6 +1,6 @@
 """Structural rules of STYLE.md on class names, banned names, assignments and constructors.
 
-`python tests/tidy/structure.py` prints what each rule finds, exceptions included. The rules are pure:
+`python tests/tidy/structure.py` prints the findings of each rule, exceptions included. The rules are pure:
 syntax trees in, findings out.
 """
 
@@ -80,7 +80,7 @@ def foreign_assignments(trees: Trees) -> list[Finding]:
     """Attributes that are assigned on an object of the project outside its class.
 
     An object with behaviour is changed only by its class. A helper of the same file counts as part of that
-    class, and a record (a dataclass without methods) may be filled within its package. Not meant are modules,
+    class, and a record (a dataclass without methods) may be filled within its package. Excluded are modules,
     and objects of libraries: no class of the project declares their attributes. Where annotations and calls
     around the assignment do not give the class of the object, every class that declares the attribute counts.
     """
@@ -125,9 +125,9 @@ class Declared:
 
 
 def may_assign(file: str, scope: Scope, owners: list[Declared], *, sure: bool) -> bool:
-    """May a statement assign an attribute of an object whose class is one of `owners`?
+    """Whether a statement may assign an attribute of an object whose class is one of `owners`.
 
-    Where that is not sure, the class around the statement counts only if no other declares the attribute.
+    Unless `sure`, the class around the statement counts only if no other class declares the attribute.
     """
     others = owners if sure or len(owners) == 1 else [each for each in owners if each.cls is not scope.cls]
     return any(
@@ -169,7 +169,7 @@ def long_constructors(trees: Trees) -> list[Finding]:
 
 
 def argument_count(cls: ast.ClassDef) -> int:
-    """How many arguments the constructor of a class takes; 0 where it has none of its own."""
+    """The number of arguments of a class's constructor; 0 without one of its own."""
     for method in cls.body:
         if isinstance(method, ast.FunctionDef) and method.name == "__init__":
             given = method.args
@@ -182,7 +182,7 @@ def argument_count(cls: ast.ClassDef) -> int:
 
 
 def is_required(node: ast.stmt) -> bool:
-    """Is a statement of a dataclass a field that every caller passes?"""
+    """Whether a statement of a dataclass is a field that every caller passes."""
     if not isinstance(node, ast.AnnAssign) or "ClassVar" in ast.unparse(node.annotation):
         return False
     words = {each.arg for each in node.value.keywords} if isinstance(node.value, ast.Call) else set()
@@ -193,13 +193,13 @@ def is_required(node: ast.stmt) -> bool:
 
 
 def unexplained(findings: Iterable[Finding], allowed: Iterable[Allowed]) -> list[str]:
-    """Findings that no line of the table of exceptions names."""
+    """Findings without a line in the table of exceptions."""
     known = {(each.rule, each.file, each.name) for each in allowed}
     return [str(each) for each in findings if (each.rule, each.file, each.name) not in known]
 
 
 def unneeded(findings: Iterable[Finding], allowed: Iterable[Allowed]) -> list[str]:
-    """Exceptions that no finding needs any more, that repeat another, or that give no reason."""
+    """Exceptions without a finding, repeated exceptions, and exceptions without a reason."""
     found = {(each.rule, each.file, each.name) for each in findings}
     left = []
     for each in allowed:
@@ -241,7 +241,7 @@ def trees_of(*folders: str) -> Trees:
 
 
 def findings_of(trees: Trees, others: Trees) -> dict[str, list[Finding]]:
-    """What each rule finds in the project, exceptions included; of `others` only the names are checked."""
+    """The findings of each rule, exceptions included; of `others` only the names are checked."""
     banned = read_banned(BANNED.read_text(encoding="utf-8"))
     within = [{f: tree for f, tree in trees.items() if f.startswith(f"{each}/")} for each in packages()]
     return {

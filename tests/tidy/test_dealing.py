@@ -1,4 +1,4 @@
-"""The run of these tests itself: who gets which test when a worker has crashed, and which cases are a few."""
+"""The test run itself: redistribution after a worker crash, and selection of few cases."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def run(pytestconfig):
 
 @pytest.fixture
 def dealing(run):
-    """Of three files one is with a worker, done in part, and another whole."""
+    """Of three files one is partly done by a worker, and another is waiting."""
     made = object.__new__(run.Dealing)
     made.workqueue = OrderedDict(c={"c::1": False})
     made.assigned_work = {
@@ -33,26 +33,26 @@ def dealing(run):
     return made
 
 
-def test_only_what_a_crashed_worker_has_left_is_dealt_again(dealing):
+def test_only_unfinished_tests_of_a_crashed_worker_are_redistributed(dealing):
     assert dealing.remove_node("gone") == "b::2"
     assert dealing.workqueue == {"c": {"c::1": False}, "b": {"b::3": False}}
     assert dealing.asked == ["other"]
 
 
-def test_a_worker_that_crashed_in_its_last_test_leaves_nothing_that_tells_nobody_anything(dealing):
+def test_worker_that_crashed_in_its_last_test_leaves_no_rest(dealing):
     dealing.assigned_work["gone"]["b"]["b::3"] = True
     assert dealing.remove_node("gone") == "b::2"
     assert dealing.workqueue == {"c": {"c::1": False}}
 
 
-def test_a_worker_that_has_done_its_work_has_not_crashed(dealing):
+def test_finished_worker_has_not_crashed(dealing):
     dealing.assigned_work["gone"] = {"a": {"a::1": True}}
     assert dealing.remove_node("gone") is None
     assert dealing.asked == []
 
 
 def cases(**counts):
-    """The cases of a test with two parameters, so many values of each."""
+    """The cases of a test with two parameters, with this many values of each."""
     return [
         CallSpec(
             params={"kind": kind, "seed": seed},
@@ -64,7 +64,7 @@ def cases(**counts):
     ]
 
 
-def test_a_few_cases_have_each_value_once_if_they_can():
+def test_few_cases_have_each_value_once_if_possible():
     every = cases(kinds=3, seeds=20)
     found = sample("test", every, 3)
     assert sorted(case.indices["kind"] for case in found) == [0, 1, 2]
@@ -94,7 +94,7 @@ def test_merged_cases_that_all_skip_are_skipped():
         failures_of(cases(kinds=2, seeds=1), lambda kind, seed: pytest.skip("nothing"), {})
 
 
-def test_the_time_limit_ends_merged_cases():
+def test_time_limit_ends_merged_cases():
     seen = []
 
     def check(kind, seed):
@@ -123,12 +123,12 @@ def bench():
 
 @pytest.mark.parametrize("speed", [1, 2])
 @on_bench("bench", 7, given="speed", opened=False, kind="rover")
-async def test_a_test_on_a_bench_gets_bench_and_devices(b, device, opened, /, speed, tmp_path):
+async def test_bench_test_gets_bench_and_devices(b, device, opened, /, speed, tmp_path):
     assert (b.given, b.options) == ((7,), {"kind": "rover", "speed": speed})
     assert (device, opened, tmp_path.is_dir()) == ("fc", False, True)
 
 
-def test_a_test_on_a_bench_that_fails_fails():
+def test_failing_bench_test_fails():
     @on_bench(Bench)
     async def test(b, device, opened, /):
         await asyncio.sleep(0)
@@ -138,7 +138,7 @@ def test_a_test_on_a_bench_that_fails_fails():
         test()
 
 
-def test_a_coroutine_function_gets_what_its_runner_passes_and_fails_as_others_do():
+def test_coroutine_test_gets_its_arguments_and_can_fail():
     async def test(team, /, number):
         await asyncio.sleep(0)
         assert (team, number) == ("alpha", 1)
@@ -150,6 +150,6 @@ def test_a_coroutine_function_gets_what_its_runner_passes_and_fails_as_others_do
 
 
 @pytest.mark.parametrize("divisor", [1, 2])
-async def test_cases_of_a_coroutine_function_are_checked_in_one_item(divisor):
+async def test_coroutine_cases_are_checked_in_one_item(divisor):
     await asyncio.sleep(0)
     assert 2 % divisor == 0

@@ -1,4 +1,4 @@
-"""Hybrid timestamps order events, and nothing else reads them: no certificate, lease, time limit or timer."""
+"""Hybrid timestamps order events only: no certificate, lease, time limit or timer reads them."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-#: The hybrid clock, and what gives or reads timestamps.
+#: The hybrid clock, and the functions that make or read timestamps.
 NAMES = {"hybrid_clock", "_hybrid_clock", "HybridClock", "timestamp_of", "milliseconds_of", "counter_of"}
-#: The fields of messages and events that have them.
+#: The fields of messages and events with timestamps.
 FIELDS = {"stamp", "ahead", "tick"}
 WORDS = (*NAMES, *(f".{name}" for name in FIELDS))
-#: Each file that may, with what it does.
+#: The permitted files, each with its use.
 ALLOWED = {
     "host/core.py": "greetings, and timestamps of messages that arrive",
     "host/events/event_log.py": "stores the timestamps of events",
@@ -40,7 +40,7 @@ ALLOWED = {
 
 
 def uses(text: str) -> Iterator[str]:
-    """What a module reads of timestamps."""
+    """The timestamp names that a module reads."""
     if not any(word in text for word in WORDS):
         return
     for node in ast.walk(ast.parse(text)):
@@ -52,7 +52,7 @@ def uses(text: str) -> Iterator[str]:
                     yield name
 
 
-def test_only_the_order_of_events_reads_timestamps() -> None:
+def test_only_permitted_files_read_timestamps() -> None:
     product = ROOT / "lfield"
     found = {
         path.relative_to(product).as_posix(): sorted(set(uses(path.read_text(encoding="utf-8"))))
@@ -63,6 +63,6 @@ def test_only_the_order_of_events_reads_timestamps() -> None:
     assert sorted(ALLOWED) == sorted(readers)
 
 
-def test_a_use_is_found() -> None:
+def test_use_of_a_timestamp_is_found() -> None:
     text = "lease = header.stamp\nlimit = self.recorder.hybrid_clock.last\n"
     assert sorted(uses(text)) == ["hybrid_clock", "stamp"]

@@ -1,4 +1,4 @@
-"""Structural rules of STYLE.md, held against the code, and each rule against code that breaks it."""
+"""Structural rules of STYLE.md, applied to the code, and each rule applied to code that breaks it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def names(findings: list[Finding]) -> list[tuple[str, int, str]]:
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_the_code_keeps_the_rule(rule: str) -> None:
+def test_code_follows_the_rule(rule: str) -> None:
     assert structure.unexplained(found()[rule], exceptions()) == []
 
 
@@ -64,14 +64,14 @@ def test_exceptions_are_matched_by_rule_file_and_name() -> None:
     ]
 
 
-def test_a_public_class_name_in_two_modules_is_found() -> None:
+def test_public_class_name_in_two_modules_is_found() -> None:
     code = trees(
         a="class Entry: ...\nclass _Entry: ...", b="if 1:\n  class Entry: ...", c="class _Entry: ..."
     )
     assert names(structure.repeated_classes(code)) == [("a.py", 1, "Entry"), ("b.py", 2, "Entry")]
 
 
-def test_the_two_syntax_trees_may_share_class_names_with_each_other_only() -> None:
+def test_the_two_syntax_trees_may_share_class_names() -> None:
     code = trees(lang__syntax="class If: ...", lang__tree="class If: ...")
     assert structure.repeated_classes(code) == []
     assert len(structure.repeated_classes({**code, **trees(vm="class If: ...")})) == 3
@@ -80,7 +80,7 @@ def test_the_two_syntax_trees_may_share_class_names_with_each_other_only() -> No
     )
 
 
-def test_banned_names_of_modules_classes_functions_and_methods_are_found() -> None:
+def test_banned_names_of_modules_classes_and_functions_are_found() -> None:
     banned = name_rules.read_banned(
         "word told on_<event>\nword take drain\nname words values\nterm take_over\n"
     )
@@ -130,12 +130,12 @@ def test_banned_names_of_modules_classes_functions_and_methods_are_found() -> No
         "match 1:\n    case [told]: ...",
     ],
 )
-def test_banned_names_of_variables_parameters_attributes_and_fields_are_found(source: str) -> None:
+def test_banned_names_of_variables_and_fields_are_found(source: str) -> None:
     banned = name_rules.read_banned("word told reported")
     assert len(name_rules.banned_names(trees(a=source), banned)) == 1
 
 
-def test_a_term_may_be_accepted_in_some_folders_only() -> None:
+def test_term_may_be_accepted_in_some_folders_only() -> None:
     banned = name_rules.read_banned(
         "name word token\nword roll inventory\nterm word lfield/vm\nterm roll lfield/x"
     )
@@ -170,7 +170,7 @@ PART = """
         "part.all[0].hook = 1",
     ],
 )
-def test_an_assignment_to_an_attribute_of_another_object_is_found(statement: str) -> None:
+def test_assignment_to_an_attribute_of_another_object_is_found(statement: str) -> None:
     for source in (f"def f(part):\n   {statement}", f"class Whole:\n  def f(self, part):\n   {statement}"):
         assert len(structure.foreign_assignments(trees(a__part=PART, a__whole=source))) == 1
     if "part." in statement:
@@ -189,11 +189,11 @@ def test_an_assignment_to_an_attribute_of_another_object_is_found(statement: str
         "def f(part): part['hook'] = 1",
     ],
 )
-def test_own_attributes_modules_and_objects_of_libraries_are_not_meant(source: str) -> None:
+def test_own_attributes_modules_and_library_objects_are_accepted(source: str) -> None:
     assert structure.foreign_assignments(trees(a__part=PART, a__whole=source)) == []
 
 
-def test_a_class_changes_new_instances_of_itself_and_helpers_of_its_file() -> None:
+def test_class_may_change_its_new_instances_and_helpers_of_its_file() -> None:
     source = """
         class _Helper:
             count: int
@@ -213,7 +213,7 @@ def test_a_class_changes_new_instances_of_itself_and_helpers_of_its_file() -> No
     assert names(structure.foreign_assignments(code)) == [("a/whole.py", 12, "hook")]
 
 
-def test_the_class_of_an_object_is_inferred_from_annotations_and_calls() -> None:
+def test_class_of_an_object_is_inferred_from_annotations_and_calls() -> None:
     """Each of these assigns an attribute that a class of the same file declares too."""
     source = """
         class Whole:
@@ -233,7 +233,7 @@ def test_the_class_of_an_object_is_inferred_from_annotations_and_calls() -> None
     assert [line for _, line, _ in names(structure.foreign_assignments(code))] == [7, 9, 10, 11]
 
 
-def test_inherited_attributes_are_those_of_the_base() -> None:
+def test_inherited_attributes_belong_to_the_base() -> None:
     whole = "from rich import Console\nclass Own(Part): ...\nclass Screen(Console): ..."
     use = "def f(own: Own): own.hook = 1"
     assert len(structure.foreign_assignments(trees(a__part=PART, a__own=whole, a__use=use))) == 1
@@ -241,7 +241,7 @@ def test_inherited_attributes_are_those_of_the_base() -> None:
     assert structure.foreign_assignments(trees(a__part=PART, a__own=whole, a__use=use)) == []
 
 
-def test_a_record_is_filled_within_its_package_only() -> None:
+def test_record_is_filled_within_its_package_only() -> None:
     record = "@dataclass(slots=True)\nclass Account:\n  level: int\n  @property\n  def full(self): ..."
     use = "def f(account): account.level = 1"
     assert structure.foreign_assignments(trees(a__account=record, a__use=use)) == []
@@ -250,14 +250,14 @@ def test_a_record_is_filled_within_its_package_only() -> None:
     assert len(structure.foreign_assignments(trees(a__account=behaviour, a__use=use))) == 1
 
 
-def test_a_constructor_of_more_than_7_arguments_is_found() -> None:
+def test_constructor_with_more_than_7_arguments_is_found() -> None:
     seven = "class A:\n  def __init__(self, a, b, /, c, d=1, *, e, f, {}): ..."
     assert structure.long_constructors(trees(a=seven.format("g"))) == []
     assert names(structure.long_constructors(trees(a=seven.format("g, **more")))) == [("a.py", 1, "A")]
     assert names(structure.long_constructors(trees(a=seven.format("g, h=2")))) == [("a.py", 1, "A")]
 
 
-def test_of_dataclasses_those_with_behaviour_and_state_count() -> None:
+def test_dataclass_with_behaviour_and_state_counts_as_a_constructor() -> None:
     fields = "".join(f"  f{n}: int\n" for n in range(8))
     method = "  def f(self): ...\n"
 

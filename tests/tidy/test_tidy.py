@@ -1,4 +1,4 @@
-"""The house stays tidy: what STYLE.md says of files, folders, functions and names, held against the code."""
+"""Rules of STYLE.md on files, folders, functions and names, applied to the code."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-#: Packages of the tests that obey the rules of the product.
+#: Packages of the tests that follow the rules of the product.
 TOOLS = ("tests/fuzz/engine_fuzzer", "tests/simulate/simulation_testing")
 PRODUCT = ("lfield", "drivers", "sim-adapters", *TOOLS)
 EVERYTHING = ("lfield", "drivers", "sim-adapters", "tests", "examples")
 
 MOST_FILES, MOST_LINES, LEAST_LINES, LONGEST_FUNCTION = 14, 400, 60, 60
 
-#: Files that pytest tells apart, or that nobody imports.
+#: File names that may repeat: pytest distinguishes them, or they are not imported.
 NAMESAKES = ("conftest.py", "run.py")
 
-#: Longer than others for a reason: tables, which are read by looking things up.
+#: Longer than others for a reason: tables that are read by lookup.
 TABLES: dict[str, str] = {
     "lfield/lang/messages.py": "what the front end can say, by its codes",
     "lfield/text/log_messages.py": "the log lines of hosts and guards, by their codes",
@@ -32,7 +32,7 @@ TABLES: dict[str, str] = {
     "lfield/lang/syntax.py": "the nodes of the raw syntax tree, all of which name one another",
     "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
 }
-#: Shorter than others, each one idea that nothing else is about.
+#: Shorter than others: each is one idea of its own.
 SMALL = {
     "lfield/client/event_json.py": "events as JSON, for commands and clients",
     "lfield/host/person_calls/call_limits.py": "limits on the calls of persons, without I/O",
@@ -51,7 +51,7 @@ SMALL = {
     "lfield/lang/parser/concurrency.py": "forms whose words are names elsewhere",
     "lfield/wire/reservation_messages.py": "what is said of reservations, all of it",
     "lfield/capability/ways.py": "names that compiler and machine share",
-    "lfield/clock.py": "a word that everybody speaks",
+    "lfield/clock.py": "the clock protocol of all packages",
     "lfield/devices/jitter_measurement.py": "what is done for lateness to decide",
     "lfield/operator/web/page.py": "the one page, of the one component",
     "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
@@ -75,8 +75,8 @@ SMALL = {
 }
 
 
-#: Names that begin with an underscore and are documented for others: named tuples', python-can's, asyncio's
-#: for those who make loops, wasmtime's for those who call without its conversions.
+#: Names with an underscore that are documented for others: of named tuples, python-can, asyncio
+#: for makers of loops, and wasmtime for calls without its conversions.
 DOCUMENTED = {
     *("_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"),
     *("_context", "_func", "_from_ptr"),
@@ -94,7 +94,7 @@ def name_of(path: Path) -> str:
 
 @cache
 def seen_in(path: Path) -> tuple[dict[str, int], list[str]]:
-    """How long its functions are, and where it uses private names of others; its tree is not kept."""
+    """The lengths of its functions, and its uses of private names of other files; its tree is not kept."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     nodes = list(ast.walk(tree))
     return functions(nodes), [f"{name_of(path)}:{line}: {name}" for line, name in private_uses(nodes)]
@@ -111,18 +111,18 @@ def test_no_folder_has_more_than_14_files() -> None:
     assert {folder: count for folder, count in counts.items() if count > MOST_FILES} == {}
 
 
-def test_no_two_test_files_have_one_name() -> None:
-    """pytest imports them, and what they share, by their bare names: of two it takes one for the other.
+def test_test_file_names_are_unique() -> None:
+    """pytest imports them, and their helpers, by bare names: of two equal names it uses only one.
 
-    What is in a package is imported by the name of that too.
+    Files in a package are imported with the name of the package.
     """
     bare = (path for path in files("tests", "examples") if not (path.parent / "__init__.py").is_file())
     names = Counter(path.name for path in bare if path.name not in NAMESAKES)
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_a_file_is_one_idea_of_60_to_400_lines() -> None:
-    """Faces of packages and commands aside: those are as short as they can be."""
+def test_file_has_60_to_400_lines() -> None:
+    """Except package inits and commands, which may be short."""
     lengths = {name_of(path): length(path) for path in files(*PRODUCT)}
     long = {name: lines for name, lines in lengths.items() if lines > MOST_LINES and name not in TABLES}
     assert long == {}
@@ -131,24 +131,24 @@ def test_a_file_is_one_idea_of_60_to_400_lines() -> None:
 
 
 def may_be_short(name: str) -> bool:
-    """A package's face, what Python runs, or a command; or it is in the table."""
+    """A package init, an entry module, or a command; or it is in the table."""
     return (
         Path(name).name in ("__init__.py", "__main__.py") or name.startswith("lfield/cli/") or name in SMALL
     )
 
 
-def test_the_tables_of_exceptions_name_no_file_that_needs_none() -> None:
+def test_exception_tables_name_no_file_without_need() -> None:
     assert [name for name in TABLES if length(ROOT / name) <= MOST_LINES] == []
     assert [name for name in SMALL if length(ROOT / name) >= LEAST_LINES] == []
 
 
-def test_a_function_fits_a_screen() -> None:
+def test_function_has_at_most_60_lines() -> None:
     found = {f"{name_of(path)}:{name}": n for path in files(*PRODUCT) for name, n in seen_in(path)[0].items()}
     assert {name: lines for name, lines in found.items() if lines > LONGEST_FUNCTION} == {}
 
 
 def functions(nodes: list[ast.AST]) -> dict[str, int]:
-    """The longest of each name."""
+    """The longest function of each name."""
     found: dict[str, int] = {}
     for node in nodes:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -159,7 +159,7 @@ def functions(nodes: list[ast.AST]) -> dict[str, int]:
 
 
 def private_uses(nodes: list[ast.AST]) -> Iterator[tuple[int, str]]:
-    """Lines that use a private name of something that is defined in another file."""
+    """Lines that use a private name that is defined in another file."""
     own = {node.attr for node in nodes if isinstance(node, ast.Attribute) and of_self(node)}
     own |= DOCUMENTED | {n.name for n in nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)}
     for node in nodes:
@@ -180,11 +180,11 @@ def private(name: str) -> bool:
 
 
 @pytest.mark.parametrize("path", files(*PRODUCT), ids=name_of)
-def test_nobody_uses_the_private_names_of_another_file(path: Path) -> None:
+def test_no_file_uses_private_names_of_another_file(path: Path) -> None:
     assert seen_in(path)[1] == []
 
 
-#: Outside the wire and the host: what may read the snapshot of a host. All else reads the read model.
+#: Files outside the wire and the host that may read the snapshot of a host. All others use the read model.
 SNAPSHOT_READERS = {
     "lfield/operator/client.py",
     "lfield/operator/team_model/host_model.py",
@@ -205,11 +205,11 @@ def test_only_the_read_model_reads_the_snapshot_of_a_host() -> None:
     assert {name for name in readers if not name.startswith(own)} == SNAPSHOT_READERS
 
 
-#: What may subscribe to a host: the clients of observers. Hosts ask one another with `Locate`.
+#: Files that may subscribe to a host: the clients of observers. Hosts use `Locate` among themselves.
 SUBSCRIBERS = {"lfield/operator/client.py", "lfield/operator/dashboard/event_stream/stream_cursor.py"}
 
 
-def test_only_the_clients_of_observers_subscribe_to_a_host() -> None:
+def test_only_clients_of_observers_subscribe_to_a_host() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in files("lfield")}
     asking = {
         name_of(path)
@@ -221,7 +221,7 @@ def test_only_the_clients_of_observers_subscribe_to_a_host() -> None:
     assert asking == SUBSCRIBERS
 
 
-def test_only_the_core_creates_parts_of_a_host_and_all_are_in_the_contract() -> None:
+def test_only_the_core_creates_parts_and_all_are_in_the_contract() -> None:
     host = {path: path.read_text(encoding="utf-8") for path in (ROOT / "lfield/host").rglob("*.py")}
     modules = {path: re.findall(r"^class (\w+)\(Part\)", text, re.M) for path, text in host.items()}
     parts = [part for found in modules.values() for part in found]

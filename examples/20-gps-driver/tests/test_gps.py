@@ -30,7 +30,7 @@ from lfield_sim.faults import Faults
 HOME = Path(__file__).parents[1]
 
 
-def test_the_sentences_of_the_textbook():
+def test_sentences_of_the_nmea_reference():
     gga = parse(b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r")
     assert gga["position"] == pytest.approx([48.1173, 11.516667, 545.4], abs=1e-6)
     assert (gga["fix"], gga["satellites"]) == ("gps", 8)
@@ -65,19 +65,19 @@ def test_south_and_west_are_negative_and_unknown_values_are_omitted():
         sentence("GPRMC,996161,A,,,,,1,1,990099,,"),
     ],
 )
-def test_what_cannot_be_is_nonsense(line):
+def test_invalid_sentence_is_refused(line):
     with pytest.raises(Nonsense):
         parse(line)
 
 
 @given(st.binary(max_size=90) | st.text(max_size=60).map(lambda text: b"$GPGGA," + text.encode() + b"*00"))
-def test_any_line_is_told_or_nonsense(line):
+def test_any_line_is_parsed_or_refused(line):
     with suppress(Nonsense):
         assert isinstance(parse(line), dict)
 
 
 @given(st.floats(0.0, 1e6))
-def test_the_simulated_receiver_sends_sentences(seconds):
+def test_simulated_receiver_sends_valid_sentences(seconds):
     values = {}
     for line in sentences(seconds).splitlines():
         assert len(line) <= 82
@@ -107,7 +107,7 @@ def rig(tmp_path):
     return Rig(tmp_path)
 
 
-def test_it_tells_where_it_is(rig):
+def test_receiver_reports_its_position(rig):
     async def story(gps):
         assert await gps.execute("waitFix", [5.0]) is True
         await rig.bench.until(lambda: "course" in rig.bench.values)
@@ -118,7 +118,7 @@ def test_it_tells_where_it_is(rig):
     rig.bench.run_real(story)
 
 
-def test_damaged_sentences_are_counted_and_never_told(rig):
+def test_damaged_sentences_are_counted_and_not_used(rig):
     rig.faults.apply(["noise=0.01", "half=0.2"])
 
     async def story(gps):
@@ -128,7 +128,7 @@ def test_damaged_sentences_are_counted_and_never_told(rig):
     rig.bench.run_real(story)
 
 
-def test_without_satellites_it_says_so_and_tells_no_position(rig):
+def test_receiver_without_satellites_reports_no_position(rig):
     rig.faults.apply(["no_fix=true"])
 
     async def story(gps):
@@ -139,7 +139,7 @@ def test_without_satellites_it_says_so_and_tells_no_position(rig):
     rig.bench.run_real(story)
 
 
-def test_an_unplugged_receiver_comes_back(rig):
+def test_unplugged_receiver_returns(rig):
     async def story(gps):
         rig.faults.apply(["unplug=true"])
         await rig.bench.until(lambda: any("is gone" in note for note in rig.bench.notes))
@@ -151,7 +151,7 @@ def test_an_unplugged_receiver_comes_back(rig):
     rig.bench.run_real(story)
 
 
-def test_a_silent_port_is_an_error_within_its_time(tmp_path):
+def test_silent_port_is_an_error_within_its_time(tmp_path):
     rig = Rig(tmp_path, connect=1.0)
     rig.faults.apply(["silent=true"])
 
@@ -165,7 +165,7 @@ def test_a_silent_port_is_an_error_within_its_time(tmp_path):
 
 
 @pytest.mark.process
-def test_it_is_tried_as_a_process(monkeypatch):
+def test_conformance_checks_of_the_fake_as_a_process(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HOME), os.environ.get("PYTHONPATH", "")]))
     plugins = Plugins()
     plugins.add("lfield_gps:PLUGIN")
@@ -180,7 +180,7 @@ def test_it_is_tried_as_a_process(monkeypatch):
     assert [f.check for f in found if f.outcome == "passed"] == ["endpoint", "identity", "telemetry"]
 
 
-def test_it_passes_the_kit_without_anybody_having_to_agree():
+def test_gps_passes_the_kit_without_motion():
     plugins = Plugins()
     plugins.add("lfield_gps:PLUGIN")
     desk = Desk(plugins=plugins)
@@ -193,7 +193,7 @@ def test_it_passes_the_kit_without_anybody_having_to_agree():
     assert len(found) == 13
 
 
-def test_its_stock_resource_compiles():
+def test_gps_stock_resource_compiles():
     plugins = Plugins()
     plugins.add("lfield_gps:PLUGIN")
     body = 'GpsPosition p = findGpsPosition("p"); p.waitFix(1.0); print(p.latitude());'

@@ -57,7 +57,7 @@ def test_energy_is_not_created(rounds):
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
-def test_a_box_that_is_not_pushed_comes_to_rest(north, east, spin):
+def test_unpushed_box_comes_to_rest(north, east, spin):
     field = Field.of(Layout({}, box=(0.0, 0.0, 0.0)))
     field.box.speed, field.box.spin = (north, east), spin
     last = field.box.energy
@@ -70,7 +70,7 @@ def test_a_box_that_is_not_pushed_comes_to_rest(north, east, spin):
 
 @given(st.floats(0.05, 0.5), st.floats(0.1, 0.45))
 @settings(max_examples=30)
-def test_a_symmetric_push_moves_straight(speed, aside):
+def test_symmetric_push_moves_straight(speed, aside):
     field = with_wishes(behind(-aside, 0.0, aside), [(speed, 0.0)] * 3)
     for _ in range(100):
         field.step(TICK)
@@ -80,14 +80,14 @@ def test_a_symmetric_push_moves_straight(speed, aside):
 
 
 @given(st.floats(0.1, 0.5))
-def test_an_unequal_push_turns_it_away_from_the_stronger(aside):
+def test_unequal_push_turns_the_box_away_from_the_stronger_side(aside):
     field = with_wishes(behind(-aside, 0.0, aside), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
     for _ in range(100):
         field.step(TICK)
     assert field.box.heading < 0.0, "the right side is pushed: it turns to the left"
 
 
-def test_what_the_floor_holds_does_not_move():
+def test_push_below_the_friction_moves_nothing():
     field = with_wishes(behind(0.0), [(0.1, 0.0)])
     for _ in range(100):
         field.step(TICK)
@@ -101,7 +101,7 @@ def test_what_the_floor_holds_does_not_move():
 def test_objects_do_not_overlap(layout, wishes, data):
     field = Field.of(LAYOUTS[layout])
     for prey in field.all_prey:
-        # All of them run towards it.
+        # All robots drive towards it.
         prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
         for robot, velocity in zip(field.robots.values(), wishes, strict=False):
@@ -120,7 +120,7 @@ def test_objects_do_not_overlap(layout, wishes, data):
 
 
 @given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=5))
-def test_a_prey_runs_at_its_speed_or_stands(hunters):
+def test_prey_runs_at_its_speed_or_stands(hunters):
     assert math.hypot(*flight((0.0, 0.0), hunters)) == pytest.approx(PREY_SPEED) or flight(
         (0.0, 0.0), hunters
     ) == (0.0, 0.0)
@@ -139,7 +139,7 @@ def test_walls_hold_prey_and_robots(mind, seed, size):
         assert max(map(abs, one.place)) <= size / 2.0 + 1e-3
 
 
-def test_minds_of_prey():
+def test_escape_strategies_of_prey():
     hunters = [(1.0, 0.0), (0.9, 0.8)]
     assert escape(World(mind="still"), (0.0, 0.0), hunters, 0.0, 0) == (0.0, 0.0)
     assert escape(World(mind="away"), (0.0, 0.0), hunters, 0.0, 0) == pytest.approx((-PREY_SPEED, 0.0))
@@ -151,7 +151,7 @@ def test_minds_of_prey():
     assert math.hypot(*ways[0]) == pytest.approx(PREY_SPEED)
 
 
-def test_enclosed_prey_is_taken_away_where_there_are_several():
+def test_enclosed_prey_is_removed_if_there_are_several():
     around = [(0.35 * math.cos(turn), 0.35 * math.sin(turn)) for turn in (0.0, 1.6, 3.2, 4.8)]
     assert is_enclosed((0.0, 0.0), [(place, RADIUS) for place in around])
     assert not is_enclosed((0.0, 0.0), [(place, RADIUS) for place in around[:2]])
@@ -167,12 +167,12 @@ def test_enclosed_prey_is_taken_away_where_there_are_several():
 @pytest.mark.parametrize(
     "text", ["size", "size=x", "mind=clever", "moves=3", "prey=0", "colour=1", "predators=10"]
 )
-def test_a_world_without_sense_is_refused(text):
+def test_invalid_world_is_refused(text):
     with pytest.raises(ValueError, match=r"."):
         World.parse(text)
 
 
-def test_a_robot_that_moves_along_the_axes_reaches_its_goal():
+def test_robot_moving_along_the_axes_reaches_its_goal():
     world = World(moves=4)
     field = Field.of(Layout({1: (0.0, 0.0)}, prey=((5.0, 5.0),)), world)
     robot = Robot(field, 1)
@@ -187,14 +187,14 @@ def test_a_robot_that_moves_along_the_axes_reaches_its_goal():
     assert all(min(abs(north), abs(east)) < 1e-12 for north, east in steps)
 
 
-def test_a_prey_runs_from_one_and_between_two():
+def test_prey_runs_from_one_hunter_and_between_two():
     assert flight((0.0, 0.0), [(1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
     assert flight((0.0, 0.0), [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
     assert flight((0.0, 0.0), [(1.5, 0.0)]) == (0.0, 0.0), "far enough away"
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi))
-def test_a_touch_points_into_the_box(north, east, heading):
+def test_contact_normal_points_into_the_box(north, east, heading):
     box = Box(0.0, 0.0, heading)
     contact = box.touch((north, east), RADIUS)
     assume(contact.gap > 0.002 - RADIUS)
@@ -210,14 +210,14 @@ def test_a_touch_points_into_the_box(north, east, heading):
     st.text(max_size=30)
     | st.sampled_from(["go 1 nan 1", "go 1 2", "drive 1e999 0", "watchdog x", "?", "stop"])
 )
-def test_any_request_has_an_answer_of_one_line(line):
+def test_any_request_gets_a_one_line_answer(line):
     robot = Robot(Field({1: Body((0.0, 0.0))}), 1)
     assert "\n" not in robot.answer(line)
     assert robot.answer(line)
 
 
 @given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0))
-def test_it_is_never_faster_than_it_can_be(north, east):
+def test_robot_never_exceeds_its_maximum_speed(north, east):
     robot = Robot(Field({1: Body((0.0, 0.0))}), 1)
     for request in (f"drive {north} {east}", f"go {north} {east} 9"):
         robot.answer(request)
@@ -225,7 +225,7 @@ def test_it_is_never_faster_than_it_can_be(north, east):
         assert math.hypot(*robot.body.velocity) <= FASTEST + 1e-9
 
 
-def test_a_driver_that_is_silent_is_stopped_by_the_watchdog():
+def test_watchdog_stops_a_robot_without_requests():
     field = Field({1: Body((0.0, 0.0))})
     robot = Robot(field, 1)
     robot.answer("watchdog 0.5")
@@ -240,7 +240,7 @@ def test_a_driver_that_is_silent_is_stopped_by_the_watchdog():
 
 
 class Wire:
-    """A robot with a wire in memory: requests are answered, unless it is cut."""
+    """A robot with a connection in memory: requests are answered, unless it is cut."""
 
     def __init__(self):
         self.field, self.cut, self.says = Field.of(LAYOUTS["hunt"]), False, None
@@ -277,7 +277,7 @@ def bench(wire):
     return DriverBench(PLUGIN, binding, make=partial(ArenaDriver, connect=wire.connect), fakes=[wire.live])
 
 
-def test_it_is_there_when_it_says_so(bench, wire):
+def test_drive_to_ends_at_the_goal(bench, wire):
     async def story(robot):
         assert await robot.execute("driveTo", [0.5, -1.0, 5.0]) is True
         assert wire.robot.body.place == pytest.approx((0.5, -1.0), abs=0.011)
@@ -287,7 +287,7 @@ def test_it_is_there_when_it_says_so(bench, wire):
     bench.run(story)
 
 
-def test_what_it_cannot_reach_in_time_ends_where_it_is(bench, wire):
+def test_unreachable_goal_ends_at_the_present_position(bench, wire):
     async def story(robot):
         assert await robot.execute("driveTo", [3.0, -1.2, 1.0]) is False
         assert 0.3 < wire.robot.body.place[0] < 0.5, "at 0.4 m/s"
@@ -296,7 +296,7 @@ def test_what_it_cannot_reach_in_time_ends_where_it_is(bench, wire):
     bench.run(story)
 
 
-def test_the_driver_kicks_and_tells_the_score(bench, wire):
+def test_driver_kicks_and_reports_the_score(bench, wire):
     async def story(robot):
         wire.field.ball = Ball((0.0, 5.0))
         assert await robot.execute("kick", [1.0]) is False
@@ -318,7 +318,7 @@ def test_the_driver_kicks_and_tells_the_score(bench, wire):
         (("setVelocity", [math.inf, 0.0]), "numbers must be finite"),
     ],
 )
-def test_what_is_beyond_a_limit_is_refused(bench, wire, call, why):
+def test_command_beyond_a_limit_is_refused(bench, wire, call, why):
     async def story(robot):
         with pytest.raises(DeviceError, match=why):
             await robot.execute(*call)
@@ -327,7 +327,7 @@ def test_what_is_beyond_a_limit_is_refused(bench, wire, call, why):
     bench.run(story)
 
 
-def test_motors_that_fail_on_the_way_are_told(bench, wire):
+def test_motor_fault_in_motion_is_an_error(bench, wire):
     async def story(robot):
         asyncio.get_running_loop().call_later(0.5, wire.robot.answer, "wrong 1 1")
         with pytest.raises(DeviceError, match="its motors are off: a fault"):
@@ -338,7 +338,7 @@ def test_motors_that_fail_on_the_way_are_told(bench, wire):
     bench.run(story)
 
 
-def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
+def test_cut_connection_is_reported_and_returns(bench, wire):
     async def story(robot):
         wire.cut = True
         with pytest.raises(DeviceError, match="no answer"):
@@ -352,7 +352,7 @@ def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
 
 
 @pytest.mark.parametrize("nonsense", ["north 1", "what?", "north x east 2", "north nan east 2 moving 0"])
-def test_a_state_that_makes_no_sense_is_an_error(bench, wire, nonsense):
+def test_invalid_state_is_an_error(bench, wire, nonsense):
     async def story(robot):
         wire.says = nonsense
         with pytest.raises(DeviceError, match="its state is invalid"):
@@ -361,7 +361,7 @@ def test_a_state_that_makes_no_sense_is_an_error(bench, wire, nonsense):
     bench.run(story)
 
 
-def test_it_passes_the_kit():
+def test_arena_driver_passes_the_kit():
     plugins = Plugins()
     plugins.add("lfield_arena:PLUGIN")
     desk = Desk(plugins=plugins)

@@ -30,7 +30,7 @@ def on_pitch(ball):
 
 
 @given(COORDINATES, SPEEDS)
-def test_a_ball_left_alone_stays_on_the_pitch_loses_energy_and_comes_to_rest(place, speed):
+def test_free_ball_stays_on_the_pitch_and_comes_to_rest(place, speed):
     ball = Ball(place, speed)
     fast = math.hypot(*speed)
     for _ in range(1 + round(fast / ROLLING_FRICTION / TICK)):
@@ -43,7 +43,7 @@ def test_a_ball_left_alone_stays_on_the_pitch_loses_energy_and_comes_to_rest(pla
 
 @given(COORDINATES, SPEEDS, WILLS)
 @settings(max_examples=40, deadline=None)
-def test_it_leaves_through_a_goal_only_and_is_never_where_a_robot_is(place, speed, wills):
+def test_ball_leaves_only_through_a_goal_and_never_overlaps_a_robot(place, speed, wills):
     field = Field.of(LAYOUTS["pitch"])
     field.ball.place, field.ball.speed = place, speed
     robots = [Robot(field, number) for number in field.robots]
@@ -66,7 +66,7 @@ def test_it_leaves_through_a_goal_only_and_is_never_where_a_robot_is(place, spee
 
 @given(COORDINATES, SPEEDS)
 @settings(max_examples=50)
-def test_robots_that_stand_take_energy_and_give_none(place, speed):
+def test_standing_robots_add_no_energy_to_the_ball(place, speed):
     field = Field.of(LAYOUTS["pitch"])
     field.ball.place, field.ball.speed = place, speed
     for _ in range(300):
@@ -76,7 +76,7 @@ def test_robots_that_stand_take_energy_and_give_none(place, speed):
 
 
 @pytest.mark.parametrize(("way", "goals"), [(1.0, [1, 0]), (-1.0, [0, 1])])
-def test_a_goal_counts_once_and_the_ball_is_back_in_the_middle(way, goals):
+def test_goal_counts_once_and_the_ball_returns_to_the_middle(way, goals):
     ball = Ball((1.8 * way, 0.3), (1.5 * way, 0.0))
     for _ in range(round(PAUSE / TICK)):
         ball.step(TICK)
@@ -87,7 +87,7 @@ def test_a_goal_counts_once_and_the_ball_is_back_in_the_middle(way, goals):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, REACH - 1e-6), st.floats(-1.0, 5.0))
-def test_a_kick_goes_straight_away_from_who_kicks(bearing, gap, speed):
+def test_kick_moves_the_ball_away_from_the_robot(bearing, gap, speed):
     away = RADIUS + BALL_RADIUS + gap
     ball = Ball((away * math.cos(bearing), away * math.sin(bearing)))
     assert ball.kicked((0.0, 0.0), RADIUS, speed)
@@ -95,7 +95,7 @@ def test_a_kick_goes_straight_away_from_who_kicks(bearing, gap, speed):
     assert ball.speed == pytest.approx((fast * math.cos(bearing), fast * math.sin(bearing)))
 
 
-def test_a_ball_too_far_away_in_a_goal_or_not_there_is_not_kicked():
+def test_distant_resting_or_absent_ball_is_not_kicked():
     there = Body((0.0, 0.0))
     assert Robot(Field({1: there}), 1).answer("kick 1") == "no ball"
     ball = Ball((RADIUS + BALL_RADIUS + REACH + 0.01, 0.0))
@@ -109,7 +109,7 @@ def test_a_ball_too_far_away_in_a_goal_or_not_there_is_not_kicked():
     assert robot.answer("kick 1") == "its motors are off: a fault"
 
 
-def test_a_match_with_a_referee_begins_when_both_teams_are_ready():
+def test_refereed_match_begins_when_both_teams_are_ready():
     world = World(referee=1)
     field = Field.of(LAYOUTS["pitch"], world)
     referee, robot = Referee(field), Robot(field, 1)

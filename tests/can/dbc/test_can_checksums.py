@@ -48,7 +48,7 @@ def same_ids(number):
 
 
 @pytest.mark.parametrize(("number", "text"), [(n, text) for n, texts in RECORDED.items() for text in texts])
-def test_recorded_frames_are_right_and_changed_ones_wrong(arm, number, text):
+def test_recorded_frames_are_valid_and_changed_frames_are_not(arm, number, text):
     data = bytes.fromhex(text)
     protection = arm(f"Arm.Check=e2e_2 {same_ids(number)}")["Arm"]
     assert protection.problem(data) == ""
@@ -65,7 +65,7 @@ def test_recorded_frames_are_right_and_changed_ones_wrong(arm, number, text):
         ("Arm.Check=toyota", ("1a00000000000000", "1b01000000000000")),
     ],
 )
-def test_sent_frames_have_the_next_counter_and_its_checksum(arm, checksum, first):
+def test_sent_frames_carry_the_next_counter_and_its_checksum(arm, checksum, first):
     protection = arm(checksum, counters=("Arm.Counter=15",))["Arm"]
     sent = [protection.protected(bytes(8)) for _ in range(16)]
     assert [frame.hex() for frame in sent[:2]] == list(first)
@@ -76,7 +76,7 @@ def test_sent_frames_have_the_next_counter_and_its_checksum(arm, checksum, first
 
 
 @given(st.binary(min_size=7, max_size=7), st.lists(st.integers(0, 255), min_size=16, max_size=16))
-def test_foreign_libraries_agree(arm, rest, ids):
+def test_checksums_equal_those_of_foreign_libraries(arm, rest, ids):
     data = b"\0" + rest
     listed = ",".join(map(str, ids))
     counter = rest[0] & 0xF
@@ -87,15 +87,15 @@ def test_foreign_libraries_agree(arm, rest, ids):
         assert arm(f"Arm.Check={kind}")["Arm"].problem(right) == ""
 
 
-def test_a_frame_of_can_fd_with_profile_5(arm):
+def test_e2e_profile_5_protects_a_can_fd_frame(arm):
     protection = arm("Arm.Check=e2e_5 0xBEEF", length=64, bits=16)["Arm"]
     sent = [protection.protected(bytes(range(64))) for _ in range(3)]
     assert sent == [bytes(apply_profile5_crc(frame, 0xBEEF)) for frame in sent]
     assert [frame[2] & 0xF for frame in sent] == [0, 1, 2]
 
 
-def test_a_nibble_of_a_motorola_signal(arm):
-    """The sums of opendbc's LKAS_HUD go down by one while the counter goes up."""
+def test_honda_checksum_of_a_motorola_nibble(arm):
+    """The checksums of opendbc's LKAS_HUD decrease by one while the counter increases."""
     protection = arm("Honda.Check=honda", counters=["Honda.Counter"])["Honda"]
     sums = [protection.protected(bytes.fromhex("4100000000000000"))[7] & 0xF for _ in range(4)]
     assert [(sums[0] - each) % 16 for each in sums] == [0, 1, 2, 3]
@@ -120,12 +120,12 @@ def test_a_nibble_of_a_motorola_signal(arm):
         (("Honda.Gain",), "Arm.Check=xor8", "cannot be a counter"),
     ],
 )
-def test_bindings_that_cannot_be_right(arm, counters, checksum, words):
+def test_invalid_counter_or_checksum_option_is_refused(arm, counters, checksum, words):
     with pytest.raises(DbcError, match=words):
         arm(checksum, counters=counters)
 
 
 @given(st.binary(max_size=64))
-def test_any_frame_is_right_or_has_a_reason(arm, data):
+def test_any_frame_is_valid_or_has_a_reason(arm, data):
     protection = arm("Arm.Check=e2e_1 1")["Arm"]
     assert isinstance(protection.problem(Frame(783, data).data), str)

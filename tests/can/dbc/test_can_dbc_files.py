@@ -1,4 +1,4 @@
-"""DBC files as tools write them: what is read, what is left out with a warning, and what is an error."""
+"""DBC files as tools write them: content that is read, content skipped with a warning, and errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def codes(file: DbcFile) -> list[tuple[str, int]]:
     return [(finding.code, finding.span.line) for finding in file.warnings]
 
 
-# -- what is left out --------------------------------------------------------------------------------------
+# -- skipped content ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def codes(file: DbcFile) -> list[tuple[str, int]]:
         ('BO_ 292 Arm2: 8 Arm\n SG_ far : 0|8@1+ (1,0) [500|900] "" Host\n', "DBC916"),
     ],
 )
-def test_what_cannot_be_used_is_a_warning_with_its_place_and_the_rest_is_read(read, more, code):
+def test_unusable_line_is_a_warning_with_its_line_and_the_rest_is_read(read, more, code):
     file = read(ARM + more)
     (warning,) = file.warnings
     assert (warning.code, warning.severity) == (code, "warning")
@@ -73,14 +73,14 @@ def test_what_cannot_be_used_is_a_warning_with_its_place_and_the_rest_is_read(re
     assert file.decode(Frame(291, bytes([10, 0, 0, 0, 65, 0, 0, 0])))[1]["heat"] == 25.0
 
 
-def test_signals_of_no_message_are_no_mistake(read):
+def test_signals_without_a_message_give_no_warning(read):
     independent = (
         'BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 Vector__XXX\n SG_ spare : 0|8@1+ (1,0) [0|0] "" X\n'
     )
     assert read(ARM + independent).warnings == ()
 
 
-def test_a_file_without_messages_is_read_and_one_that_is_something_else_is_not(read):
+def test_dbc_file_without_messages_is_read_and_other_content_is_refused(read):
     assert codes(read(HEAD)) == [("DBC914", 1)]
     for text in ("", "\0\0", "import asyncio\n", "[DeviceInfo]\nBaudRate_500=1\n"):
         with pytest.raises(DbcError, match="cannot be read") as error:
@@ -88,7 +88,7 @@ def test_a_file_without_messages_is_read_and_one_that_is_something_else_is_not(r
         assert [finding.code for finding in error.value.findings] == ["DBC101"]
 
 
-def test_a_signal_beyond_its_frame_is_named_and_the_others_are_used(read):
+def test_signal_beyond_its_frame_is_named_and_the_others_are_used(read):
     file = read(
         HEAD + 'BO_ 5 Arm: 2 X\n SG_ near : 0|8@1+ (1,0) [0|0] "" X\n SG_ far : 12|8@1+ (1,0) [0|0] "" X\n'
     )
@@ -101,7 +101,7 @@ def test_a_signal_beyond_its_frame_is_named_and_the_others_are_used(read):
             call()
 
 
-# -- what is an error --------------------------------------------------------------------------------------
+# -- errors ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_signal_beyond_its_frame_is_named_and_the_others_are_used(read):
         ('CM_ "never closed;', "DBC104", 5),
     ],
 )
-def test_what_cannot_be_understood_is_an_error_with_line_and_column(read, line, code, column):
+def test_syntax_error_has_line_and_column(read, line, code, column):
     with pytest.raises(DbcError) as error:
         read(ARM + line + "\n")
     (finding,) = error.value.findings
@@ -128,14 +128,14 @@ def test_what_cannot_be_understood_is_an_error_with_line_and_column(read, line, 
     assert finding.hint in str(error.value)
 
 
-def test_all_mistakes_are_found_in_one_run(read):
+def test_all_syntax_errors_are_reported_in_one_run(read):
     with pytest.raises(DbcError, match=r"and 2 more mistakes") as error:
         read(ARM + "BO_ x\n" * 5)
     assert len(error.value.findings) == 5
 
 
 @given(st.text(alphabet='BO_SG: 0123|@+-()[]",;mMVALCN\n\t x.e\\', max_size=300), st.integers(0, len(ARM)))
-def test_any_text_is_read_or_refused_with_places(tmp_path_factory, junk, at):
+def test_any_text_is_read_or_refused_with_its_line(tmp_path_factory, junk, at):
     path = tmp_path_factory.getbasetemp() / "junk.dbc"
     path.write_text(ARM[:at] + junk + ARM[at:], encoding="utf-8")
     try:
@@ -149,7 +149,7 @@ def test_any_text_is_read_or_refused_with_places(tmp_path_factory, junk, at):
         file.decode(Frame(file.message(name).frame_id, bytes(8), file.message(name).is_extended_frame))
 
 
-# -- how files are written ---------------------------------------------------------------------------------
+# -- notations ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -167,13 +167,13 @@ def test_any_text_is_read_or_refused_with_places(tmp_path_factory, junk, at):
         ARM.replace("\n", "\r").encode(),
     ],
 )
-def test_encodings_marks_and_ends_of_lines(read, encoded):
+def test_encodings_byte_order_marks_and_line_ends(read, encoded):
     file = read(encoded)
     assert [file.signal("Arm", name).unit for name in ("speed", "angle", "heat")] == ["rad/s", "°", "°C"]
     assert file.warnings == ()
 
 
-def test_comments_in_shift_jis_do_not_hide_what_follows(read):
+def test_shift_jis_comments_do_not_hide_later_lines(read):
     # The second byte of a character may be a backslash, also before the closing quote.
     text = ARM.replace("°", "") + 'CM_ SG_ 291 speed "モーター速度の表示、能力表";\nBO_ 292 Leg: 8 X\n'
     file = read(text.encode("shift_jis"))
@@ -195,17 +195,17 @@ def test_comments_in_shift_jis_do_not_hide_what_follows(read):
         "SIG_GROUP_ 291 both 1 : speed angle;\n",
     ],
 )
-def test_what_says_nothing_of_bits_is_passed_over(read, more):
+def test_lines_without_signal_data_are_skipped(read, more):
     file = read(ARM + more + 'BO_ 292 Leg: 8 X\n SG_ x : 0|8@1+ (1,0) [0|0] "" X\n')
     assert file.names == ["Arm", "Leg"]
     assert file.warnings == ()
 
 
-def test_nodes_in_lines_of_their_own(read):
+def test_node_names_on_separate_lines_are_read(read):
     assert read(ARM.replace("BU_: Host Arm", "BU_:\n\tHost\n\tArm")).warnings == ()
 
 
-def test_odd_names_and_numbers_are_read(read):
+def test_unusual_names_and_numbers_are_read(read):
     file = read(
         HEAD + 'BO_ 1275 2017_5: 8 X\n SG_ 0_COUNTER : 35|4@0+ (.25,-500) [-500|-496.25] "" X\n'
         ' SG_ a-b : 8 | 8 @ 1 + ( 1e0 , +0. ) [ 0 | 255 ] "" X\n'
@@ -215,7 +215,7 @@ def test_odd_names_and_numbers_are_read(read):
     )
 
 
-def test_long_names_stand_in_attributes(read):
+def test_long_names_are_read_from_attributes(read):
     file = read(
         ARM + 'BA_ "SystemMessageLongSymbol" BO_ 291 "Arm_of_the_robot_with_a_name_of_more_than_32";\n'
         'BA_ "SystemSignalLongSymbol" SG_ 291 speed "speed of the joint: shoulder, yaw";\n'
@@ -235,14 +235,14 @@ def test_long_names_stand_in_attributes(read):
         (0x18FEF100, Frame(0x18FEF100, extended=True)),
     ],
 )
-def test_forms_of_ids(read, id, frame):
+def test_message_id_selects_standard_or_extended_frame(read, id, frame):
     file = read(f'{HEAD}BO_ {id} Arm: 8 X\n SG_ x : 0|8@1+ (1,0) [0|0] "" X\n')
     assert file.decode(frame._replace(data=bytes([7]))) == ("Arm", {"x": 7.0})
     assert file.decode(frame._replace(data=bytes([7]), extended=not frame.extended)) is None
 
 
 @pytest.mark.parametrize("none", ["-1.#INF|1.#INF", "-inf|INF", "nan|nan", "1.#QNAN|-1.#IND00", "|"])
-def test_ends_of_a_range_that_are_no_numbers_are_none(read, none):
+def test_non_finite_range_ends_are_no_limits(read, none):
     file = read(f'{HEAD}BO_ 9 Arm: 1 X\n SG_ x : 0|8@1+ (1,0) [{none}] "" X\n')
     assert (file.signal("Arm", "x").minimum, file.signal("Arm", "x").maximum) == (None, None)
     assert file.warnings == ()
@@ -251,7 +251,7 @@ def test_ends_of_a_range_that_are_no_numbers_are_none(read, none):
 # -- bits --------------------------------------------------------------------------------------------------
 
 
-def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them(read):
+def test_range_ends_are_valid_despite_rounding(read):
     file = read(
         HEAD + "BO_ 5 Car: 8 X\n"
         ' SG_ accel : 0|11@1+ (0.01,-10.23) [-10.23|10.24] "" X\n'
@@ -278,7 +278,7 @@ def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them(read):
     st.integers(1, 64), st.booleans(), st.booleans(), st.sampled_from([1.0, 0.1, -0.005, 1e-9, 0.0625, 3e5]),
     st.sampled_from([0.0, -40.0, 0.07, 1e6]),
 )  # fmt: skip
-def test_least_and_greatest_of_any_signal_can_be_sent(
+def test_minimum_and_maximum_of_any_signal_can_be_sent(
     tmp_path_factory, bits, motorola, signed, scale, offset
 ):
     path = tmp_path_factory.getbasetemp() / "ends.dbc"
@@ -290,7 +290,7 @@ def test_least_and_greatest_of_any_signal_can_be_sent(
         assert file.decode(sent)[1]["x"] == pytest.approx(end, rel=1e-9, abs=abs(scale) / 2)
 
 
-def test_floats_of_all_sizes(read):
+def test_float_signals_of_all_sizes(read):
     file = read(
         HEAD + "BO_ 5 F: 16 X\n"
         ' SG_ half : 0|16@1- (1,0) [0|0] "" X\n SG_ single : 16|32@1- (1,0) [0|0] "" X\n'
@@ -302,14 +302,14 @@ def test_floats_of_all_sizes(read):
     assert file.decode(Frame(5, bytes.fromhex("007e") + bytes(14), fd=True))[1].keys() == {"single", "double"}
 
 
-def test_a_message_of_over_8_bytes_is_one_of_can_fd_and_filled_up(read):
+def test_message_over_8_bytes_is_a_padded_can_fd_frame(read):
     file = read(HEAD + 'BO_ 5 F: 10 X\n SG_ x : 72|8@1+ (1,0) [0|0] "" X\n')
     frame = file.encode("F", {"x": 3.0})
     assert frame.fd
     assert frame.data == bytes([*[0] * 9, 3, 0, 0])
 
 
-def test_signals_that_overlap(read):
+def test_overlapping_signals_are_both_decoded(read):
     file = read(
         HEAD + 'BO_ 5 M: 8 X\n SG_ all : 0|16@1+ (1,0) [0|0] "" X\n SG_ low : 0|8@1+ (1,0) [0|0] "" X\n'
     )
@@ -328,7 +328,7 @@ EXTENDED_PAGES = HEAD + (
     ("first", "there"),
     [(0x00, "S0 S4"), (0x21, "S0 S1 S3 S4"), (0x31, "S0 S1 S4"), (0x06, "S0 S1 S3 S4"), (0x02, "S0 S2 S4")],
 )
-def test_extended_multiplexing(read, first, there):
+def test_extended_multiplexing_selects_the_signals(read, first, there):
     file = read(EXTENDED_PAGES)
     frame = Frame(5, bytes([first, 1, 2, 3, 0, 0, 0, 0]))
     assert " ".join(sorted(file.decode(frame)[1])) == there
@@ -336,7 +336,7 @@ def test_extended_multiplexing(read, first, there):
     assert file.selectors("M", "S3") == {"S1": 0.0, "S0": 1.0}
 
 
-def test_one_name_in_two_pages(read):
+def test_one_signal_name_in_two_pages(read):
     file = read(
         HEAD + 'BO_ 5 M: 8 X\n SG_ page M : 0|8@1+ (1,0) [0|0] "" X\n SG_ x m0 : 8|8@1+ (1,0) [0|0] "" X\n'
         ' SG_ x m1 : 16|8@1+ (1,0) [0|0] "" X\n'
@@ -347,7 +347,7 @@ def test_one_name_in_two_pages(read):
 # -- short frames ------------------------------------------------------------------------------------------
 
 
-def test_a_short_frame_has_the_signals_that_are_in_it(read):
+def test_short_frame_yields_the_signals_that_fit(read):
     file = read(ARM)
     frame = Frame(291, bytes([10, 0, 0]))
     assert file.decode(frame) == ("Arm", {"speed": 1.0})
@@ -357,14 +357,14 @@ def test_a_short_frame_has_the_signals_that_are_in_it(read):
     assert file.decode(Frame(291)) == ("Arm", {})
 
 
-def test_it_reads_what_cantools_reads(tmp_path):
-    """Another reader as a judge: the same places, signs, orders, scales and pages."""
-    path, dice = tmp_path / "both.dbc", random.Random(4)
+def test_decoding_equals_cantools(tmp_path):
+    """cantools as reference: the same places, signs, byte orders, scales and pages."""
+    path, rng = tmp_path / "both.dbc", random.Random(4)
     path.write_text(EXTENDED_PAGES + ARM[len(HEAD) :], encoding="cp1252")
     ours, theirs = DbcFile(str(path)), cantools.database.load_file(path)
     for message in theirs.messages:
         for _ in range(200):
-            data = dice.randbytes(message.length)
+            data = rng.randbytes(message.length)
             try:
                 values = message.decode(data, decode_choices=False)
             except cantools.database.DecodeError:

@@ -1,4 +1,4 @@
-"""A drive made of canopen's LocalNode: SDO server, NMT and heartbeat are canopen's, the axis is ours."""
+"""A drive with canopen's LocalNode: SDO server, NMT and heartbeat are canopen's, the axis is simulated."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ OBJECTS: dict[tuple[int, int], tuple[int, int]] = {
     (0x60FF, 0): (I32, 0),
 }
 for _number, _transmitted in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
-    _how, _what = (0x1800, 0x1A00) if _transmitted else (0x1400, 0x1600)
+    _pdo, _map = (0x1800, 0x1A00) if _transmitted else (0x1400, 0x1600)
     OBJECTS |= {
-        (_how + _number, 1): (U32, 1 << 31), (_how + _number, 2): (U8, 255), (_how + _number, 5): (U16, 0),
-        (_what + _number, 0): (U8, 0), (_what + _number, 1): (U32, 0), (_what + _number, 2): (U32, 0),
+        (_pdo + _number, 1): (U32, 1 << 31), (_pdo + _number, 2): (U8, 255), (_pdo + _number, 5): (U16, 0),
+        (_map + _number, 0): (U8, 0), (_map + _number, 1): (U32, 0), (_map + _number, 2): (U32, 0),
     }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def dictionary(without: set[int]) -> canopen.ObjectDictionary:
 
 
 class Network(canopen.Network):
-    """canopen on a bus in memory; what is periodic runs on the loop."""
+    """canopen on a bus in memory; periodic messages run on the loop."""
 
     def __init__(self, say: Callable[[int, bytes], None]) -> None:
         super().__init__()
@@ -108,7 +108,7 @@ class Periodic:
 
 
 class LocalDrive:
-    """`live()` runs beside the driver; `bus` is where it is."""
+    """`live()` runs beside the driver; `bus` is the bus that it is attached to."""
 
     bus: Any
 

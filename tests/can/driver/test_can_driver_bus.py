@@ -1,4 +1,4 @@
-"""The bus: interfaces of python-can with real threads, that lose, fill up, lie and come back."""
+"""The bus: interfaces of python-can with real threads that fail, fill up, send invalid data and return."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame, Listener
 from lfield_can.bus.socketcand import Socketcand
 
-# python-can leaves the socket of an opening that failed to the garbage collector.
+# python-can leaves the socket of a failed opening to the garbage collector.
 pytestmark = pytest.mark.filterwarnings(
     "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
 )
 
 
-class Told:
-    """What a bus reports."""
+class BusBench:
+    """A bus, with the frames and notes that it reports."""
 
     def __init__(self, endpoint: str) -> None:
         self.frames: list[Frame] = []
@@ -40,7 +40,7 @@ class Told:
     async def until(self, condition, bound=60.0):
         end = time.monotonic() + bound
         while not condition():
-            assert time.monotonic() < end, f"it did not happen; notes: {self.notes}"
+            assert time.monotonic() < end, f"condition not met; notes: {self.notes}"
             await asyncio.sleep(0.01)
 
     def noted(self, words: str) -> bool:
@@ -49,18 +49,18 @@ class Told:
 
 def run(endpoint, story):
     async def main():
-        told = Told(endpoint)
-        await told.bus.open()
+        bench = BusBench(endpoint)
+        await bench.bus.open()
         try:
-            return await story(told)
+            return await story(bench)
         finally:
-            await told.bus.close()
+            await bench.bus.close()
 
     return asyncio.run(main())
 
 
 class Server:
-    """A socketcand server of a few lines. It says `words` one after the other; an empty one hangs up."""
+    """A minimal socketcand server. It sends `words` in turn; an empty one closes the connection."""
 
     def __init__(self, port: int = 0, *, words=(b"< hi >", b"< ok >", b"< ok >"), after: bytes = b"") -> None:
         self.listener = socket.create_server((own_address(), port))
@@ -88,7 +88,7 @@ class Server:
             peer.sendall(word + (self.after if number == 2 else b""))
 
     def stop(self) -> None:
-        with suppress(OSError):  # a mere close would let it listen on while somebody accepts
+        with suppress(OSError):  # without shutdown, close() lets a blocked accept() continue
             self.listener.shutdown(socket.SHUT_RDWR)
         self.listener.close()
         for peer in self.peers:
@@ -103,7 +103,7 @@ def server():
 
 
 class Stub(can.BusABC):
-    """An interface that does as it is told."""
+    """An interface that calls `send` of the test for each frame, and fails while `gone` is set."""
 
     def __init__(self, send) -> None:
         super().__init__(channel="stub")
@@ -127,7 +127,7 @@ class Stub(can.BusABC):
 
 @pytest.fixture
 def stub(monkeypatch):
-    """Have the next buses be stubs; the list of those that were opened."""
+    """Make the next buses stubs; returns the list of the stubs that were opened."""
     made: list[Stub] = []
 
     def install(send=lambda bus, message: None):
@@ -141,68 +141,68 @@ def stub(monkeypatch):
     return install
 
 
-def test_frames_come_and_go():
-    async def story(told):
+def test_frames_are_sent_and_received():
+    async def story(bench):
         with can.Bus(interface="virtual", channel="frames") as other:
-            await told.bus.send(Frame(0x123, b"\1\2"))
-            await told.bus.send(Frame(0x123, b"", extended=True))
+            await bench.bus.send(Frame(0x123, b"\1\2"))
+            await bench.bus.send(Frame(0x123, b"", extended=True))
             first, second = other.recv(60.0), other.recv(60.0)
             assert (first.arbitration_id, bytes(first.data), first.is_extended_id) == (0x123, b"\1\2", False)
             assert second.is_extended_id
             other.send(can.Message(arbitration_id=0x321, is_remote_frame=True, is_extended_id=False))
             other.send(can.Message(arbitration_id=0x321, data=b"\7", is_extended_id=False))
-            await told.until(lambda: told.frames)
-        assert told.frames == [Frame(0x321, b"\7")]
+            await bench.until(lambda: bench.frames)
+        assert bench.frames == [Frame(0x321, b"\7")]
 
     run("virtual:frames", story)
 
 
-def test_error_frames_are_counted_and_told_now_and_then(stub):
+def test_error_frames_are_counted_and_noted_at_intervals(stub):
     made = stub()
 
-    async def story(told):
+    async def story(bench):
         made[0].pending += [
             can.Message(arbitration_id=0x08, is_error_frame=True, data=b"\0") for _ in range(50)
         ]
-        await told.until(lambda: told.bus.errors == 50)
-        (note,) = told.notes
+        await bench.until(lambda: bench.bus.errors == 50)
+        (note,) = bench.notes
         assert note.code == "can-error-frames"
         assert note.startswith("error frames on virtual:x (count 1): protocol violation; check terminators")
 
     run("virtual:x", story)
 
 
-def test_bus_off_opens_the_bus_again(stub):
+def test_bus_off_reopens_the_interface(stub):
     made = stub()
 
-    async def story(told):
+    async def story(bench):
         made[0].pending.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=b"\0"))
-        await told.until(lambda: told.noted("link opened: "))
-        assert told.notes == ["link lost: virtual:x: bus off", "link opened: virtual:x"]
-        await told.bus.send(Frame(1))
+        await bench.until(lambda: bench.noted("link opened: "))
+        assert bench.notes == ["link lost: virtual:x: bus off", "link opened: virtual:x"]
+        await bench.bus.send(Frame(1))
         assert [m.arbitration_id for m in made[1].sent] == [1]
 
     run("virtual:x", story)
 
 
-def test_the_states_of_a_controller_and_the_cause_of_a_bus_off(stub):
+def test_controller_states_and_the_cause_of_bus_off_are_noted(stub):
     made = stub()
 
     def error(identifier, data=b""):
         return can.Message(arbitration_id=identifier, is_error_frame=True, data=data)
 
-    async def story(told):
+    async def story(bench):
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x04, b"\0\x40")]
-        await told.until(lambda: told.bus.errors == 3)
-        assert told.bus.trouble == ""
+        await bench.until(lambda: bench.bus.errors == 3)
+        assert bench.bus.trouble == ""
         made[0].pending += [error(0x20), error(0x04, b"\0\x20"), error(0x40)]
-        await told.until(lambda: told.noted("link opened: "))
-        # The interface is open again, and nothing was received yet: its controller may still be off.
-        assert told.bus.trouble.startswith("bus off: no acknowledgement of a frame; check that another node")
+        await bench.until(lambda: bench.noted("link opened: "))
+        # The interface is open again, but no frame was received yet: its controller may still be off.
+        assert bench.bus.trouble.startswith("bus off: no acknowledgement of a frame; check that another node")
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
-        await told.until(lambda: told.frames)
-        assert told.bus.trouble == ""
-        codes = [getattr(note, "code", "") for note in told.notes]
+        await bench.until(lambda: bench.frames)
+        assert bench.bus.trouble == ""
+        codes = [getattr(note, "code", "") for note in bench.notes]
         assert codes == [
             "can-error-frames",
             "can-bus-state",
@@ -212,78 +212,80 @@ def test_the_states_of_a_controller_and_the_cause_of_a_bus_off(stub):
             "endpoint-reopened",
             "can-bus-active",
         ]
-        assert told.noted("link lost: virtual:x: bus off (no acknowledgement of a frame; check that another")
+        assert bench.noted("link lost: virtual:x: bus off (no acknowledgement of a frame; check that another")
 
     run("virtual:x", story)
 
 
-def test_a_pcan_says_by_its_status_that_it_is_off(stub):
+def test_pcan_reports_bus_off_by_its_status(stub):
     made = stub()
 
-    async def story(told):
+    async def story(bench):
         made[0].status = lambda: 0x10
         made[0].pending.append(can.Message(arbitration_id=4, is_error_frame=True, data=b"\0\x19\0\0"))
-        await told.until(lambda: told.noted("link lost: pcan:USB: bus off (protocol violation (bit stuffing"))
+        await bench.until(
+            lambda: bench.noted("link lost: pcan:USB: bus off (protocol violation (bit stuffing")
+        )
 
     run("pcan:USB", story)
 
 
-def test_an_interface_that_breaks_is_opened_again(stub):
+def test_failed_interface_is_reopened(stub):
     made = stub()
 
-    async def story(told):
+    async def story(bench):
         made[0].gone = True
-        await told.until(lambda: told.noted("link lost"))
+        await bench.until(lambda: bench.noted("link lost"))
         with pytest.raises(DeviceError, match="the bus is lost") as error:
-            await told.bus.send(Frame(1))
+            await bench.bus.send(Frame(1))
         assert error.value.kind == "DeviceTimeoutException"
-        await told.until(lambda: told.noted("link opened: "))
+        await bench.until(lambda: bench.noted("link opened: "))
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
-        await told.until(lambda: told.frames)
+        await bench.until(lambda: bench.frames)
 
     run("virtual:x", story)
 
 
-def test_a_server_that_dies_is_noticed_at_once_and_costs_nothing(server):
-    async def story(told):
+def test_closed_server_is_detected_at_once_without_cpu_load(server):
+    async def story(bench):
         server.stop()
-        await told.until(lambda: told.noted(": the server has closed the connection"))
+        await bench.until(lambda: bench.noted(": the server has closed the connection"))
         used = time.process_time()
         await asyncio.sleep(1.0)
         assert time.process_time() - used < 0.5  # python-can's own loop would use all of it
         again = Server(server.port)
         try:
-            await told.until(lambda: told.noted("link opened: "))
+            await bench.until(lambda: bench.noted("link opened: "))
             again.peers[-1].sendall(b"< frame 123 0.0 0102 >")
-            await told.until(lambda: told.frames)
-            assert told.frames == [Frame(0x123, b"\1\2")]
+            await bench.until(lambda: bench.frames)
+            assert bench.frames == [Frame(0x123, b"\1\2")]
         finally:
             again.stop()
 
     run(server.endpoint, story)
 
 
-def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
+def test_malformed_socketcand_text_is_counted_and_the_rest_is_read(server):
     nonsense = [
         b"< frame xyz 0.0 >", b"< frame 800 0.0 00 >", b"< frame 1 0.0 000102030405060708 >", b"< error >",
         b"< frame 001 0.0 F >", b"x >", b"<" * 1000,
     ]  # fmt: skip
 
-    async def story(told):
+    async def story(bench):
         peer = server.peers[-1]
         for text in nonsense[:-1]:
             peer.sendall(text)
         peer.sendall(b"< frame 001 0.0 FF >< frame 00000002 0.0 >< error 008 0.0 ><frame 0")
-        await told.until(lambda: len(told.frames) == 2)
+        await bench.until(lambda: len(bench.frames) == 2)
         peer.sendall(b"03 0.0 0102>")
-        await told.until(lambda: len(told.frames) == 3)
-        assert told.frames == [Frame(1, b"\xff"), Frame(2, b"", extended=True), Frame(3, b"\1\2")]
-        assert told.bus.errors == 1
+        await bench.until(lambda: len(bench.frames) == 3)
+        assert bench.frames == [Frame(1, b"\xff"), Frame(2, b"", extended=True), Frame(3, b"\1\2")]
+        assert bench.bus.errors == 1
         peer.sendall(nonsense[-1])
-        await told.until(lambda: told.bus.malformed == len(nonsense))
+        await bench.until(lambda: bench.bus.malformed == len(nonsense))
         peer.sendall(b"< frame 004 0.0 >")
-        await told.until(lambda: len(told.frames) == 4)
-        assert not told.noted("link lost")
+        await bench.until(lambda: len(bench.frames) == 4)
+        assert not bench.noted("link lost")
 
     run(server.endpoint, story)
 
@@ -294,7 +296,7 @@ def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
         st.one_of(st.binary(max_size=300), st.text("<> framerot0123456789ABF.", max_size=60).map(str.encode))
     )
 )
-def test_no_bytes_break_the_client(pieces):
+def test_socketcand_client_survives_any_bytes(pieces):
     frames = []
     client = Socketcand(Listener(frames.append, lambda identifier, data: None, pytest.fail))
     client._answers = None
@@ -306,13 +308,13 @@ def test_no_bytes_break_the_client(pieces):
     assert all(frame.id < 1 << 29 and len(frame.data) <= 8 for frame in frames)
 
 
-def test_frames_are_sent_in_the_words_of_the_protocol(server):
-    async def story(told):
+def test_frames_are_sent_in_socketcand_syntax(server):
+    async def story(bench):
         peer = server.peers[-1]
-        await told.bus.send(Frame(0x12, bytes([1, 0xAB])))
-        told.bus.post(Frame(0x34, b"", extended=True))
+        await bench.bus.send(Frame(0x12, bytes([1, 0xAB])))
+        bench.bus.post(Frame(0x34, b"", extended=True))
         with pytest.raises(DeviceError, match="does not support CAN FD"):
-            await told.bus.send(Frame(1, bytes(16), fd=True))
+            await bench.bus.send(Frame(1, bytes(16), fd=True))
         wanted, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
         while len(got) < len(wanted):
             got += await asyncio.to_thread(peer.recv, 256)
@@ -321,22 +323,22 @@ def test_frames_are_sent_in_the_words_of_the_protocol(server):
     run(server.endpoint, story)
 
 
-def test_a_server_that_does_not_read_is_told_of(server):
-    async def story(told):
+def test_server_that_does_not_read_gives_a_full_send_queue(server):
+    async def story(bench):
         for _ in range(1_000_000):
-            await told.bus.send(Frame(1, bytes(8)))
+            await bench.bus.send(Frame(1, bytes(8)))
 
     with pytest.raises(DeviceError, match="the send queue is full"):
         run(server.endpoint, story)
 
 
-def test_an_answer_may_come_together_with_a_frame():
+def test_answer_and_frame_in_one_segment_are_both_read():
     server = Server(after=b"< frame 005 1.2 00 >")
 
-    async def story(told):
-        await told.until(lambda: told.frames)
-        assert told.frames == [Frame(5, b"\0")]
-        assert told.bus.malformed == 0
+    async def story(bench):
+        await bench.until(lambda: bench.frames)
+        assert bench.frames == [Frame(5, b"\0")]
+        assert bench.bus.malformed == 0
 
     try:
         run(server.endpoint, story)
@@ -348,11 +350,11 @@ def test_an_answer_may_come_together_with_a_frame():
     ("words", "reason"),
     [((b"< no >",), "the server says 'no'"), ((b"< hi >", b""), "the server says 'nothing'")],
 )
-def test_a_server_that_refuses_is_an_error(words, reason):
+def test_refusal_by_the_server_is_an_error(words, reason):
     server = Server(words=words)
 
-    async def story(told):
-        raise AssertionError("it must not be opened")
+    async def story(bench):
+        raise AssertionError("the device must not be opened")
 
     try:
         with pytest.raises(DeviceError, match=rf"cannot open socketcand:.*{reason}"):
@@ -361,14 +363,14 @@ def test_a_server_that_refuses_is_an_error(words, reason):
         server.stop()
 
 
-def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
+def test_silent_server_is_an_error_within_its_time(monkeypatch):
     connected = socketcand.connected
     monkeypatch.setattr(socketcand, "connected", lambda lookup, _, make: connected(lookup, 60.0, make))
     monkeypatch.setattr(socketcand, "ANSWER", 0.3)
     mute = Server(words=())
 
-    async def story(told):
-        raise AssertionError("it must not be opened")
+    async def story(bench):
+        raise AssertionError("the device must not be opened")
 
     try:
         with pytest.raises(DeviceError, match=r"cannot open socketcand:.*no greeting within 0.3 s"):
@@ -380,9 +382,9 @@ def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
 @pytest.mark.parametrize(
     "endpoint", ["socketcand:127.0.0.1:1/can0", "slcan:/dev/nothing-here", "socketcan:nothing0"]
 )
-def test_nothing_there_is_an_error_at_once(endpoint):
-    async def story(told):
-        raise AssertionError("it must not be opened")
+def test_missing_interface_is_an_error_at_once(endpoint):
+    async def story(bench):
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match="cannot open"):
         run(endpoint, story)
@@ -390,56 +392,56 @@ def test_nothing_there_is_an_error_at_once(endpoint):
 
 @pytest.fixture
 def adapter():
-    """An slcan adapter's end of a pty, and the other's path."""
+    """The adapter's side of a pty, and the path and descriptor of the other side."""
     master, slave = pty.openpty()
     tty.setraw(master)
     tty.setraw(slave)
     os.set_blocking(master, False)
     yield master, os.ttyname(slave), slave
     for fd in (master, slave):
-        with suppress(OSError):  # the test may have pulled it out
+        with suppress(OSError):  # the test may have closed it already
             os.close(fd)
 
 
-def test_a_serial_port_has_one_owner(adapter):
+def test_serial_port_in_use_is_refused(adapter):
     _, path, _ = adapter
 
-    async def story(told):
+    async def story(bench):
         with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
-            await Told(f"slcan:{path}").bus.open()
+            await BusBench(f"slcan:{path}").bus.open()
 
     run(f"slcan:{path}", story)
-    run(f"slcan:{path}", lambda told: asyncio.sleep(0))
+    run(f"slcan:{path}", lambda bench: asyncio.sleep(0))
 
 
-def test_an_adapter_that_never_ends_a_line_is_given_up(adapter, monkeypatch):
+def test_adapter_that_never_ends_a_line_is_closed(adapter, monkeypatch):
     monkeypatch.setattr(connection, "LONGEST_LINE", 64)
     master, path, _ = adapter
 
-    async def story(told):
+    async def story(bench):
         os.write(master, b"t" * 100)
-        await told.until(lambda: told.noted(": the received data is not CAN frames"))
+        await bench.until(lambda: bench.noted(": the received data is not CAN frames"))
 
     run(f"slcan:{path}", story)
 
 
-def test_an_adapter_speaks_and_is_pulled_out(adapter):
+def test_slcan_adapter_sends_receives_and_is_unplugged(adapter):
     master, path, slave = adapter
 
-    async def story(told):
+    async def story(bench):
         os.write(master, b"\rz\rt1232AABB\rnonsense\rtXYZ\rT000001231FF\r")
-        await told.until(lambda: len(told.frames) == 2)
-        assert told.frames == [Frame(0x123, b"\xaa\xbb"), Frame(0x123, b"\xff", extended=True)]
-        assert told.bus.malformed >= 1
-        await told.bus.send(Frame(0x321, b"\1"))
+        await bench.until(lambda: len(bench.frames) == 2)
+        assert bench.frames == [Frame(0x123, b"\xaa\xbb"), Frame(0x123, b"\xff", extended=True)]
+        assert bench.bus.malformed >= 1
+        await bench.bus.send(Frame(0x321, b"\1"))
         written = b""
         while b"t321101\r" not in written:
-            # The kernel hands over what a terminal gets in a thread of its own.
+            # The kernel passes terminal input on in a thread of its own.
             with suppress(BlockingIOError):
                 written += os.read(master, 4096)
             await asyncio.sleep(0.01)
         os.close(slave)
         os.close(master)
-        await told.until(lambda: told.noted("link lost"))
+        await bench.until(lambda: bench.noted("link lost"))
 
     run(f"slcan:{path}", story)

@@ -1,4 +1,4 @@
-"""CiA 402 with canopen's LocalNode as the drive, on jumping time."""
+"""CiA 402 with canopen's LocalNode as the drive, on virtual time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LIMITS = {"speed": 20.0}
 
 @pytest.fixture
 def rig(bench, binding, bus):
-    """A bench whose drive is there before the driver looks for it."""
+    """A bench whose drive is present before the driver looks for it."""
 
     def make(drive=None, *, others=(), **given):
         given = {
@@ -36,7 +36,7 @@ def rig(bench, binding, bus):
 
 
 @on_bench("rig")
-async def test_a_drive_is_identified_set_up_and_moves(b, axis, /):
+async def test_drive_is_identified_configured_and_moved(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("moveTo", [2.0, 10.0])
     assert b.values["position"] == pytest.approx(2.0, abs=0.01)
@@ -46,35 +46,35 @@ async def test_a_drive_is_identified_set_up_and_moves(b, axis, /):
     assert b.drive.get(0x607F) == round(20.0 / math.tau * 10_000)
     assert b.values["enabled"] is False
     assert b.values["voltage"] == 24.5
-    assert "current" not in b.values  # it has no object for it
+    assert "current" not in b.values  # the drive has no object for it
     assert any("does not tell current" in note for note in b.notes)
 
 
 @on_bench("rig", opened=False)
-async def test_who_it_is(b, axis, /):
+async def test_identity_of_a_cia402_drive(b, axis, /):
     identity = "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
     assert (await axis.open(), await axis.serial()) == (identity, "serial number 4711")
 
 
 @on_bench("rig", ttl=0.1)
-async def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(b, axis, /):
+async def test_watchdog_is_set_verified_and_fed_until_the_bus_is_quiet(b, axis, /):
     assert b.drive.get(0x1016, 1) == 127 << 16 | 200
     assert b.drive.get(0x6007) == 3
     await asyncio.sleep(0.5)
-    gaps = [later - sooner for sooner, later in zip(b.drive.beats, b.drive.beats[1:], strict=False)]
+    gaps = [after - before for before, after in zip(b.drive.beats, b.drive.beats[1:], strict=False)]
     assert max(gaps) < 0.2
     b.driver.quiet()
     sent = len(b.drive.beats)
     await asyncio.sleep(0.3)
     assert len(b.drive.beats) <= sent + 1
     b.driver.resume()
-    # The first at once: its watchdog may be about to run out.
+    # The first heartbeat follows at once: the watchdog may be about to expire.
     assert b.bus.sent[-1].id == 0x77F
     await b.until(lambda: len(b.drive.beats) > sent + 2)
 
 
 @pytest.mark.parametrize("absent", [0x6007, 0x1016])
-def test_a_drive_without_a_watchdog_needs_a_waiver(rig, absent):
+def test_drive_without_a_watchdog_requires_a_waiver(rig, absent):
     async def mission(axis):
         with pytest.raises(DeviceError, match=r"waivers: \[device_watchdog\]"):
             await axis.open()
@@ -83,7 +83,7 @@ def test_a_drive_without_a_watchdog_needs_a_waiver(rig, absent):
 
 
 @on_bench("rig")
-async def test_setpoints_are_sent_once(b, axis, /):
+async def test_cia402_setpoints_are_sent_once(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [3.0])
     await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
@@ -97,7 +97,7 @@ async def test_setpoints_are_sent_once(b, axis, /):
     assert b.drive.get(0x6071) == 200  # thousandths of 0.5 N m
 
 
-def test_a_drive_that_only_positions(rig):
+def test_drive_without_velocity_mode_positions_and_refuses_velocities(rig):
     b = rig(LocalDrive(without={0x1402, 0x1602, 0x60FF}))
 
     async def mission(axis):
@@ -111,8 +111,8 @@ def test_a_drive_that_only_positions(rig):
 
 
 @pytest.mark.parametrize("without", [set(), {0x1402, 0x1602, 0x60FF}], ids=["velocities", "positions_only"])
-def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without):
-    """This drive goes on to its goal as soon as the halt bit goes, as CiA 402-2 has it."""
+def test_halt_keeps_the_axis_enabled_and_discards_the_goal(rig, without):
+    """This drive resumes its goal when the halt bit is cleared, as CiA 402-2 specifies."""
     b = rig(LocalDrive(without=without))
 
     async def mission(axis):
@@ -126,7 +126,7 @@ def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without)
         assert b.values["enabled"] is True
         await asyncio.sleep(0.3)
         assert b.drive.position == pytest.approx(stood, abs=20)
-        assert not b.drive.controls[-1] & 0x100, "the next motion needs it gone"
+        assert not b.drive.controls[-1] & 0x100, "the next motion requires a cleared halt bit"
         await axis.execute("moveTo", [0.0, 10.0])
         assert b.values["position"] == pytest.approx(0.0, abs=0.01)
 
@@ -134,7 +134,7 @@ def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without)
 
 
 @on_bench("rig")
-async def test_an_axis_that_does_not_halt_is_an_exception(b, axis, /, monkeypatch):
+async def test_axis_that_does_not_halt_raises_an_exception(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.HALT_TIMEOUT", 0.3)
 
     await axis.execute("enable", [])
@@ -148,7 +148,7 @@ async def test_an_axis_that_does_not_halt_is_an_exception(b, axis, /, monkeypatc
 
 
 @on_bench("rig")
-async def test_a_halt_of_a_drive_that_is_off_changes_nothing(b, axis, /):
+async def test_halt_of_a_disabled_drive_sends_nothing(b, axis, /):
     sent = len(b.drive.controls)
     await axis.execute("halt", [])
     assert b.drive.controls[sent:] == []
@@ -156,8 +156,8 @@ async def test_a_halt_of_a_drive_that_is_off_changes_nothing(b, axis, /):
 
 
 @on_bench("rig", ttl=5.0)
-async def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(b, axis, /):
-    """It begins to watch with the first one: a guard that dies before it would never be missed."""
+async def test_heartbeat_follows_the_watchdog_setup_at_once(b, axis, /):
+    """The drive supervises from the first heartbeat: it would not detect a guard that dies before that."""
     await b.until(lambda: b.drive.beats, 0.5)
     watched = [
         frame.data
@@ -170,7 +170,7 @@ async def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(b, axis,
 
 
 @on_bench("rig", ttl=0.2, options={"cyclic": True})
-async def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(b, axis, /):
+async def test_cyclic_setpoint_is_streamed_until_its_time_to_live_ends(b, axis, /):
     await axis.execute("enable", [])
     start = b.driver.clock.monotonic()
     await axis.execute("setVelocity", [3.0])
@@ -186,7 +186,7 @@ async def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(b, axis, /):
     before = b.drive.position
     await axis.execute("setPosition", [axis.protocol.state.position + 50.0])
     await asyncio.sleep(0.1)
-    # Within the speed limit, not with a leap.
+    # Within the speed limit, without a jump.
     assert 0 < b.drive.position - before < 20.0 / math.tau * 10_000 * 0.2
 
 
@@ -195,7 +195,7 @@ async def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(b, axis, /):
     [("brake", 0x02, 0x0217), ("torque_hold", 0x02, 0x0217), ("torque_off", 0x00, 0x0240)],
 )
 @on_bench("rig", given="safe_state=state")
-async def test_safe_states_are_seen(b, axis, /, state, control, status):
+async def test_cia402_safe_state_is_confirmed(b, axis, /, state, control, status):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [5.0])
     await b.until(lambda: b.values["velocity"] > 4.0)
@@ -208,7 +208,7 @@ async def test_safe_states_are_seen(b, axis, /, state, control, status):
 
 
 @on_bench("rig")
-async def test_a_safe_state_that_does_not_come_is_told(b, axis, /, monkeypatch):
+async def test_cia402_unconfirmed_safe_state_is_an_error(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.SAFE_TIMEOUT", 0.5)
 
     await axis.execute("enable", [])
@@ -219,7 +219,7 @@ async def test_a_safe_state_that_does_not_come_is_told(b, axis, /, monkeypatch):
 
 
 @on_bench("rig")
-async def test_a_fault_is_told_in_words_and_reset(b, axis, /):
+async def test_fault_is_described_and_reset(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [5.0])
     b.drive.fail(0x7121)
@@ -235,7 +235,7 @@ async def test_a_fault_is_told_in_words_and_reset(b, axis, /):
 
 
 @on_bench("rig")
-async def test_a_travel_that_is_stuck_ends(b, axis, /, monkeypatch):
+async def test_blocked_motion_fails(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.STUCK_TIME", 0.4)
 
     await axis.execute("enable", [])
@@ -245,7 +245,7 @@ async def test_a_travel_that_is_stuck_ends(b, axis, /, monkeypatch):
 
 
 @on_bench("rig", waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
-async def test_homing_gives_the_positions_a_meaning(b, axis, /):
+async def test_homing_is_required_before_positioning(b, axis, /):
     await axis.execute("enable", [])
     with pytest.raises(DeviceError, match=r"has not been homed; call home\(\) first"):
         await axis.execute("moveTo", [1.0, 5.0])
@@ -257,14 +257,16 @@ async def test_homing_gives_the_positions_a_meaning(b, axis, /):
 
 
 @on_bench("rig")
-async def test_a_drive_that_restarts_is_set_up_again_and_stays_off(b, axis, /):
+async def test_restarted_drive_is_configured_again_and_stays_disabled(b, axis, /):
     await axis.execute("enable", [])
     travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
     await asyncio.sleep(0.2)
     b.drive.restart()
     with pytest.raises(DeviceError, match="has restarted"):
         await travel
-    assert (b.values["enabled"], b.values["state"]) == (False, "not operational"), "read where it is caught"
+    assert (b.values["enabled"], b.values["state"]) == (False, "not operational"), (
+        "values at the time of the exception"
+    )
     await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
     assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
     assert b.values["enabled"] is False
@@ -272,7 +274,7 @@ async def test_a_drive_that_restarts_is_set_up_again_and_stays_off(b, axis, /):
 
 
 @on_bench("rig")
-async def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(b, axis, /):
+async def test_silent_drive_fails_the_motion_and_returns_stopped(b, axis, /):
     await axis.execute("enable", [])
     start = b.driver.clock.monotonic()
     travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
@@ -282,7 +284,7 @@ async def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(b, 
         await travel
     assert error.value.kind == "DeviceTimeoutException"
     assert b.driver.clock.monotonic() - start < 3.0
-    assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
+    assert (b.values["online"], b.values["enabled"]) == (False, False), "values at the time of the exception"
     await b.until(lambda: b.values["state"] == "silent")
     b.drive.silent = False
     await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
@@ -291,7 +293,7 @@ async def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(b, 
 
 
 @on_bench("rig", opened=False)
-async def test_two_devices_with_one_id_are_seen(b, axis, /):
+async def test_duplicate_node_id_is_detected_at_opening(b, axis, /):
     said = b.drive.say
 
     def twice(can_id, data):
@@ -308,7 +310,7 @@ def test_two_bindings_of_one_node_are_refused(rig, binding):
     b = rig(others=[binding("CanAxis", field="other", options=OPTIONS)])
 
     async def mission(*axes):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(
         DeviceError, match=r"winch.other and winch.axis have the same frames \(id 0x\w+\); give each device"
@@ -324,22 +326,22 @@ def test_two_bindings_of_one_node_are_refused(rig, binding):
         ({"eds": "/nonexistent.eds"}, "is not a readable EDS file"),
     ],
 )
-def test_options_that_make_no_sense(rig, options, words):
+def test_invalid_cia402_option_is_refused(rig, options, words):
     async def mission(axis):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match=words):
         rig(options=options).run(mission)
 
 
 @on_bench("rig", opened=False)
-async def test_something_else_that_answers_is_no_drive(b, axis, /):
+async def test_node_of_another_device_type_is_refused(b, axis, /):
     b.drive.node.data_store[0x1000] = {0: (0x191).to_bytes(4, "little")}
     with pytest.raises(DeviceError, match="is not a CiA 402 drive: its device type 0x1000 is 0x00000191"):
         await axis.open()
 
 
-def test_nobody_there_is_an_error_within_its_bound(rig):
+def test_absent_cia402_node_is_an_error_within_its_time(rig):
     b = rig(options={"connect": 0.5})
     b.drive.silent = True
 
@@ -354,7 +356,7 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
 
 
 @on_bench("rig", opened=False)
-async def test_answers_that_are_nonsense_are_errors_not_crashes(b, axis, /):
+async def test_malformed_sdo_answers_are_errors(b, axis, /):
     said = b.drive.say
     b.drive.network.say = lambda can_id, data: said(can_id, bytes(8) if can_id == 0x585 else data)
     with pytest.raises(DeviceError, match="device type 0x1000:0"):

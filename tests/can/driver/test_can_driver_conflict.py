@@ -1,4 +1,4 @@
-"""Two devices with one id are seen and named; a foreign frame, or a tool that reads, is no second one."""
+"""Two devices with one id are detected and named; foreign frames and reading tools are no second device."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ TWO = r"two devices answer to this node id \(5\)"
 
 
 class Wire:
-    """The bus of a bench with drives that all hear every frame, and frames that get lost."""
+    """The bus of a bench: all drives receive every frame, and frames get lost."""
 
     def __init__(self, bus, loss: float = 0.0, seed: int = 1) -> None:
-        self.bus, self.loss, self.dice = bus, loss, random.Random(seed)
+        self.bus, self.loss, self.rng = bus, loss, random.Random(seed)
         self.drives: list[LocalDrive] = []
         self.echoes = False
         bus.device = self.on_frame
@@ -40,15 +40,15 @@ class Wire:
         if self.echoes:
             self.bus.say(frame.id, frame.data)
         for drive in self.drives:
-            if self.dice.random() >= self.loss:
+            if self.rng.random() >= self.loss:
                 drive.on_frame(frame)
 
     def say(self, identifier: int, data: bytes) -> None:
-        if identifier != 0x580 + NODE or self.dice.random() >= self.loss:
+        if identifier != 0x580 + NODE or self.rng.random() >= self.loss:
             self.bus.say(identifier, data)
 
     def join(self) -> LocalDrive:
-        """One more drive with power."""
+        """Add a drive and switch it on."""
         drive = LocalDrive(NODE)
         drive.bus = self
         drive.attach()
@@ -96,7 +96,7 @@ def answer(index: int, subindex: int = 0, value: int = 7) -> bytes:
 
 
 async def restarts(b, axis) -> None:
-    """The drive loses its power for a moment, and is set up again."""
+    """The drive loses power for a moment and is configured again."""
     before = sum("set up again" in note for note in b.notes)
     b.wire.restart(b.wire.drives[0])
     await b.until(lambda: sum("set up again" in note for note in b.notes) > before)
@@ -105,7 +105,7 @@ async def restarts(b, axis) -> None:
 
 @pytest.mark.parametrize("foreign", [1, 20])
 @on_bench("rig")
-async def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(b, axis, /, foreign):
+async def test_foreign_sdo_answers_do_not_disturb_the_set_up(b, axis, /, foreign):
     for _ in range(foreign):
         b.bus.say(0x580 + NODE, answer(0x6041))
         b.bus.say(0x580 + NODE, answer(0x1018, 1))
@@ -115,7 +115,7 @@ async def test_answers_that_nobody_here_asked_for_do_not_stop_any_set_up(b, axis
 
 
 @on_bench("rig", opened=False)
-async def test_one_answer_too_many_within_a_set_up_is_no_second_device(b, axis, /):
+async def test_one_surplus_answer_during_set_up_is_no_second_device(b, axis, /):
     said = b.wire.say
 
     def once_more(identifier, data):
@@ -129,7 +129,7 @@ async def test_one_answer_too_many_within_a_set_up_is_no_second_device(b, axis, 
 
 
 @on_bench("rig")
-async def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_device(b, axis, /):
+async def test_tool_polling_the_same_objects_is_no_second_device(b, axis, /):
     async def poll() -> None:
         while True:
             for key in ((0x1018, 4), (0x1018, 1), (0x1000, 0), (0x6041, 0)):
@@ -145,15 +145,15 @@ async def test_a_tool_that_reads_the_same_objects_all_the_time_is_no_second_devi
 @pytest.mark.few(4)
 @pytest.mark.parametrize("pause", [0.001, 0.004, 0.01, 0.02, 0.024, 0.03])
 @pytest.mark.parametrize("echoes", [False, True])
-def test_a_tool_that_scans_all_subindexes_is_no_second_device(rig, pause, echoes):
-    """In step with the rounds of the roll call, too, and with an adapter that shows its own frames."""
+def test_tool_scanning_all_subindexes_is_no_second_device(rig, pause, echoes):
+    """Also in step with the rounds of the probe, and with an adapter that echoes its own frames."""
     b = rig()
     b.wire.echoes = echoes
 
     async def mission(axis):
         async def scan() -> None:
             while True:
-                # It reads what is asked about next, as often as not.
+                # It reads the object of the next probe about every second time.
                 for subindex in range(0x5C, 0x70):
                     b.wire.read(0x1018, subindex)
                     await asyncio.sleep(pause)
@@ -169,7 +169,7 @@ def test_a_tool_that_scans_all_subindexes_is_no_second_device(rig, pause, echoes
     assert sum("two devices" in note for note in b.notes) == 1
 
 
-def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig):
+def test_echoing_adapter_neither_hides_nor_invents_a_device(rig):
     b = rig()
     b.wire.echoes = True
 
@@ -183,10 +183,10 @@ def test_an_adapter_that_shows_its_own_frames_hides_no_device_and_makes_none(rig
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @on_bench("rig", loss=0.25, given="seed", opened=False)
-async def test_lost_answers_hide_no_second_device(b, axis, /, seed):
+async def test_lost_answers_do_not_hide_a_second_device(b, axis, /, seed):
     b.wire.join()
     told = ""
-    for _ in range(5):  # with so much lost a set-up may also fail for want of an answer
+    for _ in range(5):  # with so much loss a set-up may also fail by timeout
         with pytest.raises(DeviceError) as error:
             await axis.open()
         told = error.value.reason
@@ -196,7 +196,7 @@ async def test_lost_answers_hide_no_second_device(b, axis, /, seed):
 
 
 @on_bench("rig")
-async def test_a_second_device_that_joins_later_is_named_and_nothing_moves(b, axis, /):
+async def test_second_device_that_joins_later_is_named_and_motion_is_refused(b, axis, /):
     await axis.execute("enable", [])
     second = b.wire.join()
     await b.until(lambda: any("two devices" in note for note in b.notes))
@@ -215,8 +215,8 @@ async def test_a_second_device_that_joins_later_is_named_and_nothing_moves(b, ax
 
 @pytest.mark.parametrize("boots", [True, False])
 @on_bench("rig")
-async def test_a_second_device_that_joins_stops_the_first_one_in_motion(b, axis, /, boots):
-    """Also one that is plugged in with its power on, which sends no boot-up message; nobody commands it."""
+async def test_second_device_that_joins_stops_the_axis_in_motion(b, axis, /, boots):
+    """Also a device that is plugged in with its power on: it sends no boot-up message."""
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
     await asyncio.sleep(0.5)
@@ -236,7 +236,7 @@ async def test_a_second_device_that_joins_stops_the_first_one_in_motion(b, axis,
 
 
 @on_bench("rig")
-async def test_a_drive_that_another_master_takes_out_of_operation_is_stopped(b, axis, /):
+async def test_drive_that_another_master_takes_out_of_operation_is_stopped(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
     await asyncio.sleep(0.5)
@@ -248,7 +248,7 @@ async def test_a_drive_that_another_master_takes_out_of_operation_is_stopped(b, 
 
 
 @on_bench("rig")
-async def test_the_silence_that_an_exception_tells_of_can_be_read_when_it_is_caught(b, axis, /):
+async def test_values_show_the_silence_when_the_exception_is_raised(b, axis, /):
     await axis.execute("enable", [])
     motion = asyncio.ensure_future(axis.execute("moveTo", [100.0, 2.0]))
     await asyncio.sleep(0.5)
@@ -260,7 +260,7 @@ async def test_the_silence_that_an_exception_tells_of_can_be_read_when_it_is_cau
 
 @pytest.mark.parametrize("every", [1, 7])
 @on_bench("rig")
-async def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_and_then(b, axis, /, every):
+async def test_repeated_answers_do_not_stop_an_axis_in_motion(b, axis, /, every):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
     said, count = b.wire.say, [0]
@@ -280,22 +280,22 @@ async def test_an_axis_in_motion_is_not_stopped_by_answers_that_come_twice_now_a
 
 
 @on_bench("rig", opened=False)
-async def test_a_drive_that_ignores_what_it_does_not_have_is_asked_at_its_set_up_alone(b, axis, /):
-    """Each such question takes a second without an answer, and commands would wait for that."""
+async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axis, /):
+    """Each such request takes a second without an answer, and commands would have to wait."""
 
-    def is_asked_in_vain(frame):
+    def is_unanswered_probe(frame):
         return frame.id == 0x600 + NODE and frame.data[1:3] == b"\x18\x10" and frame.data[3] >= 0x60
 
     heard = b.wire.on_frame
-    b.bus.device = b.wire.on_frame = lambda frame: None if is_asked_in_vain(frame) else heard(frame)
+    b.bus.device = b.wire.on_frame = lambda frame: None if is_unanswered_probe(frame) else heard(frame)
     await axis.open()
     before = len(b.bus.sent)
     await asyncio.sleep(5.0)
-    asked = [f for f in b.bus.sent[before:] if is_asked_in_vain(f) and f.data[0] != 0x80]
+    asked = [f for f in b.bus.sent[before:] if is_unanswered_probe(f) and f.data[0] != 0x80]
     assert asked == []
 
 
-def test_a_request_of_another_client_is_no_sign_of_life(rig):
+def test_request_of_another_client_does_not_count_as_a_message(rig):
     b = rig()
 
     async def mission(axis):
@@ -305,7 +305,7 @@ def test_a_request_of_another_client_is_no_sign_of_life(rig):
             await asyncio.sleep(0.1)
             if not b.values["online"]:
                 return
-        raise AssertionError("it counts as heard")
+        raise AssertionError("the request counts as a message of the device")
 
     b.run(mission)
 
@@ -314,23 +314,23 @@ def test_a_request_of_another_client_is_no_sign_of_life(rig):
     st.lists(st.integers(0, 2), max_size=12),
     st.lists(st.sampled_from(PROBED_OBJECTS), max_size=MIN_SURPLUS - 1),
 )
-def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
-    """An answer that was asked for again counts for its question."""
-    roll_call, rounds = IdConflictProbe(), 0
+def test_probe_ends_and_single_frames_prove_no_conflict(lost, foreign):
+    """An answer to a repeated request counts for its request."""
+    conflict_probe, rounds = IdConflictProbe(), 0
     for key in foreign:
-        roll_call.on_answer(key)
-    while (key := roll_call.next_key()) is not None:
+        conflict_probe.on_answer(key)
+    while (key := conflict_probe.next_key()) is not None:
         times = 1 + (lost[rounds] if rounds < len(lost) else 0)
         rounds += 1
         for _ in range(times):
-            roll_call.on_request(key)
+            conflict_probe.on_request(key)
         for _ in range(1 if times == 3 else times):
-            roll_call.on_answer(key)
+            conflict_probe.on_answer(key)
     assert rounds <= len(PROBED_OBJECTS)
-    assert not roll_call.is_doubled
+    assert not conflict_probe.is_doubled
 
 
-# -- ODrive: no answers, but places that alternate ---------------------------------------------------------
+# -- ODrive: no answers, but positions that alternate ------------------------------------------------------
 
 
 def estimate(bus, position: float, velocity: float = 0.0) -> None:
@@ -339,7 +339,7 @@ def estimate(bus, position: float, velocity: float = 0.0) -> None:
 
 @pytest.fixture
 def wheel(bench, odrive, bus):
-    """An axis that stands in closed loop once it is told so."""
+    """An axis that stands still in closed loop once it is commanded."""
     state = [1]
 
     def on_frame(frame: Frame) -> None:
@@ -378,7 +378,7 @@ def test_two_odrives_with_one_id_are_named_and_stopped(wheel):
     assert sum("two axes" in note for note in wheel.notes) == 1
 
 
-def test_a_single_foreign_estimate_is_no_second_odrive(wheel):
+def test_single_foreign_estimate_is_no_second_odrive(wheel):
     async def mission(axis):
         await axis.execute("enable", [])
         for _ in range(5):
@@ -391,8 +391,8 @@ def test_a_single_foreign_estimate_is_no_second_odrive(wheel):
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=20, max_size=60), st.floats(0.001, 0.05))
-def test_no_motion_of_one_axis_is_two(speeds, period):
-    """Whatever its speeds: they are told with the positions."""
+def test_motion_of_one_axis_is_not_taken_for_two(speeds, period):
+    """At any speed: velocities are reported with the positions."""
     alternation, position = Alternation(), 0.0
     for step, speed in enumerate(speeds):
         position += speed * period
@@ -400,7 +400,7 @@ def test_no_motion_of_one_axis_is_two(speeds, period):
         assert not alternation.is_proved(step * period)
 
 
-def test_two_places_prove_two_axes_when_they_come_often_enough():
+def test_two_alternating_positions_prove_two_axes_at_a_high_rate_only():
     fast, slow = Alternation(), Alternation()
     for step in range(2 * RETURNS + 2):
         fast.on_position(5.0 * (step % 2), 0.0, step * 0.005)

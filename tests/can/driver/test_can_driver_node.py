@@ -1,4 +1,4 @@
-"""The shell of the SDO client: turns, waits and ends, on jumping time and on a simulated computer."""
+"""The shell of the SDO client: order of transfers, timeouts and ends, on virtual time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSITION, VELOCITY, SPEED = (0x6064, 0), (0x606C, 0), (0x607F, 0)
 
 
 class Node:
-    """A node at the other end: each answer comes after `delays`, in seconds, in turn; None is never."""
+    """A node at the other end: each answer comes after the next of `delays` in seconds; None means never."""
 
     def __init__(self, *delays) -> None:
         self.client = CanopenNode("axis", 5, self.on_frame)
@@ -43,7 +43,7 @@ class Node:
 
     @property
     def requests(self) -> list[int]:
-        """The indexes that were asked about."""
+        """The indexes that were requested."""
         return [data[1] | data[2] << 8 for data in self.heard if data[0] != ABORT]
 
 
@@ -52,7 +52,7 @@ def runner():
     return lambda test: run_jumping(test())
 
 
-async def test_transfers_take_turns():
+async def test_transfers_run_one_after_the_other():
     node, open_now = Node(0.1, 0.1, 0.1), []
     answered = node.client.on_answer
     node.client.on_answer = lambda data: (open_now.append(len(node.heard)), answered(data))
@@ -61,7 +61,7 @@ async def test_transfers_take_turns():
     assert open_now == [1, 2, 3]
 
 
-async def test_silence_is_an_exception_in_its_time():
+async def test_silent_node_raises_an_exception_after_its_tries():
     node, running = Node(None, None, None), asyncio.get_running_loop()
     start = running.time()
     with pytest.raises(DeviceError, match=r"position 0x6064:0: no answer within 0\.3 s, 3 times") as error:
@@ -72,17 +72,17 @@ async def test_silence_is_an_exception_in_its_time():
     assert node.requests == [0x6064, 0x6064, 0x6064, 0x606C]
 
 
-async def test_an_answer_that_comes_late_is_not_that_to_the_next_question():
+async def test_late_answer_is_not_taken_for_the_next_request():
     node = Node(1.0, None, None, 0.2)
     with pytest.raises(DeviceError):
         await node.client.read(*POSITION)
     node.values[POSITION] = 9
-    # The late one comes while the node is asked about its identity.
+    # The late answer arrives while the client reads the identity as a probe.
     assert await node.client.read(*POSITION) == 9
     assert node.requests == [0x6064, 0x6064, 0x6064, 0x1018, 0x6064]
 
 
-async def test_who_gives_up_leaves_its_turn_and_its_answer_to_nobody():
+async def test_cancelled_transfer_frees_its_turn_and_its_answer_is_dropped():
     node, running = Node(0.2), asyncio.get_running_loop()
     first = running.create_task(node.client.read(*POSITION))
     await asyncio.sleep(0.1)
@@ -97,7 +97,7 @@ async def test_who_gives_up_leaves_its_turn_and_its_answer_to_nobody():
     assert node.heard[1][0] == ABORT
 
 
-async def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
+async def test_value_that_the_drive_does_not_keep_is_an_error():
     node, written = Node(), []
     node.client.on_written = lambda *what: written.append(what)
     await node.client.write(*SPEED, 500)
@@ -107,7 +107,7 @@ async def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
     assert written == [(*SPEED, struct.pack("<I", value)) for value in (500, 400)]
 
 
-async def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop():
+async def test_closing_fails_pending_transfers_and_leaves_no_timer():
     node, running = Node(None), asyncio.get_running_loop()
     read = running.create_task(node.client.read(*POSITION))
     await asyncio.sleep(0.1)
@@ -120,19 +120,19 @@ async def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop
     assert node.requests == [0x6064]
 
 
-def test_it_is_at_home_on_the_loop_of_a_simulated_computer():
-    """Its time only goes on when nobody has anything to do: whoever waits in a thread waits for ever."""
+def test_sdo_client_runs_on_the_loop_of_a_simulated_computer():
+    """Simulated time advances only when no task is ready: a wait in a thread would never end."""
     timeline = EventQueue()
     simulated = ProcessLoop(SimulatedMachine("barn", timeline, random.Random(1)))
-    told = []
+    results = []
 
     async def story():
         node = Node(None, 0.2)
-        told.append(await node.client.read(*POSITION))
-        told.append(round(timeline.now - start, 6))
+        results.append(await node.client.read(*POSITION))
+        results.append(round(timeline.now - start, 6))
 
     start = timeline.now
-    simulated.enter(lambda: told.append(simulated.create_task(story())))
+    simulated.enter(lambda: results.append(simulated.create_task(story())))
     timeline.run(5.0)
-    assert told[1:] == [7, ANSWER + 0.2]
+    assert results[1:] == [7, ANSWER + 0.2]
     simulated.close()

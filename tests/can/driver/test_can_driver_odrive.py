@@ -1,4 +1,4 @@
-"""ODrive axes through the driver, in jumping time. The axis here is a few lines; the fake is a better one."""
+"""ODrive axes through the driver, on virtual time. The axis here is a minimal one; the fake is more exact."""
 
 from __future__ import annotations
 
@@ -96,11 +96,13 @@ def rig(bench, binding, bus):
 
 
 @on_bench("rig", options={"gear": 10.0, "reversed": True})
-async def test_an_axis_is_found_enabled_and_moves_behind_its_gear(b, axis, /):
+async def test_odrive_is_identified_enabled_and_moved_through_its_gear(b, axis, /):
     await axis.execute("enable", [])
     assert b.axis.mode == (2, 1)
     await axis.execute("moveTo", [math.pi, 2.0])
-    assert b.axis.position == pytest.approx(-5.0, abs=0.02)  # half a turn, against the motor, behind 10:1
+    assert b.axis.position == pytest.approx(
+        -5.0, abs=0.02
+    )  # half a turn, against the motor's direction, through 10:1
     assert b.values["position"] == pytest.approx(math.pi, abs=0.01)
     assert b.axis.speed == pytest.approx(2.0 / math.tau * 10)
     await axis.execute("disable", [])
@@ -109,7 +111,7 @@ async def test_an_axis_is_found_enabled_and_moves_behind_its_gear(b, axis, /):
 
 
 @on_bench("rig", waivers=["no_homing"], opened=False)
-async def test_without_the_waiver_it_is_refused(b, axis, /):
+async def test_odrive_without_the_watchdog_waiver_is_refused(b, axis, /):
     with pytest.raises(DeviceError, match=r"no watchdog in the device.*waivers: \[device_watchdog\]"):
         await axis.open()
 
@@ -117,7 +119,7 @@ async def test_without_the_waiver_it_is_refused(b, axis, /):
 @on_bench(
     "rig", limits={"speed": 5.0, "torque": 2.0, "current": 10.0}, options={"lowest": -1.0, "highest": 4.0}
 )
-async def test_limits_are_set_and_kept_before_anything_is_sent(b, axis, /):
+async def test_odrive_limits_are_checked_before_a_frame_is_sent(b, axis, /):
     await axis.execute("enable", [])
     sent = len(b.bus.sent)
     for call, words in (
@@ -143,7 +145,7 @@ async def test_limits_are_set_and_kept_before_anything_is_sent(b, axis, /):
 
 
 @on_bench("rig", options={"lowest": -1.0, "highest": 2.0})
-async def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(b, axis, /):
+async def test_velocity_that_leaves_the_bounds_is_stopped(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [2.0])
     await asyncio.sleep(3.0)
@@ -156,14 +158,14 @@ async def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(b, axis, /):
 
 
 @on_bench("rig")
-async def test_nothing_moves_that_is_not_enabled(b, axis, /):
+async def test_disabled_axis_refuses_motion(b, axis, /):
     with pytest.raises(DeviceError, match=r"not enabled \(idle\); call enable\(\) first"):
         await axis.execute("setVelocity", [1.0])
     assert 0x0D not in b.axis.commands
 
 
 @on_bench("rig")
-async def test_a_setpoint_is_sent_once_with_its_value_before_its_mode(b, axis, /):
+async def test_setpoint_is_sent_once_with_its_value_before_its_mode(b, axis, /):
     await axis.execute("enable", [])
     b.axis.commands.clear()
     await axis.execute("setTorque", [0.5])
@@ -178,7 +180,7 @@ async def test_a_setpoint_is_sent_once_with_its_value_before_its_mode(b, axis, /
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold", "torque_off"])
 @on_bench("rig", given="safe_state=state")
-async def test_safe_states_are_seen(b, axis, /, state):
+async def test_odrive_safe_state_is_confirmed(b, axis, /, state):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [6.0])
     await asyncio.sleep(0.5)
@@ -194,7 +196,7 @@ async def test_safe_states_are_seen(b, axis, /, state):
 
 
 @on_bench("rig", safe_state="torque_hold")
-async def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again(b, axis, /):
+async def test_held_axis_moved_by_another_master_is_held_again(b, axis, /):
     await axis.execute("enable", [])
     await axis.make_safe()
     await asyncio.sleep(0.1)
@@ -206,13 +208,13 @@ async def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again
     assert axis.moving() == ""
     await asyncio.sleep(0.1)
     assert b.axis.mode[0] == 3
-    # Where it was stopped, and not where it once stood.
+    # At the place where it was stopped, not where it stood before.
     assert b.axis.position - before > 1.0
     assert b.axis.goal == pytest.approx(b.axis.position, abs=0.02)
 
 
 @on_bench("rig")
-async def test_a_safe_state_that_is_lost_on_the_way_is_sent_again(b, axis, /):
+async def test_lost_safe_state_command_is_sent_again(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [6.0])
     await asyncio.sleep(0.2)
@@ -223,7 +225,7 @@ async def test_a_safe_state_that_is_lost_on_the_way_is_sent_again(b, axis, /):
 
 
 @on_bench("rig")
-async def test_errors_are_told_in_words(b, axis, /):
+async def test_odrive_errors_are_described_in_the_fault(b, axis, /):
     await axis.execute("enable", [])
     b.axis.errors, b.axis.state = 1 << 12 | 1 << 29, 1
     await asyncio.sleep(0.3)
@@ -235,14 +237,14 @@ async def test_errors_are_told_in_words(b, axis, /):
 
 
 @on_bench("rig")
-async def test_what_is_not_seen_did_not_happen(b, axis, /):
+async def test_state_change_without_confirmation_is_an_error(b, axis, /):
     b.axis.refuses = True
     with pytest.raises(DeviceError, match=r"did not enter 'closed loop' within 1 s \(it is idle"):
         await axis.execute("enable", [])
 
 
 @on_bench("rig", waivers=["device_watchdog"])
-async def test_homing(b, axis, /):
+async def test_odrive_homing_is_required_before_positioning(b, axis, /):
     await axis.execute("enable", [])
     with pytest.raises(DeviceError, match="has not been homed"):
         await axis.execute("moveTo", [1.0, 1.0])
@@ -253,11 +255,11 @@ async def test_homing(b, axis, /):
 
 
 @on_bench("rig")
-async def test_a_halt_stands_on_the_way_in_closed_loop(b, axis, /):
+async def test_odrive_halt_stops_in_closed_loop(b, axis, /):
     await axis.execute("enable", [])
-    going = asyncio.ensure_future(axis.execute("moveTo", [20.0, 2.0]))
+    travel = asyncio.ensure_future(axis.execute("moveTo", [20.0, 2.0]))
     await b.until(lambda: b.values["position"] > 1.0)
-    going.cancel()
+    travel.cancel()
     await axis.execute("halt", [])
     stood = b.axis.position
     await asyncio.sleep(1.0)
@@ -266,9 +268,9 @@ async def test_a_halt_stands_on_the_way_in_closed_loop(b, axis, /):
     await axis.execute("moveTo", [0.0, 10.0])
 
 
-@pytest.mark.parametrize("after", [0.0, 0.3], ids=["before_a_heartbeat_says_so", "under_way"])
+@pytest.mark.parametrize("after", [0.0, 0.3], ids=["before_the_first_heartbeat", "under_way"])
 @on_bench("rig")
-async def test_a_halt_ends_a_homing(b, axis, /, after):
+async def test_odrive_halt_ends_homing(b, axis, /, after):
     await axis.execute("enable", [])
     homing = asyncio.ensure_future(axis.execute("home", []))
     await b.until(lambda: b.axis.state == 11)
@@ -281,7 +283,7 @@ async def test_a_halt_ends_a_homing(b, axis, /, after):
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
 @on_bench("rig", given="safe_state=state")
-async def test_a_safe_state_ends_a_homing(b, axis, /, state):
+async def test_odrive_safe_state_ends_homing(b, axis, /, state):
     await axis.execute("enable", [])
     homing = asyncio.ensure_future(axis.execute("home", []))
     await b.until(lambda: b.values["state"] == "homing")
@@ -293,7 +295,7 @@ async def test_a_safe_state_ends_a_homing(b, axis, /, state):
 
 
 @on_bench("rig")
-async def test_a_lost_axis_is_told_and_comes_back_standing(b, axis, /):
+async def test_silent_odrive_fails_the_motion_and_returns_stopped(b, axis, /):
     await axis.execute("enable", [])
     await axis.execute("setVelocity", [1.0])
     b.axis.silent = True
@@ -301,10 +303,10 @@ async def test_a_lost_axis_is_told_and_comes_back_standing(b, axis, /):
     with pytest.raises(DeviceError, match="no message for") as error:
         await axis.execute("moveTo", [10.0, 1.0])
     assert error.value.kind == "DeviceTimeoutException"
-    assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"
+    assert (b.values["online"], b.values["enabled"]) == (False, False), "values at the time of the exception"
     assert asyncio.get_running_loop().time() - start < 3.0
     await asyncio.sleep(5.0)
-    assert b.axis.position > 0.5  # it has no watchdog, as its binding has accepted
+    assert b.axis.position > 0.5  # it has no watchdog; its binding waives it
     assert b.values["online"] is False
     b.axis.silent = False
     await asyncio.sleep(1.0)
@@ -313,7 +315,7 @@ async def test_a_lost_axis_is_told_and_comes_back_standing(b, axis, /):
 
 
 @on_bench("rig")
-async def test_a_bus_that_takes_no_frames_is_an_exception(b, axis, /):
+async def test_full_send_buffer_is_an_exception(b, axis, /):
     await axis.execute("enable", [])
     b.bus.full = True
     with pytest.raises(DeviceError, match="a frame could not be sent: its buffer is full"):
@@ -321,7 +323,7 @@ async def test_a_bus_that_takes_no_frames_is_an_exception(b, axis, /):
 
 
 @on_bench("rig")
-async def test_commands_of_another_master_are_not_taken_for_its_own(b, axis, /):
+async def test_frames_of_other_ids_and_masters_change_no_value(b, axis, /):
     await axis.execute("enable", [])
     before = dict(b.values)
     b.bus.say(3 << 5 | 0x0C, bytes(8))
@@ -331,7 +333,7 @@ async def test_commands_of_another_master_are_not_taken_for_its_own(b, axis, /):
 
 
 @on_bench("rig")
-async def test_nonsense_is_dropped_and_counted(b, axis, /):
+async def test_malformed_odrive_frames_are_dropped_and_counted(b, axis, /):
     before = dict(b.values)
     for data in (b"", b"\1", struct.pack("<ff", math.nan, 0.0), struct.pack("<ff", 0.0, math.inf)):
         b.bus.say(3 << 5 | 0x09, data)
@@ -340,7 +342,7 @@ async def test_nonsense_is_dropped_and_counted(b, axis, /):
 
 
 @given(st.lists(st.tuples(st.integers(0, 31), st.binary(max_size=64)), max_size=20))
-def test_any_frames_at_all_are_survived(bench, binding, frames):
+def test_odrive_axis_survives_any_frames(bench, binding, frames):
     b = bench(binding("CanAxis", options=OPTIONS, waivers=WAIVED))
 
     async def mission(axis):
@@ -355,9 +357,9 @@ def test_any_frames_at_all_are_survived(bench, binding, frames):
     ("given_options", "limits", "words"),
     [({"node": 64}, {}, "node id is 0 to 63"), ({}, {"current": 5.0}, "only together with 'speed'")],
 )
-def test_options_that_make_no_sense(rig, given_options, limits, words):
+def test_invalid_odrive_option_is_refused(rig, given_options, limits, words):
     async def mission(axis):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match=words):
         rig(options=given_options, limits=limits).run(mission)

@@ -1,4 +1,4 @@
-"""The small parts of the CAN driver, one by one: endpoints, words, units, repeating, stock resources."""
+"""The small parts of the CAN driver: endpoints, error texts, units, periodic tasks, stock resources."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ MANIFESTS = PLUGIN.read_manifests()
         ("pcan:PCAN_1?bitrate=500000", {"interface": "pcan", "channel": "PCAN_1", "bitrate": 500000}),
     ],
 )  # fmt: skip
-def test_endpoints(endpoint, arguments):
+def test_endpoint_is_parsed(endpoint, arguments):
     assert parse_endpoint(endpoint).arguments == arguments
 
 
@@ -75,20 +75,20 @@ def test_endpoints(endpoint, arguments):
         ("socketcand:127.0.0.1:29536/can0?bitrate=1", "socketcand takes no parameters"),
     ],
 )
-def test_wrong_endpoints_get_a_sentence(endpoint, words):
+def test_invalid_endpoint_is_refused_with_its_form(endpoint, words):
     with pytest.raises(DeviceError, match=words):
         parse_endpoint(endpoint)
 
 
 @given(st.text())
-def test_any_text_is_an_endpoint_or_a_sentence(text):
+def test_any_text_is_an_endpoint_or_a_device_error(text):
     try:
         parse_endpoint(text)
     except DeviceError:
         return
 
 
-def test_ids_of_two_lengths_are_two_ids():
+def test_standard_and_extended_ids_have_different_keys():
     assert Frame(0x123).key == 0x123
     assert Frame(0x123, extended=True).key == 0x123 | EXTENDED
 
@@ -129,7 +129,7 @@ def test_ids_of_two_lengths_are_two_ids():
         ),
     ],
 )
-def test_error_frames_in_words(read, identifier, data, words, state):
+def test_error_frame_is_described(read, identifier, data, words, state):
     report = read(identifier, bytes.fromhex(data))
     assert (report.text, report.state) == (words, state)
 
@@ -146,25 +146,25 @@ def test_error_frames_in_words(read, identifier, data, words, state):
         (0, 0, ""),
     ],
 )
-def test_errors_of_drives_in_words(code, register, words):
+def test_drive_error_is_described(code, register, words):
     assert error_text(code, register) == words
 
 
-def test_errors_of_an_odrive_in_words():
+def test_odrive_error_is_described():
     assert odrive_error_words(0) == ""
     assert odrive_error_words(1 << 25 | 1 << 8) == "supply over-voltage, emergency stop"
     assert odrive_error_words(1 << 31) == "unknown error 0x80000000"
 
 
 @given(st.integers(0, 0xFFFF))
-def test_a_status_word_shows_one_state_at_most(statusword):
+def test_status_word_shows_one_state_at_most(statusword):
     fitting = [name for mask, value, name in STATES if statusword & mask == value]
     assert len(fitting) <= 1
     assert state_of(statusword) == "".join(fitting)
 
 
 @given(st.floats(-100.0, 100.0), st.floats(0.1, 100.0), st.booleans())
-def test_units_there_and_back(value, gear, is_reversed):
+def test_unit_conversion_is_reversible(value, gear, is_reversed):
     turns = (-gear if is_reversed else gear) / math.tau
     for unit in ("counts", "rpm", "milli_rpm"):
         units = Units(turns, 100_000, unit, 0.5, 2.0)
@@ -175,14 +175,14 @@ def test_units_there_and_back(value, gear, is_reversed):
             assert units.to_velocity(value) * value >= 0.0
 
 
-def test_units_of_a_drive_that_counts_in_rpm():
+def test_unit_conversion_of_a_drive_in_rpm():
     units = Units(10.0 / math.tau, 4096, "rpm", 0.5)
     assert units.to_velocity(math.tau) == 600  # one turn of the axis per second, behind 10:1
     assert units.to_counts(math.tau) == 40960
     assert units.to_torque(5.0) == 1000
 
 
-def test_repeating_ends_by_itself_and_when_told():
+def test_periodic_task_ends_after_its_time_and_when_stopped():
     async def story():
         loop, done = asyncio.get_running_loop(), []
         repeating = PeriodicTask(LoopClock())
@@ -199,21 +199,21 @@ def test_repeating_ends_by_itself_and_when_told():
     run_jumping(story())
 
 
-def test_every_protocol_of_the_manifest_is_there():
+def test_every_protocol_of_the_manifest_is_implemented():
     option = next(option for option in MANIFESTS["CanAxis"].options if option.name == "protocol")
     assert set(option.choices) == set(PROTOCOLS)
 
 
-def test_the_standard_objects_are_those_of_the_table():
+def test_standard_objects_equal_the_table():
     dictionary = standard_dictionary()
     for (index, subindex), (name, data_type) in OBJECTS.items():
         variable = dictionary.get_variable(index, subindex)
         assert (variable.name, variable.data_type) == (name, data_type)
 
 
-# canopen's writer, which only this test uses, calls utcnow(), deprecated since Python 3.12.
+# canopen's writer, which is used only here, calls utcnow(), deprecated since Python 3.12.
 @pytest.mark.filterwarnings("ignore:datetime.datetime.utcnow:DeprecationWarning:canopen")
-def test_an_eds_file_is_read_or_refused_in_a_sentence(tmp_path):
+def test_valid_eds_file_is_read_and_invalid_one_is_refused(tmp_path):
     import canopen
 
     good, bad = tmp_path / "drive.eds", tmp_path / "bad.eds"
@@ -245,7 +245,7 @@ BODIES = {
 
 
 @pytest.mark.parametrize("file", sorted(BODIES))
-def test_stock_resources_compile_and_offer_their_portals(file):
+def test_can_stock_resource_compiles_and_offers_its_portals(file):
     def find(path: str) -> Path | None:
         plugin, _, name = path.partition("/")
         return PLUGIN.source(name) if plugin == "can" else None
@@ -262,15 +262,15 @@ frames = st.lists(
 
 
 @given(frames)
-def test_any_frames_of_a_node_are_survived(bench, binding, frames):
+def test_cia402_axis_survives_any_frames(bench, binding, frames):
     b = bench(binding("CanAxis", options={"protocol": "cia402", "node": 5, "counts": 1000}))
 
     async def mission(axis):
-        told = [
+        tpdos = [
             Pdo(n + 1, first + 5, entries)
             for n, (first, entries) in enumerate(zip(TRANSMITTED, TPDO.ours, strict=False))
         ]
-        axis.protocol.pdo_configuration = PdoConfiguration(ProcessData(told))
+        axis.protocol.pdo_configuration = PdoConfiguration(ProcessData(tpdos))
         for code, data in frames:
             b.bus.say(code + 5, data)
         assert axis.malformed <= len(frames)

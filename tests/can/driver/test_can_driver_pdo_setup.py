@@ -1,4 +1,4 @@
-"""How process data are agreed on with drives that have their own mind: no bus, records that refuse."""
+"""How process data are configured on drives that refuse some writes: no bus, records that refuse."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OLD, UNUSED = 0x1E5, 1 << 31
 
 
 class Records:
-    """The records of a drive; `refuses(index, subindex, value, now)` says no to a write."""
+    """The records of a drive; `refuses(index, subindex, value, now)` refuses a write."""
 
     def __init__(self, refuses=lambda index, subindex, value, now: False, *, kind=255, timer=0, **objects):
         self.refuses = refuses
@@ -52,15 +52,15 @@ class Records:
         self.values[index, subindex] = value
 
 
-def agreed(records):
-    """What is agreed on, and the notes."""
+def configure(records):
+    """The resulting configuration, and the notes."""
     notes = []
     error = lambda text: DeviceError("axis", text)  # noqa: E731
     return asyncio.run(configure_pdos(records, NODE, error, notes.append)), notes
 
 
 def fixed(*subindexes):
-    """No write to these of the parameters of TPDOs, nor to any mapping."""
+    """Refuse writes to these subindexes of TPDO parameters, and to every mapping."""
     return lambda index, subindex, value, now: (
         index & 0xFE00 == 0x1A00 or (index & 0xFF00 == 0x1800 and subindex in subindexes)
     )
@@ -78,20 +78,20 @@ def fixed(*subindexes):
         (0, 0, True, True),
     ],
 )
-def test_every_transmission_type_that_cannot_be_changed(kind, timer, by_sync, by_changes):
-    """Of type 0 a change is told at the next SYNC: without one it would never be told."""
-    found, notes = agreed(Records(fixed(1, 2, 5), kind=kind, timer=timer))
+def test_every_fixed_transmission_type_is_supported(kind, timer, by_sync, by_changes):
+    """With type 0 a change is sent at the next SYNC: without a SYNC it would never be sent."""
+    found, notes = configure(Records(fixed(1, 2, 5), kind=kind, timer=timer))
     assert (found.by_sync, found.by_changes) == (by_sync, by_changes)
     assert any("only on change" in note for note in notes) is by_changes
 
 
 @pytest.mark.parametrize("kind", [252, 253])
-def test_one_that_waits_for_remote_frames_does_not_fit(kind):
+def test_tpdo_on_remote_request_only_is_refused(kind):
     with pytest.raises(DeviceError, match=f"TPDO 1 is sent only on a remote frame .* type {kind}"):
-        agreed(Records(fixed(1, 2, 5), kind=kind, timer=20))
+        configure(Records(fixed(1, 2, 5), kind=kind, timer=20))
 
 
-def test_an_id_is_changed_while_it_is_not_in_use_and_used_afterwards():
+def test_cob_id_is_changed_while_the_pdo_is_disabled():
     """CiA 301, 7.5.2.35, read strictly: a write changes bit 31 or the id, not both."""
 
     def refuses(index, subindex, value, now):
@@ -99,12 +99,12 @@ def test_an_id_is_changed_while_it_is_not_in_use_and_used_afterwards():
 
     records = Records(refuses)
     records.values[0x1800, 1] = OLD
-    assert agreed(records)[0].data.is_tpdo(0x180 + NODE)
+    assert configure(records)[0].data.is_tpdo(0x180 + NODE)
     assert records.values[0x1800, 1] == 0x180 + NODE
 
 
-def test_dummies_in_what_a_drive_takes_are_gaps():
-    """Entries of types (CiA 301, 7.5.2.36) are neither read nor sent as objects."""
+def test_dummy_entries_of_an_rpdo_are_filled_with_zeros():
+    """Entries of data types (CiA 301, 7.5.2.36) are neither read nor sent as objects."""
     records = Records(lambda index, subindex, value, now: index & 0xFE00 == 0x1600)
     records.values |= {
         (0x1600, 0): 3,
@@ -112,7 +112,7 @@ def test_dummies_in_what_a_drive_takes_are_gaps():
         (0x1600, 2): t.CONTROL,
         (0x1600, 3): 0x00060010,
     }
-    found, _ = agreed(records)
+    found, _ = configure(records)
     assert found.data.frame(t.CONTROL, 0x0F) == (0x200 + NODE, b"\0\x0f\0\0\0")
 
 
@@ -120,7 +120,7 @@ def test_dummies_in_what_a_drive_takes_are_gaps():
     ("present", "words"),
     [(50, ""), (200, ""), (0, "it sends no heartbeat"), (1000, "period of 1000 ms is too long")],
 )
-def test_a_heartbeat_that_cannot_be_changed_counts_if_it_comes_often_enough(present, words):
+def test_fixed_heartbeat_is_accepted_if_its_period_is_short_enough(present, words):
     records = Records(lambda *write: True, x1017=present)
 
     async def set_it():

@@ -1,4 +1,4 @@
-"""Process data as they are mapped, and SYNC: pure, or on jumping time."""
+"""Process data in their mapping, and SYNC: pure, or on virtual time."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from lfield_can.timing import Sync
 MODE, DIGITAL = 0x60600008, 0x60FE0120
 
 
-def test_each_object_is_taken_from_where_least_else_is():
+def test_the_pdo_with_the_fewest_other_objects_is_selected():
     lone, shared, crowd = Pdo(4, 0, (CONTROL,)), Pdo(1, 0, (CONTROL, TO_POSITION)), Pdo(2, 0, (CONTROL, MODE))
     assert select_pdos([shared, crowd, lone], [CONTROL]) == [lone]
     assert select_pdos([shared, crowd, lone], [CONTROL, TO_POSITION]) == [lone, shared]
     assert select_pdos([crowd], [TO_POSITION]) == []
-    # Bits, and more than a frame holds, cannot be packed here.
+    # Single bits, and more than fits in a frame, cannot be packed here.
     assert (
         select_pdos([Pdo(1, 0, (CONTROL, 0x60FE0101)), Pdo(2, 0, (CONTROL, *3 * (DIGITAL,)))], [CONTROL])
         == []
     )
 
 
-def test_a_frame_carries_the_newest_of_all_its_objects():
+def test_frame_carries_the_newest_value_of_each_object():
     pdo = Pdo(1, 0x209, (CONTROL, MODE, TO_POSITION))
     data = ProcessData((), (pdo,), {0x604000: b"\6\0", 0x606000: b"\1", 0x607A00: struct.pack("<i", -5)})
     assert data.frame(CONTROL, 0x0F) == (0x209, b"\x0f\0\1" + struct.pack("<i", -5))
@@ -40,15 +40,15 @@ def test_a_frame_carries_the_newest_of_all_its_objects():
     assert data.frame(TO_POSITION, 9)[1] == b"\2\0\x08" + struct.pack("<i", 9)
 
 
-def test_gaps_are_filled():
+def test_gaps_are_filled_with_zeros():
     data = ProcessData((), (Pdo(1, 0x209, (0x00050008, CONTROL)),))
     assert data.frame(CONTROL, 0x0F) == (0x209, b"\0\x0f\0")
 
 
 @given(st.binary(max_size=12))
-def test_any_bytes_are_objects_or_too_short(data):
-    told = ProcessData((Pdo(1, 0x189, (0x603F0010, STATUS, POSITION)),))
-    found = told.read(0x189, data)
+def test_any_pdo_bytes_are_decoded_or_too_short(data):
+    mapped = ProcessData((Pdo(1, 0x189, (0x603F0010, STATUS, POSITION)),))
+    found = mapped.read(0x189, data)
     assert (found is None) == (len(data) < 8)
     assert found is None or set(found) == {STATUS, POSITION}
 
@@ -66,7 +66,7 @@ def test_objects_have_names(index, name):
     assert name_of(index, 0) == name
 
 
-def test_one_sync_for_all_who_need_it():
+def test_one_sync_serves_all_nodes_that_require_it():
     sent: list[Frame] = []
 
     async def story():
@@ -86,5 +86,5 @@ def test_one_sync_for_all_who_need_it():
     run_jumping(story())
 
 
-def test_the_velocity_is_what_its_entry_says():
+def test_velocity_is_decoded_as_signed():
     assert ProcessData((Pdo(1, 1, (VELOCITY,)),)).read(1, struct.pack("<i", -3)) == {VELOCITY: -3}

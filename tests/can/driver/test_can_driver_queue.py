@@ -1,4 +1,4 @@
-"""The send queue of a connection: order, deadlines and cancelled senders, by a clock of the test."""
+"""The send queue of a connection: order, deadlines and cancelled senders, on a clock of the test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lfield_can.bus.connection import BACKLOG, POST_TIMEOUT, SEND_TIMEOUT, Conne
 from lfield_can.bus.endpoint import parse_endpoint
 from lfield_can.bus.frames import BUS_LOST, Frame, Listener
 
-#: Seconds after which a thread that does nothing is a fault.
+#: Seconds after which a thread without progress is a fault.
 BOUND = 60.0
 TOO_LATE = "it was queued for too long"
 FULL = "Transmit buffer full"
@@ -25,7 +25,7 @@ LISTENER = Listener(lambda frame: None, lambda identifier, data: None, lambda re
 
 
 class Interface(can.BusABC):
-    """An interface whose buffer is full, or whose `send` blocks, while the test says so."""
+    """An interface whose buffer is full, or whose `send` blocks, while the test requires it."""
 
     def __init__(self) -> None:
         super().__init__(channel="queue")
@@ -68,7 +68,7 @@ def interface(monkeypatch):
 
 @asynccontextmanager
 async def connected(interface):
-    """A connection, by the clock of its interface."""
+    """A connection on the clock of its interface."""
     made = Connection(PLACE, LISTENER, asyncio.get_running_loop(), lambda: interface.now)
     try:
         yield made
@@ -83,7 +83,7 @@ def sending(link, number):
 
 
 async def occupied(link, interface):
-    """The writer thread is blocked in `send` of frame 1, behind which others are queued."""
+    """The writer thread is blocked in `send` of frame 1; later frames are queued behind it."""
     interface.open.clear()
     first = sending(link, 1)
     assert await asyncio.to_thread(interface.entered.wait, BOUND)
@@ -95,7 +95,7 @@ async def result(task):
         return await task
 
 
-async def test_a_posted_frame_that_is_late_is_dropped_and_one_with_a_sender_is_not(interface):
+async def test_late_posted_frame_is_dropped_and_one_with_a_sender_is_not(interface):
     async with connected(interface) as link:
         first = await occupied(link, interface)
         link.post(Frame(2))
@@ -109,7 +109,7 @@ async def test_a_posted_frame_that_is_late_is_dropped_and_one_with_a_sender_is_n
     assert interface.sent == [1, 3, 4, 5]
 
 
-async def test_a_frame_with_a_sender_is_dropped_after_its_own_deadline(interface):
+async def test_frame_with_a_sender_is_dropped_after_its_own_deadline(interface):
     async with connected(interface) as link:
         first = await occupied(link, interface)
         second = sending(link, 2)
@@ -122,7 +122,7 @@ async def test_a_frame_with_a_sender_is_dropped_after_its_own_deadline(interface
     assert interface.sent == [1, 3]
 
 
-async def test_a_stop_is_sent_right_after_an_earlier_setpoint_that_is_still_valid(interface):
+async def test_stop_is_sent_right_after_an_earlier_valid_setpoint(interface):
     async with connected(interface) as link:
         interface.full = True
         setpoint = sending(link, 1)
@@ -135,7 +135,7 @@ async def test_a_stop_is_sent_right_after_an_earlier_setpoint_that_is_still_vali
     assert interface.sent == [1, 2]
 
 
-async def test_a_stop_does_not_share_the_deadline_of_an_earlier_setpoint(interface):
+async def test_stop_does_not_share_the_deadline_of_an_earlier_setpoint(interface):
     async with connected(interface) as link:
         interface.full = True
         setpoint = sending(link, 1)
@@ -150,7 +150,7 @@ async def test_a_stop_does_not_share_the_deadline_of_an_earlier_setpoint(interfa
     assert interface.sent == [2]
 
 
-async def test_a_sender_that_is_cancelled_sends_nothing_and_later_frames_are_sent(interface):
+async def test_cancelled_sender_sends_nothing_and_later_frames_are_sent(interface):
     async with connected(interface) as link:
         first = await occupied(link, interface)
         cancelled = sending(link, 2)
@@ -164,7 +164,7 @@ async def test_a_sender_that_is_cancelled_sends_nothing_and_later_frames_are_sen
     assert interface.sent == [1, 3]
 
 
-async def test_a_sender_may_be_cancelled_while_its_frame_is_being_sent(interface):
+async def test_sender_may_be_cancelled_while_its_frame_is_being_sent(interface):
     async with connected(interface) as link:
         first = await occupied(link, interface)
         first.cancel()
@@ -174,7 +174,7 @@ async def test_a_sender_may_be_cancelled_while_its_frame_is_being_sent(interface
     assert interface.sent == [1, 2]
 
 
-async def test_a_full_buffer_is_retried_until_it_accepts_the_frame(interface):
+async def test_full_buffer_is_retried_until_it_accepts_the_frame(interface):
     async with connected(interface) as link:
         interface.full = True
         first = sending(link, 1)
@@ -184,7 +184,7 @@ async def test_a_full_buffer_is_retried_until_it_accepts_the_frame(interface):
     assert interface.sent == [1]
 
 
-async def test_a_buffer_that_stays_full_fails_the_call_with_its_reason(interface):
+async def test_buffer_that_stays_full_fails_the_call_with_its_reason(interface):
     interface.full, interface.passes = True, SEND_TIMEOUT / 4
 
     async with connected(interface) as link:
@@ -192,7 +192,7 @@ async def test_a_buffer_that_stays_full_fails_the_call_with_its_reason(interface
     assert interface.now == pytest.approx(SEND_TIMEOUT)
 
 
-async def test_the_reason_of_the_interface_is_that_of_the_error(interface):
+async def test_error_contains_the_reason_of_the_interface(interface):
     interface.full = True
 
     bus = Bus("virtual:queue", lambda frame: None, lambda text: None)
@@ -202,7 +202,7 @@ async def test_the_reason_of_the_interface_is_that_of_the_error(interface):
     await bus.close()
 
 
-async def test_too_many_frames_are_refused(interface):
+async def test_full_send_queue_refuses_frames(interface):
     async with connected(interface) as link:
         await occupied(link, interface)
         for _ in range(BACKLOG):

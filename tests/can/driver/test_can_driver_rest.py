@@ -1,4 +1,4 @@
-"""What an axis still does in its safe state: on fakes with inertia."""
+"""Detection of rest in a safe state, on fakes with inertia."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FakeBus:
             self.world.advance(asyncio.get_running_loop().time())
 
     def command(self, command: int, layout: str, *values) -> None:
-        """A frame of another master, which the driver does not see."""
+        """A frame of another master, which the driver does not receive."""
         now = asyncio.get_running_loop().time()
         self.world.bus.send(self.port, fake.CanFrame(NODE << 5 | command, struct.pack(layout, *values)), now)
 
@@ -70,24 +70,24 @@ async def turning(axis, speed=20.0):
 
 
 async def rests(axis, bound):
-    """The words until it is at rest, and how long that took."""
+    """The reports until the axis is at rest, and the time that this took."""
     words, start = [], asyncio.get_running_loop().time()
-    while told := axis.moving():
-        assert asyncio.get_running_loop().time() - start < bound, told
-        words.append(told)
+    while report := axis.moving():
+        assert asyncio.get_running_loop().time() - start < bound, report
+        words.append(report)
         await asyncio.sleep(0.1)
     return words, asyncio.get_running_loop().time() - start
 
 
 @on_bench("rig", safe_state="torque_off")
-async def test_an_axis_whose_torque_is_off_coasts_and_is_told_until_it_stands(b, axis, /):
+async def test_coasting_axis_without_torque_reports_its_speed_until_rest(b, axis, /):
     assert axis.moving() == ""
     await turning(axis)
     await axis.make_safe()
     words, seconds = await rests(axis, 60.0)
     assert re.fullmatch(r"turning at \d\d rad/s", words[0]), words[0]
     assert words[-1].startswith("turning at 0.")
-    assert seconds > 10.0  # nothing brakes it but its friction
+    assert seconds > 10.0  # only friction slows it down
 
 
 CIA402 = {"options": {"protocol": "cia402", "node": 5, "counts": 4096}, "waivers": ["no_homing"]}
@@ -95,7 +95,7 @@ CIA402 = {"options": {"protocol": "cia402", "node": 5, "counts": 4096}, "waivers
 
 @pytest.fixture
 def drive(rig):
-    """A fake CiA 402 drive with a load that hangs and no brake; its objects, and the bench."""
+    """A fake CiA 402 drive with a hanging load and no brake; the bench."""
 
     def make(**given):
         b = rig("cia402:5,load=0.5,counts=4096", **{**CIA402, **given})
@@ -106,15 +106,15 @@ def drive(rig):
 
 
 def keep(b, index, value):
-    """An owner has set the drive up so, and it keeps it."""
+    """Set an object as its owner does: the drive keeps the value over a restart."""
     objects = b.drive.node.objects
     objects.entries[index, 0] = dataclasses.replace(objects.entries[index, 0], default=value)
     objects.put(index, value)
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
-def test_a_quick_stop_that_lets_go_is_no_brake(drive, state):
-    """0x605A = 0: the motor coasts. For torque_hold it is set; for brake it is the owner's."""
+def test_quick_stop_that_coasts_is_refused_as_brake(drive, state):
+    """0x605A = 0: the motor coasts. For torque_hold the driver sets it; for brake the owner must."""
     b = drive(safe_state=state)
     keep(b, 0x605A, 0)
 
@@ -129,7 +129,7 @@ def test_a_quick_stop_that_lets_go_is_no_brake(drive, state):
     b.run(mission, opened=False)
 
 
-def test_option_codes_that_only_the_manual_explains_are_told(drive):
+def test_coasting_fault_reaction_is_noted(drive):
     b = drive()
     keep(b, 0x605A, 7)
     keep(b, 0x605E, 0)
@@ -141,8 +141,8 @@ def test_option_codes_that_only_the_manual_explains_are_told(drive):
 
 
 @on_bench("drive")
-async def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(b, axis, /):
-    """A drive that stands tells nothing new; its position is no older for that."""
+async def test_values_sent_on_change_stay_valid_while_the_heartbeat_arrives(b, axis, /):
+    """A drive at rest sends nothing new; its position is still valid."""
     await axis.execute("enable", [])
     axis.protocol.pdo_configuration = dataclasses.replace(axis.protocol.pdo_configuration, by_changes=True)
     b.world.faults.apply(["lost_tpdo=true"])
@@ -154,8 +154,8 @@ async def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(b, 
 
 
 @on_bench("drive")
-async def test_an_answer_that_process_data_have_overtaken_is_no_news(b, axis, /):
-    """The drive reads, changes, tells of the change, and only then is what it has read on the bus."""
+async def test_sdo_answer_overtaken_by_process_data_is_ignored(b, axis, /):
+    """The drive reads a value, changes it, sends the change, and only then is its answer on the bus."""
     await axis.execute("enable", [])
     protocol = axis.protocol
     protocol.pdo_configuration = dataclasses.replace(protocol.pdo_configuration, by_changes=True)
@@ -180,7 +180,7 @@ async def test_an_answer_that_process_data_have_overtaken_is_no_news(b, axis, /)
 
 
 @on_bench("drive", safe_state="torque_hold")
-async def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(b, axis, /):
+async def test_enabling_a_held_axis_does_not_release_its_load(b, axis, /):
     """By transition 16; without voltage in between it would fall."""
     await axis.execute("enable", [])
     await asyncio.sleep(0.3)
@@ -196,7 +196,7 @@ async def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(b, axis
 
 
 @on_bench("rig", "odrive:3,load=0.05", safe_state="torque_off")
-async def test_a_load_that_turns_an_axis_without_torque_is_no_rest(b, axis, /):
+async def test_axis_turned_by_its_load_is_not_at_rest(b, axis, /):
     await axis.execute("enable", [])
     await asyncio.sleep(0.5)
     await axis.make_safe()
@@ -206,7 +206,7 @@ async def test_a_load_that_turns_an_axis_without_torque_is_no_rest(b, axis, /):
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
 @on_bench("rig", given="safe_state=state")
-async def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(b, axis, /, state):
+async def test_braked_axis_is_at_rest_when_confirmed(b, axis, /, state):
     await turning(axis)
     assert axis.moving() == "turning at 20 rad/s"
     await axis.make_safe()
@@ -214,7 +214,7 @@ async def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(b, axis,
 
 
 @on_bench("rig", safe_state="torque_off")
-async def test_one_that_is_not_heard_is_not_at_rest(b, axis, /):
+async def test_silent_axis_is_not_at_rest(b, axis, /):
     await turning(axis)
     await axis.make_safe()
     b.bus.cut = True
@@ -223,7 +223,7 @@ async def test_one_that_is_not_heard_is_not_at_rest(b, axis, /):
 
 
 @on_bench("rig", safe_state="torque_off")
-async def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_rest(b, axis, /):
+async def test_axis_moved_out_of_its_safe_state_by_another_master_is_not_at_rest(b, axis, /):
     await axis.execute("enable", [])
     await axis.make_safe()
     assert axis.moving() == ""
@@ -233,7 +233,7 @@ async def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_res
 
 
 class Coasting(LocalDrive):
-    """A drive whose motor is slowed by friction only when the voltage is off."""
+    """A drive whose motor is slowed only by friction when the voltage is off."""
 
     slowing = 0.99
 
@@ -246,7 +246,7 @@ class Coasting(LocalDrive):
             self.set(0x606C, round(self.velocity))
 
 
-def test_a_drive_that_coasts(bench, binding, bus):
+def test_coasting_cia402_drive_reports_its_speed_until_rest(bench, binding, bus):
     drive = Coasting()
     drive.bus = bus
     options = {"protocol": "cia402", "node": 5, "counts": 10_000, "connect": 3.0}
@@ -269,7 +269,7 @@ def test_a_drive_that_coasts(bench, binding, bus):
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold", "brake"])
 @on_bench("rig", given="safe_state=state")
-async def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(b, axis, /, state):
+async def test_axis_silent_before_its_stop_is_an_error(b, axis, /, state):
     await axis.make_safe()
     b.world.faults.apply(["silence=true"])
     await asyncio.sleep(0.3)
@@ -279,7 +279,7 @@ async def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(b, axis,
 
 @pytest.mark.parametrize("state", ["torque_off", "brake"])
 @on_bench("rig", given="safe_state=state")
-async def test_an_axis_that_began_to_turn_since_it_was_heard_last_is_not_at_rest(b, axis, /, state):
+async def test_axis_that_turns_since_its_last_message_is_not_at_rest(b, axis, /, state):
     await turning(axis)
     await axis.make_safe()
     axis.protocol.state.velocity = 0.0  # as reported before it began to turn

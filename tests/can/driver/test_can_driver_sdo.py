@@ -1,6 +1,6 @@
-"""The core of the SDO client: a server that answers in order, late, or not at all, and nonsense in between.
+"""The core of the SDO client: a server that answers in order, late or never, with invalid frames between.
 
-Every value and every abort code of the server is there once, so that an old answer shows.
+Every value and every abort code of the server occurs once, so that an old answer is detected.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from lfield_can.protocols.sdo import (
 from lfield_sim.can.canopen.sdo import SdoAbort, SdoServer
 
 KEY, OTHER = (0x6064, 0), (0x6041, 0)
-#: Lengths of the objects of the server; what is not here it does not have.
+#: Lengths of the objects of the server; it has no other objects.
 LENGTHS = {KEY: 4, OTHER: 2, (0x1008, 0): 20, (0x100A, 0): 7, (0x1018, 1): 4, (0x2000, 3): 60}
-#: Waits that an answer may be late by: fewer than there are probes.
+#: Greatest delay of an answer in timeouts: fewer than there are probes.
 LATEST = 14
 
 
 class Objects:
-    """What a server answers from: every read has a number of its own, every refusal too."""
+    """The objects of a server: each read and each refusal has a number of its own."""
 
     def __init__(self) -> None:
         self.serial = 0
@@ -59,24 +59,24 @@ class Objects:
 
 
 class Line:
-    """The client and a server that is heard in order; `late` is how many waits each answer is on its way."""
+    """The client and a server whose answers arrive in order, each after `late` timeouts."""
 
     def __init__(self) -> None:
         self.client, self.objects = SdoClient(), Objects()
         self.server = SdoServer(self.objects)
         self.coming: deque[list] = deque()
         self.waits = 0
-        self.asked = 0
+        self.requests = 0
 
     def do(self, effects, late, lost, noise):
-        """Carry out effects; the result, when there is one."""
+        """Carry out effects; returns the result when there is one."""
         for effect in effects:
             if not isinstance(effect, Send):
                 return effect
             assert len(effect.data) == 8
             assert (effect.within is None) == (effect.data[0] == ABORT)
             if effect.within is not None:
-                self.asked += 1
+                self.requests += 1
                 assert self.client.on_response(nonsense(effect.data, noise)) == []
             if lost == "request":
                 continue
@@ -88,11 +88,11 @@ class Line:
         return None
 
     def run(self, effects, fates):
-        """Let a transfer go on to its end; its result, or None when nobody waited for it."""
+        """Run a transfer to its end; returns its result, or None when it was cancelled."""
         result = self.do(effects, *next(fates))
         while result is None:
             late, lost, noise = next(fates)
-            if lost == "nobody waits":
+            if lost == "cancelled":
                 return self.do(self.client.on_cancelled(), late, "", noise)
             if self.coming and self.coming[0][0] <= self.waits:
                 frame = self.coming.popleft()[1]
@@ -104,7 +104,7 @@ class Line:
 
 
 def nonsense(request, noise):
-    """What is no answer to a request, in one of several ways."""
+    """A frame that is not an answer to a request, of one of several kinds."""
     way, kind, rest = noise
     wanted = {0x20: 0x60, 0x40: 0x40, 0x60: 0x00}[request[0] & 0xE0]
     if way == "of another kind" and kind not in (wanted, 0x80):
@@ -113,12 +113,12 @@ def nonsense(request, noise):
         return bytes([0x10 - (request[0] & 0x10)]) + b"\xff" * 7
     if way == "of another length":
         return (bytes([wanted]) + request[1:])[: kind >> 5]
-    # About an object that nobody asks for.
+    # About an object that was not requested.
     return bytes([wanted or 0x80]) + b"\xff\xff\xff" + rest[:4]
 
 
 def endless(drawn):
-    """Fates as drawn, then none that is bad."""
+    """The drawn events, then only undisturbed ones."""
     yield from drawn
     while True:
         yield 0, "", ("", 0, bytes(4))
@@ -130,23 +130,23 @@ NOISE = st.tuples(
     st.sampled_from(range(0, 0x100, 0x20)),
     st.binary(min_size=4, max_size=4),
 )
-LOSSES = st.sampled_from([*[""] * 6, "request", "answer", "nobody waits"])
+LOSSES = st.sampled_from([*[""] * 6, "request", "answer", "cancelled"])
 FATES = st.lists(st.tuples(st.integers(0, LATEST), LOSSES, NOISE), max_size=60)
 
 
 @settings(derandomize=True, database=None, max_examples=200)
 @given(st.lists(st.tuples(KEYS, st.booleans(), st.booleans()), max_size=12), FATES)
-def test_no_answer_to_an_earlier_question_is_ever_taken(transfers, drawn):
+def test_answer_to_an_earlier_request_is_never_taken(transfers, drawn):
     line, fates = Line(), endless(drawn)
     for key, writes, refuses in transfers:
         line.objects.refuses = refuses
         before = line.objects.serial
         data = struct.pack("<H", before)
-        line.asked = 0
+        line.requests = 0
         effects = line.client.download(key, data) if writes else line.client.upload(key)
         result = line.run(effects, fates)
-        # Each try costs at most a probe, a beginning, and its segments.
-        assert line.asked <= TRIES + 1 + TRIES * (1 + LONGEST // 7 + 1)
+        # Each try costs at most a probe, an initiation and its segments.
+        assert line.requests <= TRIES + 1 + TRIES * (1 + LONGEST // 7 + 1)
         match result:
             case Done(value) if writes:
                 assert value == b""
@@ -162,7 +162,7 @@ def test_no_answer_to_an_earlier_question_is_ever_taken(transfers, drawn):
                 assert line.client.on_cancelled() == []
 
 
-# -- answers, one by one
+# -- single answers
 
 
 def begun(key=KEY):
@@ -193,7 +193,7 @@ def refused(code, why, key=KEY):
         (0x4F, b"\1"),
     ],
 )
-def test_an_answer_has_as_many_bytes_as_it_says_or_four(command, data):
+def test_expedited_answer_has_its_stated_length_or_four_bytes(command, data):
     client, sent = begun()
     assert sent == [Send(about(0x40), ANSWER)]
     assert client.on_response(about(command, rest=b"\1\2\3\4")) == [Done(data)]
@@ -203,23 +203,23 @@ def test_an_answer_has_as_many_bytes_as_it_says_or_four(command, data):
 @pytest.mark.parametrize(
     ("data", "command"), [(b"\1", 0x2F), (b"\1\2", 0x2B), (b"\1\2\3", 0x27), (b"\1\2\3\4", 0x23)]
 )
-def test_a_download_says_how_many_bytes_it_has(data, command):
+def test_expedited_download_states_its_length(data, command):
     client = SdoClient()
     assert client.download(KEY, data) == [Send(about(command, rest=data), ANSWER)]
     assert client.on_response(about(0x60)) == [Done()]
 
 
-def test_segments_with_and_without_their_number_before():
+def test_segmented_upload_with_and_without_stated_size():
     for size in (9, 0):
         client, _ = begun()
         rest = size.to_bytes(4, "little") if size else b"\xff" * 4
         assert client.on_response(about(0x41 if size else 0x40, rest=rest)) == [SEGMENT]
         assert client.on_response(b"\x00abcdefg") == [Send(b"\x70".ljust(8, b"\0"), ANSWER)]
-        assert client.on_response(b"\x00abcdefg") == []  # the same once more
+        assert client.on_response(b"\x00abcdefg") == []  # the same segment again
         assert client.on_response(b"\x1bhi\0\0\0\0\0") == [Done(b"abcdefghi")]
 
 
-def test_what_is_too_long_or_of_the_wrong_length_is_refused_and_not_tried_again():
+def test_oversized_or_wrong_length_transfer_is_refused_without_retry():
     client, _ = begun()
     long = about(0x41, rest=(LONGEST + 1).to_bytes(4, "little"))
     assert client.on_response(long) == refused(0x05040005, "received 65 bytes, more than 64")
@@ -236,7 +236,7 @@ def test_what_is_too_long_or_of_the_wrong_length_is_refused_and_not_tried_again(
     assert client.on_response(b"\x01" + bytes(7)) == [Failed("received 7 bytes of 5")]
 
 
-def test_a_refusal_is_one_only_for_the_object_that_was_asked_for():
+def test_abort_counts_only_for_the_requested_object():
     client, _ = begun()
     assert client.on_response(about(ABORT, OTHER, b"\0\0\2\6")) == []
     assert client.on_response(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
@@ -247,7 +247,7 @@ def test_a_refusal_is_one_only_for_the_object_that_was_asked_for():
     assert client.on_response(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
 
 
-def test_silence_is_an_end_after_its_tries_and_doubt_is_over_with_any_answer_to_a_probe():
+def test_silence_fails_after_its_tries_and_a_probe_ends_the_doubt():
     client, sent = begun()
     given_up = Send(about(ABORT, rest=ABORTED.to_bytes(4, "little")))
     assert [client.on_timeout() for _ in range(TRIES)] == [
@@ -257,7 +257,7 @@ def test_silence_is_an_end_after_its_tries_and_doubt_is_over_with_any_answer_to_
     ]
     assert client.upload(OTHER) == [Send(about(0x40, OTHER), ANSWER)]
     assert client.on_response(about(0x43, OTHER)) == [Done(bytes(4))]
-    # What answers may be late.
+    # Answers that may arrive late.
     probe = Send(about(0x40, PROBES[0]), ANSWER)
     assert client.download(KEY, b"\1") == [probe]
     for late in (about(0x43), about(0x60), about(ABORT), about(0x60, PROBES[0])):
@@ -269,15 +269,15 @@ def test_silence_is_an_end_after_its_tries_and_doubt_is_over_with_any_answer_to_
     assert client.upload(KEY) == sent
 
 
-def test_a_probe_in_doubt_is_followed_by_another_one_never_by_what_is_asked_for():
+def test_unanswered_probe_is_followed_by_another_probe():
     client, _ = begun(PROBES[0])
     for _ in range(TRIES):
         client.on_timeout()
-    asked = []
+    requests = []
     for _ in range(10):
         effects = client.upload(PROBES[0])
         for _ in range(TRIES):
-            asked.append(effects[-1].data[1:4])
+            requests.append(effects[-1].data[1:4])
             effects = client.on_timeout()
     probes = [about(0, key)[1:4] for key in PROBES[1:]]
-    assert asked == probes * 2
+    assert requests == probes * 2

@@ -1,4 +1,4 @@
-"""Devices of DBC files through the driver, in jumping time; and the file itself, which is pure."""
+"""Devices of DBC files through the driver, on virtual time; and the file itself, which is pure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DETAIL = FILE.key("Detail") & 0x1FFFFFFF
 
 
 class Pump:
-    """Turns as it is told, and says so ten times a second."""
+    """Turns at the commanded speed and reports it ten times a second."""
 
     def __init__(self, bus) -> None:
         self.bus, self.speed, self.silent, self.deaf = bus, 0.0, False, False
@@ -63,12 +63,12 @@ def carried(frame: Frame) -> dict:
 
 
 @on_bench("rig", opened=False)
-async def test_who_it_is(b, pump, /):
+async def test_identity_names_the_received_messages(b, pump, /):
     assert await pump.open() == "DBC device, received Status"
 
 
 @on_bench("rig")
-async def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(b, pump, /):
+async def test_setting_a_signal_keeps_the_others_of_its_message(b, pump, /):
     await pump.execute("set", ["Command.speed", 12.5])
     await pump.execute("set", ["Command.valve", 30.0])
     await asyncio.sleep(2.0)
@@ -105,14 +105,14 @@ async def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(b, pu
     ],
 )
 @on_bench("rig")
-async def test_what_cannot_be_is_refused_before_anything_is_sent(b, pump, /, call, words):
+async def test_invalid_signal_is_refused_before_a_frame_is_sent(b, pump, /, call, words):
     with pytest.raises(DeviceError, match=words):
         await pump.execute(*call)
     assert b.bus.sent == []
 
 
 @on_bench("rig", commands=[], safe=[], confirm=[])
-async def test_nothing_is_a_command_unless_it_is_listed(b, pump, /):
+async def test_only_listed_messages_are_sent(b, pump, /):
     with pytest.raises(DeviceError, match="the binding's 'commands' allow nothing"):
         await pump.execute("set", ["Command.speed", 1.0])
     await pump.make_safe()
@@ -120,7 +120,7 @@ async def test_nothing_is_a_command_unless_it_is_listed(b, pump, /):
 
 
 @on_bench("rig")
-async def test_the_safe_state_is_sent_seen_and_sent_again(b, pump, /):
+async def test_safe_state_is_sent_confirmed_and_sent_again(b, pump, /):
     await pump.execute("set", ["Command.speed", 12.5])
     await asyncio.sleep(0.5)
     b.pump.deaf = True
@@ -133,7 +133,7 @@ async def test_the_safe_state_is_sent_seen_and_sent_again(b, pump, /):
 
 
 @on_bench("rig")
-async def test_after_the_safe_state_nothing_of_before_is_sent(b, pump, /):
+async def test_safe_state_discards_earlier_values(b, pump, /):
     await pump.execute("set", ["Command.speed", 12.5])
     await pump.make_safe()
     await pump.execute("set", ["Command.valve", 50.0])
@@ -141,7 +141,7 @@ async def test_after_the_safe_state_nothing_of_before_is_sent(b, pump, /):
 
 
 @on_bench("rig")
-async def test_a_device_by_file_rests_while_what_confirms_it_fits(b, device, /):
+async def test_device_is_at_rest_while_its_confirmation_matches(b, device, /):
     await device.execute("set", ["Command.speed", 12.5])
     await device.make_safe()
     assert device.moving() == ""
@@ -154,7 +154,7 @@ async def test_a_device_by_file_rests_while_what_confirms_it_fits(b, device, /):
 
 
 @on_bench("rig", waivers=("device_watchdog", "no_confirmation"), confirm=[])
-async def test_one_whose_binding_waives_the_confirmation_is_at_rest_unheard(b, device, /):
+async def test_waived_confirmation_means_rest_without_messages(b, device, /):
     await device.make_safe()
     b.pump.silent = True
     await asyncio.sleep(5.0)
@@ -162,7 +162,7 @@ async def test_one_whose_binding_waives_the_confirmation_is_at_rest_unheard(b, d
 
 
 @on_bench("rig")
-async def test_old_values_are_not_answers(b, pump, /):
+async def test_outdated_value_is_not_read(b, pump, /):
     b.pump.silent = True
     await asyncio.sleep(2.0)
     start = asyncio.get_running_loop().time()
@@ -175,18 +175,18 @@ async def test_old_values_are_not_answers(b, pump, /):
     asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "silent", False)
     assert await pump.execute("read", ["Status.speed"]) == 0.0
     await asyncio.sleep(0.2)
-    assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
+    assert carried(b.bus.sent[-1])["speed"] == 0.0  # it returns in its safe state
     assert [note.code for note in b.notes if note.startswith("link ")] == ["can-silent", "can-responding"]
 
 
 @on_bench("rig")
-async def test_multiplexed_messages(b, pump, /):
+async def test_multiplexed_message_is_decoded_by_its_page(b, pump, /):
     b.bus.say(DETAIL, bytes([1, 5, 0, 0, 0, 0, 0, 0]), extended=True)
     b.bus.say(DETAIL, bytes([2, 7, 0, 0, 0, 0, 0, 0]), extended=True)
     assert await pump.execute("read", ["Detail.pressure"]) == 50.0
     assert await pump.execute("read", ["Detail.flow"]) == pytest.approx(0.007)
     b.bus.say(DETAIL, bytes([9, 7, 0, 0, 0, 0, 0, 0]), extended=True)
-    b.bus.say(DETAIL, bytes(8))  # of 11 bits: another message
+    b.bus.say(DETAIL, bytes(8))  # with an 11-bit id: another message
     await asyncio.sleep(0.2)
     assert b.values["malformed"] == 1
 
@@ -198,7 +198,7 @@ async def test_multiplexed_messages(b, pump, /):
     confirm=[],
     waivers=["device_watchdog", "no_confirmation"],
 )
-async def test_setting_a_multiplexed_signal_selects_it(b, pump, /):
+async def test_setting_a_multiplexed_signal_selects_its_page(b, pump, /):
     await pump.execute("set", ["Setup.limit", 300.0])
     assert b.bus.sent[-1].data == bytes([2, 44, 1, 0, 0, 0, 0, 0])
 
@@ -219,15 +219,15 @@ async def test_setting_a_multiplexed_signal_selects_it(b, pump, /):
         ({"confirm": ["Command.speed=0"]}, "'confirm' requires a message from the device"),
     ],
 )
-def test_bindings_that_make_no_sense(rig, options, words):
+def test_invalid_signal_binding_is_refused(rig, options, words):
     async def mission(pump):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     with pytest.raises(DeviceError, match=words):
         rig(**options).run(mission)
 
 
-def test_nobody_there_is_an_error_within_its_bound(rig):
+def test_absent_dbc_device_is_an_error_within_its_time(rig):
     b = rig(connect=2.0)
     b.pump.silent = True
 
@@ -239,13 +239,13 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
 
 
 @given(st.sampled_from([512, DETAIL, 257]), st.booleans(), st.binary(max_size=64))
-def test_any_frame_at_all_is_decoded_or_dropped(identifier, extended, data):
+def test_any_frame_is_decoded_or_dropped(identifier, extended, data):
     decoded = FILE.decode(Frame(identifier, data, extended))
     assert decoded is None or all(math.isfinite(value) for value in decoded[1].values())
 
 
 @given(st.floats(), st.floats(), st.floats())
-def test_whatever_is_sent_comes_out_again_or_is_refused(speed, valve, gain):
+def test_any_values_are_encoded_reversibly_or_refused(speed, valve, gain):
     try:
         frame = FILE.encode("Command", {"speed": speed, "valve": valve, "gain": gain})
     except DbcError:
@@ -257,7 +257,7 @@ def test_whatever_is_sent_comes_out_again_or_is_refused(speed, valve, gain):
 
 
 @on_bench("rig")
-async def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(b, pump, /):
+async def test_short_frame_updates_its_signals_and_the_others_expire(b, pump, /):
     await asyncio.sleep(0.2)
     b.pump.silent = True
     for _ in range(20):
@@ -273,14 +273,14 @@ async def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(b,
     assert b.values["malformed"] >= 20
     b.bus.say(512, bytes([10, 0, 100]))
     assert await pump.execute("read", ["Status.heat"]) == 60.0
-    told = "message Status invalid: frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
+    note_text = "message Status invalid: frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
     assert [note for note in b.notes if "0x200" in note] == [
-        told,
+        note_text,
         "message Status invalid: frame 0x200 has 3 bytes, the file specifies 8",
     ]
 
 
-def test_a_device_whose_frames_are_all_short_is_heard(rig):
+def test_device_with_only_short_frames_is_accepted(rig):
     b = rig()
     b.pump.silent = True
 
@@ -291,7 +291,7 @@ def test_a_device_whose_frames_are_all_short_is_heard(rig):
     b.run(mission, opened=False)
 
 
-def test_who_is_not_heard_while_others_are_is_told_their_ids(rig):
+def test_absent_device_error_lists_the_received_ids(rig):
     b = rig(connect=2.0)
     b.pump.silent = True
 
@@ -304,7 +304,7 @@ def test_who_is_not_heard_while_others_are_is_told_their_ids(rig):
     b.run(mission, opened=False)
 
 
-def test_what_of_the_file_is_not_used_is_told_at_opening(rig, tmp_path):
+def test_warnings_of_the_dbc_file_are_noted_at_opening(rig, tmp_path):
     path = tmp_path / "pump.dbc"
     far = ' SG_ far : 60|8@1+ (1,0) [0|0] "" Host\n'
     path.write_text(DBC.read_text().replace("BO_ 2566848768", f"{far}\nBO_ 2566848768"))
@@ -316,8 +316,8 @@ def test_what_of_the_file_is_not_used_is_told_at_opening(rig, tmp_path):
             await pump.execute("read", ["Status.far"])
 
     b.run(mission)
-    (told,) = [note for note in b.notes if "warning" in note]
-    assert re.match(rf"{path}:\d+:6: warning\[DBC901\]: signal far is beyond its frame", told)
+    (note_text,) = [note for note in b.notes if "warning" in note]
+    assert re.match(rf"{path}:\d+:6: warning\[DBC901\]: signal far is beyond its frame", note_text)
 
 
 J1939 = """VERSION ""
@@ -329,7 +329,7 @@ BA_ "VFrameFormat" BO_ 2566844670 3;
 """
 
 
-def test_a_parameter_group_of_j1939_is_heard_from_any_address_but_one_at_a_time(rig, tmp_path):
+def test_j1939_group_is_read_from_any_one_address(rig, tmp_path):
     path = tmp_path / "engine.dbc"
     path.write_text(J1939)
     waivers = ("device_watchdog", "no_confirmation")

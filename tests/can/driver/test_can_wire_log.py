@@ -1,4 +1,4 @@
-"""The log of CAN frames: lines of candump that python-can reads."""
+"""The log of CAN frames: candump lines that python-can reads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def log_in(folder):
     return log
 
 
-async def test_a_bus_logs_what_it_sends_and_receives(tmp_path):
+async def test_bus_logs_sent_and_received_frames(tmp_path):
     received = []
 
     log = log_in(tmp_path)
@@ -64,7 +64,7 @@ async def test_a_bus_logs_what_it_sends_and_receives(tmp_path):
         st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8), st.booleans(), st.booleans(), st.booleans())
     )
 )
-def test_every_frame_is_read_by_python_can(tmp_path_factory, frames):
+def test_every_logged_frame_is_read_by_python_can(tmp_path_factory, frames):
     path = tmp_path_factory.mktemp("can") / "wire.candump.log"
     lines = [
         candump_line(NOW, "can0", identifier, data, extended=extended, fd=fd, is_sent=is_sent)
@@ -76,7 +76,7 @@ def test_every_frame_is_read_by_python_can(tmp_path_factory, frames):
     assert found == frames
 
 
-def test_an_error_frame_is_read_as_one(tmp_path):
+def test_logged_error_frame_is_read_as_one(tmp_path):
     log = log_in(tmp_path)
     log.log_can_error("can0", 0x4, b"\0\x02\0\0\0\0\0\0")
     log.close()
@@ -94,7 +94,7 @@ def test_an_error_frame_is_read_as_one(tmp_path):
         ("virtual:0", "can0"),
     ],
 )
-def test_the_channel_in_a_log(endpoint, name):
+def test_channel_name_of_an_endpoint(endpoint, name):
     assert parse_endpoint(endpoint).channel == name
 
 
@@ -107,5 +107,5 @@ def test_the_channel_in_a_log(endpoint, name):
         ("ws://u:p@host/x", "x"),
     ],
 )
-def test_no_name_of_a_channel_breaks_a_line_or_has_a_password(channel, name):
+def test_channel_name_is_one_word_without_a_password(channel, name):
     assert channel_name(channel) == name

@@ -1,4 +1,4 @@
-"""The package `dronecan` as a foreign client of simulated nodes, and as a foreign node of the driver."""
+"""The package `dronecan` as a foreign client of simulated nodes, and as a foreign node for the driver."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def position_command(index, value):
 
 
 @pytest.mark.process
-def test_its_client_allocates_ids_reads_and_commands_simulated_nodes():
-    """By its own slcan driver, its own allocator, and its own monitor of nodes."""
+def test_foreign_client_allocates_ids_reads_and_commands_simulated_nodes():
+    """With its own slcan driver, allocator and node monitor."""
     devices = (
         f"dronecan:42,dynamic=yes,uid={UNIQUE_ID},functions=servo:0+esc:1",
         "dronecan:40,functions=battery:0",
@@ -78,7 +78,7 @@ def test_its_client_allocates_ids_reads_and_commands_simulated_nodes():
 
 
 class MemoryDriver(AbstractDriver):
-    """The CAN driver of a foreign node: the bus of the bench."""
+    """The CAN interface of a foreign node: the bus of the bench."""
 
     def __init__(self, bus) -> None:
         super().__init__()
@@ -99,7 +99,7 @@ class MemoryDriver(AbstractDriver):
 
 
 class ForeignServo:
-    """A servo of the package: it jumps to the position of each command."""
+    """A servo made with the package: it jumps to the position of each command."""
 
     def __init__(self, bus) -> None:
         self.position, self.commands, self.masters = 0.1, [], set()
@@ -131,7 +131,7 @@ class ForeignServo:
             await asyncio.sleep(0.01)
 
 
-def test_the_driver_moves_a_servo_of_the_package(bench, binding, bus):
+def test_driver_moves_a_foreign_dronecan_servo(bench, binding, bus):
     servo = ForeignServo(bus)
     options = {"node": 42, "index": 3, "unique_id": UNIQUE_ID}
     bound = binding("DroneCanServo", options=options, waivers=["device_watchdog"], safe_state="rest")
@@ -158,7 +158,7 @@ def test_the_driver_moves_a_servo_of_the_package(bench, binding, bus):
     b.run_real(story, opened=False)
 
 
-def test_a_node_with_another_unique_id_is_refused(bench, binding, bus):
+def test_node_with_another_unique_id_is_refused(bench, binding, bus):
     servo = ForeignServo(bus)
     options = {"node": 42, "index": 3, "unique_id": UNIQUE_ID[::-1]}
     bound = binding("DroneCanServo", options=options, waivers=["device_watchdog"], safe_state="hold")

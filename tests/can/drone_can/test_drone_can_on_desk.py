@@ -36,7 +36,7 @@ def play(story, *bindings):
     desk.run(lambda *devices: story(fake, *devices), *made)
 
 
-def test_functions_of_three_nodes_are_read_and_a_servo_moves(node):
+def test_three_nodes_are_read_and_a_servo_moves(node):
     async def story(fake, battery, esc, servo, second):
         assert battery.query("voltage") == pytest.approx(16.8, abs=0.1)
         assert battery.query("state") == "in use"
@@ -57,7 +57,7 @@ def test_functions_of_three_nodes_are_read_and_a_servo_moves(node):
     play(story, *nodes, node("DroneCanServo", node=42), node("DroneCanServo", node=42, index=1))
 
 
-def test_a_setpoint_that_is_not_renewed_ends_where_the_servo_is(node):
+def test_expired_setpoint_stops_the_servo_where_it_is(node):
     async def story(fake, servo):
         for _ in range(3):
             await servo.call("setPosition", 1.5)
@@ -71,7 +71,7 @@ def test_a_setpoint_that_is_not_renewed_ends_where_the_servo_is(node):
     play(story, node("DroneCanServo", node=42))
 
 
-def test_dynamic_node_ids(node):
+def test_nodes_get_the_node_id_of_their_unique_id(node):
     """Two nodes without ids ask at once; each gets the id of the binding with its unique id."""
 
     async def story(fake, servo, battery):
@@ -98,7 +98,7 @@ def test_dynamic_node_ids(node):
         ("lost_tpdo@42=true", r"no message for 0\.\d s"),
     ],
 )
-def test_faults_of_a_servo(node, fault, words):
+def test_servo_fault_fails_its_motion(node, fault, words):
     async def story(fake, servo):
         fake.fault(fault)
         with pytest.raises(DeviceError, match=words):
@@ -120,7 +120,7 @@ def test_faults_of_a_servo(node, fault, words):
         ([{}, {"node": 43}], "have the same frames"),
     ],
 )
-def test_bindings_that_exclude_each_other(bench, node, bindings, words):
+def test_conflicting_dronecan_bindings_are_refused(bench, node, bindings, words):
     made = [node("DroneCanServo", **{"node": 42, **each}) for each in bindings]
     with pytest.raises(DeviceError, match=words):
         bench(*made).run(lambda *_: None)
@@ -134,9 +134,9 @@ def test_bindings_that_exclude_each_other(bench, node, bindings, words):
         ({"node": 50, "unique_id": UNIQUE_ID}, "no node with this unique id asked"),
     ],
 )
-def test_a_node_that_is_not_there(node, options, words):
+def test_absent_dronecan_node_is_an_error(node, options, words):
     async def story(servo):
-        raise AssertionError("it must not be opened")
+        raise AssertionError("the device must not be opened")
 
     desk = Desk()
     fake = desk.fake("can", "--device", "dronecan:42")

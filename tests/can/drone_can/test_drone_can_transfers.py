@@ -30,7 +30,7 @@ from lfield_can.drone_can.transfers import Assembler, Transfer, TransferKind, fr
 
 uavcan = dronecan.uavcan
 halves = st.floats(width=16, allow_nan=False, allow_infinity=False)
-#: Our name of each field of a foreign message, with its values.
+#: Names of the fields here and in foreign messages, with their values.
 FOREIGN = {
     ESC_STATUS: (
         uavcan.equipment.esc.Status,
@@ -97,7 +97,7 @@ def assembled(frames, assembler=None):
 
 @pytest.mark.parametrize("data_type", FOREIGN, ids=lambda each: str(each.id))
 @given(st.data(), st.integers(1, 127), st.integers(0, 31))
-def test_messages_there_and_back(data_type, data, source, number):
+def test_messages_are_exchanged_with_the_foreign_package(data_type, data, source, number):
     make, fields = FOREIGN[data_type]
     values = {name: data.draw(strategy) for name, (_, strategy) in fields.items()}
     payload = make()
@@ -113,7 +113,7 @@ def test_messages_there_and_back(data_type, data, source, number):
     assert {name: getattr(read, foreign) for name, (foreign, _) in fields.items()} == values
 
 
-def test_a_command_and_an_answer_of_an_allocator_are_read_by_the_package():
+def test_command_and_allocation_are_decoded_by_the_foreign_package():
     data = encode(ACTUATOR_COMMAND, {"index": 7, "command_type": 1, "value": -0.5})
     (frame,) = frames_of(Transfer(ACTUATOR_COMMAND.kind, 126, 3, data), ACTUATOR_COMMAND.signature)
     (command,) = read_by_foreign([frame]).payload.commands
@@ -125,7 +125,7 @@ def test_a_command_and_an_answer_of_an_allocator_are_read_by_the_package():
     assert (len(frames), answer.node_id, bytes(answer.unique_id)) == (3, 42, unique_id)
 
 
-def test_the_identity_of_a_node():
+def test_node_info_is_decoded():
     answer = uavcan.protocol.GetNodeInfo.Response()
     answer.name = "org.example.servo"
     answer.software_version.major, answer.software_version.minor = 3, 4
@@ -149,7 +149,7 @@ def esc_frames(source=5, number=1, rpm=100):
     return foreign_frames(status, source_node_id=source, transfer_id=number)
 
 
-def test_lost_changed_late_and_mixed_frames():
+def test_lost_corrupt_late_and_interleaved_frames():
     assembler = Assembler(signatures())
     first, second, third = esc_frames()
     assert assembled([second, third], assembler) == []
@@ -158,7 +158,7 @@ def test_lost_changed_late_and_mixed_frames():
     changed = second._replace(data=bytes([second.data[0] ^ 1]) + second.data[1:])
     assert assembled([first, changed, third], assembler) == []
     assert assembler.malformed == 2
-    # A transfer of another node, and a new one of the same node, between the frames of one.
+    # Frames of another node, and of a new transfer of the same node, between the frames of one transfer.
     other = esc_frames(source=6)
     done = assembled([first, other[0], second, other[1], third, other[2]], assembler)
     assert [transfer.source for transfer in done] == [5, 6]
@@ -169,7 +169,7 @@ def test_lost_changed_late_and_mixed_frames():
 
 
 @given(st.lists(st.tuples(st.integers(0, 0x1FFFFFFF), st.binary(max_size=8), st.floats(0, 3)), max_size=30))
-def test_any_frames_are_survived(frames):
+def test_assembler_survives_any_frames(frames):
     assembler = Assembler(signatures())
     for identifier, data, now in frames:
         transfer = assembler.on_frame(Frame(identifier, data, extended=True), now)
@@ -193,7 +193,7 @@ def ask(allocator, unique_id=ID, *, now=10.0, preferred=0):
     return answers
 
 
-def test_ids_of_bindings_and_free_ones():
+def test_allocator_gives_ids_of_bindings_and_free_ids():
     allocator = Allocator({ID: 42}, frozenset({126, 42, HIGHEST}), 0.0)
     answers = ask(allocator)
     assert [answer.node for answer in answers] == [0, 0, 42]
@@ -205,7 +205,7 @@ def test_ids_of_bindings_and_free_ones():
     assert ask(allocator, bytes([1] * 16), preferred=42)[-1].node == 43
 
 
-def test_requests_that_are_early_mixed_or_out_of_order_are_ignored():
+def test_early_mixed_or_unordered_requests_are_ignored():
     allocator = Allocator({ID: 42}, frozenset(), 0.0)
     assert ask(allocator, now=LEARNING - 0.5) == [None, None, None]
     follow = encode(ALLOCATION, {}, ID[6:12])
@@ -217,12 +217,12 @@ def test_requests_that_are_early_mixed_or_out_of_order_are_ignored():
     assert allocator.on_request(first[:4], 21.0) is None
 
 
-def test_no_id_is_left():
+def test_allocator_without_a_free_id_does_not_answer():
     allocator = Allocator({}, frozenset(range(1, 126)), 0.0)
     assert ask(allocator)[-1] is None
 
 
-def test_unknown_values_are_not_numbers():
+def test_unknown_values_are_nan():
     status = uavcan.equipment.actuator.Status()
     status.force = math.nan
     (transfer,) = assembled(foreign_frames(status, source_node_id=5, transfer_id=0))

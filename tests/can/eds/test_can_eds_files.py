@@ -1,4 +1,4 @@
-"""EDS files as tools write them: what is read, what is left out with a warning, and what is an error."""
+"""EDS files as tools write them: content that is read, content skipped with a warning, and errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PLAIN_TYPES = {(0x6041, 0): U16, (0x6060, 0): I8, (0x1018, 0): U8, (0x1018, 1): 
 
 
 def types(text: str | bytes, keys=PLAIN_TYPES):
-    """The data types of objects (None for one that is not there), and the codes of the warnings."""
+    """The data types of objects (None for an absent one), and the codes of the warnings."""
     data = text if isinstance(text, bytes) else text.encode()
     dictionary, warnings = parse_eds("drive.eds", data)
     found = {key: dictionary.get_variable(*key) for key in keys}
@@ -71,11 +71,11 @@ def types(text: str | bytes, keys=PLAIN_TYPES):
         PLAIN.replace("[1018]\nParameterName=Identity\nObjectType=0x9\nSubNumber=2\n\n", ""),
     ],
 )
-def test_forms_of_one_file(written):
+def test_every_notation_of_an_eds_file_is_read(written):
     assert types(written) == (PLAIN_TYPES, [])
 
 
-def test_an_array_in_one_section():
+def test_compact_array_is_expanded():
     compact = "[1003]\nObjectType=8\nDataType=0x0007\nCompactSubObj=3\n\n[1003Name]\nNrOfEntries=1\n"
     keys = [(0x1003, subindex) for subindex in range(5)]
     found, warnings = types(PLAIN + compact, keys)
@@ -83,7 +83,7 @@ def test_an_array_in_one_section():
     assert warnings == []
 
 
-def test_a_type_that_the_file_describes():
+def test_data_type_defined_in_the_file_is_resolved():
     own = "[A0]\nObjectType=5\n\n[A0sub1]\nParameterName=Type\nDataType=0x5\nDefaultValue=0x0003\n\n"
     ranged = MODE.replace("6060", "2000").replace("0x0002", "0x00A0")
     assert types(PLAIN + own + ranged, [(0x2000, 0)]) == ({(0x2000, 0): 3}, [])
@@ -100,14 +100,14 @@ def test_a_type_that_the_file_describes():
         ("[2000]\nDataType=0x0040\n", "EDS905", 2),
     ],
 )
-def test_what_cannot_be_used_is_a_warning_with_its_place(more, code, line):
+def test_unusable_entry_is_a_warning_with_its_line(more, code, line):
     _, warnings = parse_eds("drive.eds", (PLAIN + more).encode())
     assert [(w.code, w.severity) for w in warnings] == [(code, "warning")]
     assert warnings[0].span.line == PLAIN.count("\n") + line
     assert types(PLAIN + more)[0] == PLAIN_TYPES
 
 
-def test_what_stands_twice_counts_as_it_stands_first():
+def test_the_first_of_two_definitions_counts():
     assert types(PLAIN + "[6041]\nDataType=0x0007\n")[0][0x6041, 0] == U16
     assert types(PLAIN.replace("DataType=0x0006", "DataType=0x0006\nDATATYPE=7"))[0][0x6041, 0] == U16
 
@@ -115,7 +115,7 @@ def test_what_stands_twice_counts_as_it_stands_first():
 @pytest.mark.parametrize(
     "text", ["", "\0\0\0", HEAD, "import os\n", 'VERSION ""\nBO_ 1 A: 8 X\n', "<?xml?>\n"]
 )
-def test_a_file_without_objects_is_refused_with_its_place(tmp_path, text):
+def test_eds_file_without_objects_is_refused_with_its_place(tmp_path, text):
     with pytest.raises(EdsError) as error:
         parse_eds("drive.eds", text.encode())
     assert [finding.code for finding in error.value.findings] == ["EDS101"]
@@ -125,12 +125,12 @@ def test_a_file_without_objects_is_refused_with_its_place(tmp_path, text):
         read_eds("axis", str(path), 5)
 
 
-def test_a_file_that_is_not_there(tmp_path):
+def test_missing_eds_file_is_a_device_error(tmp_path):
     with pytest.raises(DeviceError, match="is not a readable EDS file: No such file"):
         read_eds("axis", str(tmp_path / "none.eds"), 5)
 
 
-def test_warnings_are_told(tmp_path):
+def test_eds_warnings_are_noted(tmp_path):
     path, notes = tmp_path / "drive.eds", []
     path.write_text(PLAIN + "[2000]\nParameterName=untyped\n", encoding="utf-8")
     assert read_eds("axis", str(path), 5, notes.append).get_variable(0x6041, 0).name == "Statusword"
@@ -139,7 +139,7 @@ def test_warnings_are_told(tmp_path):
 
 
 @given(st.text(alphabet="[]=;0x16041sub\n DataType$", max_size=200), st.integers(0, len(PLAIN)))
-def test_any_text_is_read_or_refused(junk, at):
+def test_any_eds_text_is_read_or_refused(junk, at):
     try:
         dictionary, _ = parse_eds("drive.eds", (PLAIN[:at] + junk + PLAIN[at:]).encode())
     except EdsError as error:
@@ -148,8 +148,8 @@ def test_any_text_is_read_or_refused(junk, at):
     assert dictionary is None or len(dictionary)
 
 
-def test_it_reads_what_canopen_reads(tmp_path):
-    """Another reader as a judge."""
+def test_data_types_equal_those_of_canopen(tmp_path):
+    """canopen as reference."""
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     path = tmp_path / "drive.eds"
     path.write_text(PLAIN, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A bus with fake devices on given time, without any client of a real library."""
+"""A bus with fake devices on the time of the test, without a client of a real library."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lfield_sim.faults import Faults
 
 
 class Bench:
-    """One client on a bus with devices; `wait` lets time pass."""
+    """One client on a bus with devices; `wait` advances the time."""
 
     def __init__(self, *devices: str, bitrate: int = 1_000_000) -> None:
         specs = [parse(text) for text in devices]
@@ -24,7 +24,7 @@ class Bench:
         self.port = self.listen(self.received)
 
     def listen(self, heard: list[CanFrame], **options) -> BusPort:
-        """Another client."""
+        """Attach another client."""
         port = BusPort(lambda frame, _: heard.append(frame), **options)
         self.world.bus.attach(port)
         return port
@@ -33,7 +33,7 @@ class Bench:
         self.world.bus.send(self.port, CanFrame(identifier, data, **options), self.now)
 
     def wait(self, seconds: float = TICK) -> list[CanFrame]:
-        """Let time pass; what was heard meanwhile."""
+        """Advance the time; returns the frames received meanwhile."""
         before = len(self.received)
         for _ in range(round(seconds / TICK)):
             self.now += TICK
@@ -84,7 +84,7 @@ class DriveBench(Bench):
         self.wait(0.1)
 
     def enable(self, mode: int) -> None:
-        """Into OPERATION ENABLED in a mode."""
+        """Switch to OPERATION ENABLED in a mode."""
         self.operational()
         assert self.write(0x6060, mode) == 0
         for word in (0x06, 0x07, 0x0F):

@@ -1,4 +1,4 @@
-"""The bus on given time: arbitration, bit times, loss, error frames and bus-off."""
+"""The bus on the time of the test: arbitration, bit times, loss, error frames and bus-off."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def identifiers(frames: list[CanFrame]) -> list[int]:
     return [frame.identifier for frame in frames]
 
 
-def test_of_the_frames_that_wait_the_lowest_identifier_goes_first():
+def test_the_lowest_waiting_identifier_is_sent_first():
     bench = Bench()
     other: list[CanFrame] = []
     bench.listen(other)
@@ -29,10 +29,10 @@ def test_of_the_frames_that_wait_the_lowest_identifier_goes_first():
         (0x300, False, False),
         (0x7FF, False, False),
     ]
-    assert bench.received == [], "nobody hears itself"
+    assert bench.received == [], "a sender does not receive its own frames"
 
 
-def test_a_frame_that_has_begun_is_not_interrupted():
+def test_frame_in_transmission_is_not_interrupted():
     bench = Bench()
     other: list[CanFrame] = []
     bench.listen(other)
@@ -44,7 +44,7 @@ def test_a_frame_that_has_begun_is_not_interrupted():
 
 
 @pytest.mark.parametrize(("bitrate", "frames"), [(1_000_000, 90), (125_000, 11)])
-def test_frames_take_their_time(bitrate, frames):
+def test_frames_take_their_bit_time(bitrate, frames):
     bench = Bench(bitrate=bitrate)
     other: list[CanFrame] = []
     bench.listen(other)
@@ -54,7 +54,7 @@ def test_frames_take_their_time(bitrate, frames):
     assert len(other) == pytest.approx(frames, abs=1)
 
 
-def test_data_of_an_fd_frame_is_fast_when_it_switches():
+def test_fd_data_with_bit_rate_switch_is_faster():
     slow, fast = (
         CanFrame(1, bytes(64), fd=True, switch=switch).seconds(5e5, 5e6) for switch in (False, True)
     )
@@ -62,7 +62,7 @@ def test_data_of_an_fd_frame_is_fast_when_it_switches():
     assert CanFrame(1, bytes(8), extended=True).seconds(1e6, 1e6) > CanFrame(1, bytes(8)).seconds(1e6, 1e6)
 
 
-def test_a_port_with_another_bit_rate_is_alone():
+def test_port_with_another_bit_rate_is_isolated():
     bench = Bench()
     other: list[CanFrame] = []
     wrong = bench.listen(other, bitrate=500_000)
@@ -76,7 +76,7 @@ def test_a_port_with_another_bit_rate_is_alone():
     assert identifiers(other) == [0x100]
 
 
-def test_loss_is_a_share():
+def test_loss_drops_its_share_of_frames():
     bench = Bench()
     other: list[CanFrame] = []
     bench.listen(other)
@@ -90,7 +90,7 @@ def test_loss_is_a_share():
     assert bench.wait() == []
 
 
-def test_loss_of_one_device_leaves_the_others_alone():
+def test_loss_of_one_device_spares_the_others():
     bench = Bench("cia402:5", "cia402:6")
     bench.wait(1.0)
     bench.fault("loss@5=1")
@@ -99,7 +99,7 @@ def test_loss_of_one_device_leaves_the_others_alone():
     assert heard.count(0x706) == 5
 
 
-def test_a_corrupted_frame_is_told_by_an_error_frame_and_sent_again():
+def test_corrupted_frame_gives_an_error_frame_and_is_resent():
     bench = Bench()
     other: list[CanFrame] = []
     bench.listen(other)
@@ -112,7 +112,7 @@ def test_a_corrupted_frame_is_told_by_an_error_frame_and_sent_again():
     assert any(f.error for f in bench.received), "the sender sees the error too"
 
 
-def test_who_never_succeeds_is_bus_off_and_recovers():
+def test_sender_that_never_succeeds_goes_bus_off_and_recovers():
     bench = Bench()
     other: list[CanFrame] = []
     bench.listen(other)
@@ -124,10 +124,10 @@ def test_who_never_succeeds_is_bus_off_and_recovers():
     bench.fault("corrupt=0")
     bench.send(0x101)
     bench.wait(0.02)
-    assert [f.identifier for f in other if not f.error] == [0x101], "what waited when it went off is gone"
+    assert [f.identifier for f in other if not f.error] == [0x101], "frames queued before bus-off are dropped"
 
 
-def test_a_bus_that_is_off_carries_nothing_and_says_so_once():
+def test_bus_off_carries_no_frames_and_is_reported_once():
     bench = Bench("cia402:5")
     bench.wait(0.5)
     bench.fault("bus_off=true")
@@ -137,7 +137,7 @@ def test_a_bus_that_is_off_carries_nothing_and_says_so_once():
     assert 0x705 in identifiers(bench.wait(0.5))
 
 
-def test_a_device_off_the_bus_goes_on_and_one_without_power_starts_anew():
+def test_detached_device_keeps_running_and_unpowered_device_boots_again():
     bench = Bench("cia402:5:alpha.winch")
     bench.wait(0.5)
     bench.fault("bus_off@alpha.winch=true")
@@ -150,7 +150,7 @@ def test_a_device_off_the_bus_goes_on_and_one_without_power_starts_anew():
     assert bench.wait(0.1)[0] == CanFrame(0x705, b"\x00"), "boot-up"
 
 
-def test_delay():
+def test_delay_postpones_the_answer():
     bench = Bench("cia402:5")
     bench.wait(0.05)
     bench.fault("delay@5=0.2")
@@ -159,14 +159,14 @@ def test_delay():
     assert 0x585 in identifiers(bench.wait(0.1))
 
 
-def test_a_world_that_was_halted_does_not_catch_up():
+def test_halted_world_does_not_catch_up():
     bench = Bench("cia402:5")
     bench.wait(0.5)
     bench.now += 3600.0
     assert len(bench.wait(0.1)) <= 1
 
 
-def test_a_bus_that_is_too_slow_for_its_devices_does_not_grow():
+def test_overloaded_bus_has_bounded_queues():
     bench = Bench("odrive:1", "odrive:2", bitrate=10_000)
     bench.wait(30.0)
     bench.fault("delay=10")

@@ -1,4 +1,4 @@
-"""A CiA 402 drive by frames on given time: CANopen, the state machine, modes, and what goes wrong."""
+"""A CiA 402 drive by frames on the time of the test: CANopen, the state machine, modes and faults."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def state(bench: DriveBench) -> int:
     return bench.status & 0x6F
 
 
-def test_it_boots_and_beats():
+def test_drive_sends_boot_up_and_heartbeat():
     bench = DriveBench()
     heard = bench.wait(1.05)
     assert heard[0] == CanFrame(0x705, b"\x00")
@@ -38,10 +38,10 @@ def test_it_boots_and_beats():
     bench.send(0x000, b"\x81\x05")
     assert bench.wait()[0] == CanFrame(0x705, b"\x00")
     bench.send(0x000, b"\x81\x06")
-    assert bench.wait() == [], "another node's reset"
+    assert bench.wait() == [], "a reset of another node"
 
 
-def test_identity_and_texts(bench):
+def test_identity_and_device_name_are_read(bench):
     assert bench.read(0x1018, 1) == VENDOR
     assert bench.read(0x1000) & 0xFFFF == 0x0192
     assert bench.transfer(struct.pack("<BHB4x", 0x40, 0x1008, 0))[:1] == b"\x41"
@@ -59,7 +59,7 @@ def test_identity_and_texts(bench):
 @pytest.mark.parametrize(
     ("index", "subindex", "code"), [(0x5555, 0, 0x06020000), (0x1018, 9, 0x06090011), (0x6040, 1, 0x06090011)]
 )
-def test_reading_what_is_not_there(bench, index, subindex, code):
+def test_read_of_an_absent_object_is_aborted(bench, index, subindex, code):
     assert bench.abort(index, subindex) == code
 
 
@@ -73,7 +73,7 @@ def test_reading_what_is_not_there(bench, index, subindex, code):
         (0x1A00, 1, 0x60640020, 0x08000022),
     ],
 )
-def test_writes_that_are_refused(bench, index, subindex, value, code):
+def test_invalid_write_is_aborted_and_keeps_the_value(bench, index, subindex, value, code):
     before = bench.read(index, subindex)
     assert bench.write(index, value, subindex) == code
     assert bench.read(index, subindex) == before or index == 0x6041
@@ -88,13 +88,13 @@ def test_writes_that_are_refused(bench, index, subindex, value, code):
         ("a040600000000000", 0x05040001),
     ],
 )
-def test_transfers_that_are_aborted(bench, request_, code):
+def test_invalid_sdo_request_is_aborted(bench, request_, code):
     answer = bench.transfer(bytes.fromhex(request_))
     assert answer[0] == 0x80
     assert int.from_bytes(answer[4:], "little") == code
 
 
-def test_a_download_in_segments_and_a_wrong_toggle(bench):
+def test_segmented_download_and_wrong_toggle(bench):
     assert bench.transfer(struct.pack("<BHBL", 0x21, 0x607A, 0, 4))[0] == 0x60
     assert bench.transfer(b"\x07" + struct.pack("<l", -7) + bytes(3))[0] == 0x20
     assert bench.read(0x607A) == -7
@@ -102,7 +102,7 @@ def test_a_download_in_segments_and_a_wrong_toggle(bench):
     assert bench.transfer(b"\x17" + bytes(7))[4:] == struct.pack("<L", 0x05030000)
 
 
-def test_the_state_machine(bench):
+def test_state_machine_follows_the_control_word(bench):
     walk = [
         (0x0F, 0x40),
         (0x06, 0x21),
@@ -120,7 +120,7 @@ def test_the_state_machine(bench):
         assert state(bench) == wanted, f"after controlword {word:#x}"
 
 
-def test_tpdos_come_by_timer_and_on_change(bench):
+def test_tpdos_are_sent_by_timer_and_on_change(bench):
     bench.operational()
     heard = [frame.identifier for frame in bench.wait(1.0)]
     assert [heard.count(identifier) for identifier in (0x185, 0x285, 0x385, 0x485)] == [10, 20, 10, 5]
@@ -129,9 +129,9 @@ def test_tpdos_come_by_timer_and_on_change(bench):
     assert struct.unpack("<HbB", changed[0]) == (0x0231, PV, 0)
 
 
-def test_pdos_are_remapped_as_canopen_says(bench):
+def test_pdo_remapping_follows_canopen(bench):
     bench.write(0x1800, 1 << 31 | 0x185, 1)
-    assert bench.write(0x1A00, 0x60640020, 1) == 0x08000022, "not while it has entries"
+    assert bench.write(0x1A00, 0x60640020, 1) == 0x08000022, "not possible while it has entries"
     assert bench.write(0x1A00, 0) == 0
     assert bench.write(0x1A00, 0x60640020, 1) == 0
     assert bench.write(0x1A00, 0x10080008, 2) == 0x06040041
@@ -148,7 +148,7 @@ def test_pdos_are_remapped_as_canopen_says(bench):
     assert [len(f.data) for f in bench.wait() if f.identifier == 0x185] == [8]
 
 
-def test_a_short_pdo_is_an_emergency(bench):
+def test_short_pdo_is_an_emergency(bench):
     bench.operational()
     bench.send(0x305, b"\x0f")
     bench.wait(0.02)
@@ -175,7 +175,7 @@ def go_to(bench: DriveBench, increments: int, *, extra: int = 0) -> None:
     bench.write(0x6040, 0x0F | extra)
 
 
-def test_profile_position_is_a_trapezoid(bench):
+def test_profile_position_follows_a_trapezoid(bench):
     bench.enable(PP)
     go_to(bench, 10 * INCREMENTS)
     assert not bench.status & (REACHED | ACKNOWLEDGED)
@@ -190,13 +190,13 @@ def test_profile_position_is_a_trapezoid(bench):
     assert max(bench.drive.axis.drive.profile.position, bench.drive.axis.drive.position) < 10.01 * INCREMENTS
 
 
-def test_set_points_queue_replace_and_add_up(bench):
+def test_setpoints_are_queued_replaced_and_relative(bench):
     bench.enable(PP)
     go_to(bench, 2 * INCREMENTS)
     bench.write(0x607A, 0)
     bench.write(0x6040, 0x1F)
     bench.write(0x6040, 0x0F)
-    assert bench.status & ACKNOWLEDGED, "one waits: no other is taken"
+    assert bench.status & ACKNOWLEDGED, "one setpoint is queued: no other is accepted"
     bench.wait(1.0)
     assert not bench.status & ACKNOWLEDGED
     bench.wait(1.5)
@@ -228,7 +228,7 @@ def test_halt_and_software_limits(bench):
 
 
 @pytest.mark.parametrize("mode", [PV, CSV])
-def test_velocity_modes(bench, mode):
+def test_velocity_modes_reach_the_target_and_the_limit(bench, mode):
     bench.enable(mode)
     bench.write(0x60FF, 2 * INCREMENTS)
     bench.wait(1.0)
@@ -240,7 +240,7 @@ def test_velocity_modes(bench, mode):
 
 
 @pytest.mark.parametrize("mode", [PT, CST])
-def test_torque_modes(bench, mode):
+def test_torque_modes_apply_the_torque_up_to_the_speed_limit(bench, mode):
     bench.enable(mode)
     bench.write(0x6071, 100)
     bench.wait(0.1)
@@ -250,7 +250,7 @@ def test_torque_modes(bench, mode):
     assert bench.read(0x606C) <= 50 * INCREMENTS * 1.01
 
 
-def test_cyclic_position_follows(bench):
+def test_cyclic_position_follows_the_setpoints(bench):
     bench.enable(CSP)
     for n in range(1, 101):
         bench.write(0x607A, n * 100)
@@ -260,7 +260,7 @@ def test_cyclic_position_follows(bench):
 
 
 @pytest.mark.parametrize(("method", "position"), [(35, 500), (17, 500)])
-def test_homing(bench, method, position):
+def test_homing_sets_the_position_offset(bench, method, position):
     bench.write(0x6098, method)
     bench.write(0x607C, position)
     bench.enable(HM)
@@ -280,7 +280,7 @@ def test_homing_without_a_method_is_an_error(bench):
 
 
 def turning(options: str = "", **codes: int) -> DriveBench:
-    """A drive that turns at ten turns a second, with option codes by their index: `x605A=0`."""
+    """A drive at ten turns a second, with option codes by their index: `x605A=0`."""
     bench = DriveBench(options)
     bench.wait(0.1)
     bench.write(0x6085, 25 * INCREMENTS)
@@ -292,7 +292,7 @@ def turning(options: str = "", **codes: int) -> DriveBench:
     return bench
 
 
-#: Turns per second that a motor has left of ten, 0.1 s after it was let go, or is braked by each ramp.
+#: Turns per second that are left of ten, 0.1 s after the torque was released, or with each ramp.
 RUNS_OUT, SLOWLY, QUICKLY, HARD = 9.8, 9.0, 7.5, 4.8
 
 
@@ -310,7 +310,7 @@ RUNS_OUT, SLOWLY, QUICKLY, HARD = 9.8, 9.0, 7.5, 4.8
         (8, HARD, QUICK_STOP),
     ],
 )
-def test_quick_stop_by_its_option_code(option, left, end):
+def test_quick_stop_follows_its_option_code(option, left, end):
     bench = turning(x605A=option)
     bench.write(0x6040, 0x0B)
     bench.wait(0.1)
@@ -336,7 +336,7 @@ def test_quick_stop_by_its_option_code(option, left, end):
         (0x10F, 0x605D, 3, HARD, ENABLED),
     ],
 )
-def test_operation_ends_and_halts_by_option_codes(word, index, option, left, end):
+def test_disabling_and_halt_follow_their_option_codes(word, index, option, left, end):
     """Shutdown, disable operation, disable voltage, halt: a ramp comes before the next state."""
     bench = turning(**{f"x{index:X}": option})
     bench.write(0x6040, word)
@@ -348,7 +348,7 @@ def test_operation_ends_and_halts_by_option_codes(word, index, option, left, end
     assert (bench.read(0x606C) == 0) is (left != RUNS_OUT)
 
 
-def test_an_end_of_operation_is_called_off_and_overtaken():
+def test_disabling_is_cancelled_by_enable_and_overridden_by_quick_stop():
     bench = turning()
     bench.write(0x6040, 0x07)
     bench.wait(0.1)
@@ -361,7 +361,7 @@ def test_an_end_of_operation_is_called_off_and_overtaken():
 
 
 @pytest.mark.parametrize(("option", "left"), [(0, RUNS_OUT), (1, SLOWLY), (2, QUICKLY), (3, HARD), (4, HARD)])
-def test_the_reaction_to_a_fault_by_its_option_code(option, left):
+def test_fault_reaction_follows_its_option_code(option, left):
     bench = turning(x605E=option)
     bench.fault("follow_error=true")
     bench.wait(0.1)
@@ -371,7 +371,7 @@ def test_the_reaction_to_a_fault_by_its_option_code(option, left):
     assert state(bench) == FAULT
 
 
-def test_a_halted_torque_mode_brakes(bench):
+def test_halt_in_torque_mode_brakes(bench):
     bench.enable(PT)
     bench.write(0x6071, 500)
     bench.wait(0.5)
@@ -384,13 +384,13 @@ def test_a_halted_torque_mode_brakes(bench):
 
 
 @pytest.mark.parametrize(("option", "end"), [(0, ENABLED), (1, FAULT), (2, DISABLED), (3, DISABLED)])
-def test_the_lost_heartbeat_of_the_master(bench, option, end):
+def test_missing_master_heartbeat_triggers_the_configured_reaction(bench, option, end):
     bench.write(0x6007, option)
     bench.write(0x1016, 0x7F << 16 | 100, 1)
     bench.enable(PV)
     bench.write(0x60FF, INCREMENTS)
     bench.wait(1.0)
-    assert state(bench) == ENABLED, "it watches only from the first heartbeat"
+    assert state(bench) == ENABLED, "supervision starts with the first heartbeat"
     for _ in range(10):
         bench.send(0x77F, b"\x05")
         bench.wait(0.05)
@@ -398,7 +398,7 @@ def test_the_lost_heartbeat_of_the_master(bench, option, end):
     bench.wait(0.5)
     assert bench.emergencies() == [(0x8130, 0x11)]
     assert state(bench) == end
-    assert (bench.read(0x606C) == 0) is (option in (1, 3)), "disabled, it runs out"
+    assert (bench.read(0x606C) == 0) is (option in (1, 3)), "a disabled drive coasts"
     bench.send(0x77F, b"\x05")
     bench.wait(0.02)
     assert bench.emergencies()[1:] == ([] if option == 1 else [(0, 0)])
@@ -408,14 +408,14 @@ def test_the_lost_heartbeat_of_the_master(bench, option, end):
     ("fault", "code", "register"),
     [("overcurrent", 0x2310, 0x03), ("overheat", 0x4310, 0x09), ("follow_error", 0x8611, 0x21)],
 )
-def test_faults_stop_it_and_are_reset_when_the_cause_is_gone(bench, fault, code, register):
+def test_fault_stops_the_drive_and_is_reset_when_its_cause_ends(bench, fault, code, register):
     bench.enable(PV)
     bench.write(0x60FF, 5 * INCREMENTS)
     bench.wait(1.0)
     bench.fault(f"{fault}@5=true")
     bench.wait(0.5)
     assert state(bench) == FAULT
-    assert (bench.read(0x606C) == 0) is (fault != "overcurrent"), "nothing brakes without its power stage"
+    assert (bench.read(0x606C) == 0) is (fault != "overcurrent"), "without its power stage the motor coasts"
     assert bench.emergencies() == [(code, register)]
     assert (bench.read(0x603F), bench.read(0x1001)) == (code, register)
     bench.write(0x6040, 0x80)
@@ -430,7 +430,7 @@ def test_faults_stop_it_and_are_reset_when_the_cause_is_gone(bench, fault, code,
     assert (bench.read(0x603F), bench.read(0x1001)) == (0, 0)
 
 
-def test_a_stuck_motor_falls_behind_its_profile(bench):
+def test_stuck_motor_gives_a_following_error(bench):
     bench.fault("stuck=true")
     bench.enable(PP)
     go_to(bench, 5 * INCREMENTS)
@@ -440,7 +440,7 @@ def test_a_stuck_motor_falls_behind_its_profile(bench):
     assert bench.read(0x6064) == 0
 
 
-def test_a_stuck_motor_is_blocked_in_a_velocity_mode(bench):
+def test_stuck_motor_in_velocity_mode_is_reported_as_blocked(bench):
     bench.fault("stuck=true")
     bench.enable(PV)
     bench.write(0x60FF, 5 * INCREMENTS)
@@ -448,7 +448,7 @@ def test_a_stuck_motor_is_blocked_in_a_velocity_mode(bench):
     assert bench.emergencies() == [(0x7121, 0x21)]
 
 
-def test_heartbeat_and_tpdos_go_missing_alone(bench):
+def test_heartbeat_and_tpdos_can_fail_separately(bench):
     bench.operational()
     bench.fault("lost_heartbeat@5=true")
     bench.wait(0.01)
@@ -459,18 +459,18 @@ def test_heartbeat_and_tpdos_go_missing_alone(bench):
     assert {frame.identifier for frame in bench.wait(1.0)} == {0x705}
 
 
-def test_nonsense_is_answered(bench):
+def test_nonsense_fault_sends_random_answers(bench):
     bench.fault("nonsense=1")
     answers = {bench.transfer(struct.pack("<BHB4x", 0x40, 0x6041, 0)) for _ in range(5)}
     assert len(answers) == 5
 
 
 @pytest.mark.parametrize("brake", ["no", "yes"])
-def test_a_load_needs_torque_or_a_brake(brake):
+def test_load_needs_torque_or_a_brake(brake):
     bench = DriveBench(f",load=0.5,counts=4096,brake={brake}")
     bench.wait(0.1)
     assert bench.read(0x608F, 1) == 4096
-    assert (bench.read(0x6064) == 0) is (brake == "yes"), "it hangs before anything is on"
+    assert (bench.read(0x6064) == 0) is (brake == "yes"), "the load hangs before the drive is on"
     bench.enable(PV)
     bench.wait(1.0)
     assert bench.read(0x6077) == pytest.approx(500, abs=5)
@@ -478,7 +478,7 @@ def test_a_load_needs_torque_or_a_brake(brake):
     bench.write(0x6072, 400)
     before = bench.read(0x6064)
     bench.wait(0.5)
-    assert bench.read(0x6064) < before - 500, "too weak for its load"
+    assert bench.read(0x6064) < before - 500, "the torque limit is below the load"
     bench.write(0x6040, 0)
     bench.wait(0.2)
     off = bench.read(0x6064)

@@ -1,4 +1,4 @@
-"""A device by DBC file on given time; cantools encodes what is sent and decodes what comes."""
+"""A device by DBC file on the time of the test; cantools encodes the commands and decodes the status."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class GripperBench(Bench):
         return DATABASE.decode_message("GripperStatus", self.last(257))
 
 
-def test_it_sends_its_status_at_the_rate_of_the_file():
+def test_status_is_sent_at_the_rate_of_the_file():
     bench = GripperBench()
     assert [frame.identifier for frame in bench.wait(1.02)] == [257] * 20
     assert bench.status == {"Width": 0.0, "Force": 0.0, "Enable": 0, "Fault": 0, "Temperature": 25.0}
 
 
-def test_it_follows_with_a_lag_and_saturates():
+def test_signals_follow_with_a_lag_and_saturate():
     bench = GripperBench(",lag=0.5")
     bench.command(0.08, 50.0)
     bench.wait(0.5)
@@ -56,7 +56,7 @@ def test_it_follows_with_a_lag_and_saturates():
     assert bench.status["Width"] == pytest.approx(0.1, abs=2e-4)
 
 
-def test_commands_grow_old_when_asked():
+def test_commands_expire_after_the_timeout_option():
     bench = GripperBench(",timeout=0.3")
     bench.command(0.1)
     bench.wait(0.2)
@@ -68,7 +68,7 @@ def test_commands_grow_old_when_asked():
     assert bench.status["Width"] == stopped["Width"] < 0.1
 
 
-def test_requests_power_and_faults():
+def test_remote_request_stuck_overheat_and_lost_status():
     bench = GripperBench()
     bench.send(257, remote=True)
     assert [frame.identifier for frame in bench.wait()] == [257]
@@ -81,7 +81,7 @@ def test_requests_power_and_faults():
     assert bench.wait(1.0) == []
 
 
-def test_one_signal_may_be_chosen():
+def test_options_select_one_command_and_status_signal():
     bench = GripperBench(",command=GripperCommand.TargetForce,status=GripperStatus.Width")
     bench.command(0.0, 0.05e3)
     bench.wait(3.0)
@@ -90,7 +90,7 @@ def test_one_signal_may_be_chosen():
 
 
 @pytest.mark.parametrize("options", [",commands=GripperCommand", ",node=Gripper"])
-def test_the_device_may_be_told(options):
+def test_options_name_the_commands_or_the_node(options):
     bench = GripperBench(options)
     bench.command(0.1)
     bench.wait(3.0)
@@ -112,17 +112,17 @@ def test_the_device_may_be_told(options):
         ("cia402:5,load", "is not a device"),
     ],
 )
-def test_what_is_wrong_is_a_sentence(text, words):
+def test_invalid_device_text_is_a_usage_error(text, words):
     with pytest.raises(UsageError, match=words):
         Bench(text)
 
 
-def test_a_file_that_is_not_there_is_a_sentence():
+def test_missing_dbc_file_is_an_input_file_error():
     with pytest.raises(InputFileError, match=r"cannot read /nowhere\.dbc: no such file"):
         Bench("dbc:/nowhere.dbc")
 
 
-def test_two_devices_are_not_one():
+def test_two_devices_with_one_node_id_are_refused():
     with pytest.raises(UsageError, match="same node id"):
         Bench("cia402:5", "odrive:5")
 
@@ -141,7 +141,7 @@ VAL_ 2561 Actual 0 "stands" ;
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252"])
-def test_a_file_as_it_exists_in_the_field_is_played(tmp_path, encoding):
+def test_dbc_file_with_common_faults_is_simulated(tmp_path, encoding):
     """Names for an absent signal, ids without bit 31, a signal beyond its frame."""
     path = tmp_path / "field.dbc"
     path.write_bytes(FIELD.replace("Host Pump", 'Host Pump\nCM_ "°";').encode(encoding))

@@ -1,4 +1,4 @@
-"""Foreign parts drive the fake: the client for CiA 402 drives that comes with `canopen`."""
+"""A foreign client controls the fake: the CiA 402 client of `canopen`."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ TYPES = {
 
 
 class Patient(BaseNode402):
-    """The client, for a busy computer: what it waits for by itself is bounded by fractions of a second."""
+    """The client, for a loaded computer: its own timeouts are fractions of a second."""
 
-    PATIENCE = 60.0
-    TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE
-    TIMEOUT_CHECK_TPDO = TIMEOUT_RESET_FAULT = PATIENCE
+    LONG_TIMEOUT = 60.0
+    TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = LONG_TIMEOUT
+    TIMEOUT_CHECK_TPDO = TIMEOUT_RESET_FAULT = LONG_TIMEOUT
 
     def __init__(self, number: int, known: objectdictionary.ObjectDictionary) -> None:
         super().__init__(number, known)
-        self.sdo.RESPONSE_TIMEOUT = self.PATIENCE
+        self.sdo.RESPONSE_TIMEOUT = self.LONG_TIMEOUT
 
 
 def dictionary() -> objectdictionary.ObjectDictionary:
-    """The drive's objects as canopen knows them."""
+    """The objects of the drive as a canopen dictionary."""
     known, table = objectdictionary.ObjectDictionary(), entries(5, INCREMENTS, 1.0, 5.0)
     for (index, subindex), entry in table.items():
         variable = objectdictionary.ODVariable(f"{index:04X}.{subindex}", index, subindex)
@@ -55,7 +55,7 @@ def dictionary() -> objectdictionary.ObjectDictionary:
 
 @pytest.fixture(params=["socketcand", "slcan"])
 def node(request) -> Iterator[BaseNode402]:
-    """The drive, operational, through each door."""
+    """The drive, operational, through each endpoint."""
     doors = {"socketcand": ("socketcand:127.0.0.1:0", tcp), "slcan": ("slcan-pty", serial)}
     door, place = doors[request.param]
     with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2,brake=yes") as fake:
@@ -65,10 +65,10 @@ def node(request) -> Iterator[BaseNode402]:
         try:
             drive = Patient(5, dictionary())
             network.add_node(drive)
-            drive.nmt.wait_for_heartbeat(drive.PATIENCE)
+            drive.nmt.wait_for_heartbeat(drive.LONG_TIMEOUT)
             drive.setup_402_state_machine()
             drive.nmt.state = "OPERATIONAL"
-            drive.nmt.wait_for_heartbeat(drive.PATIENCE)
+            drive.nmt.wait_for_heartbeat(drive.LONG_TIMEOUT)
             yield drive
         finally:
             network.disconnect()
@@ -81,7 +81,7 @@ def until(true: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_its_profiles_and_a_quick_stop(node):
+def test_foreign_client_runs_profiles_and_a_quick_stop(node):
     assert node.sdo[0x1008].raw == "lfield fake CiA 402 drive"
     node.state = "OPERATION ENABLED"
     node.op_mode = "PROFILED POSITION"
@@ -102,15 +102,15 @@ def test_its_profiles_and_a_quick_stop(node):
     until(lambda: node.state == "SWITCH ON DISABLED" and node.tpdo_values[0x606C] == 0)
 
 
-def test_homing(node):
+def test_foreign_client_homes_the_drive(node):
     node.sdo[0x6098].raw = 35
     node.state = "OPERATION ENABLED"
     node.op_mode = "HOMING"
-    assert node.homing(timeout=node.PATIENCE)
+    assert node.homing(timeout=node.LONG_TIMEOUT)
     assert node.is_homed()
 
 
-def test_sdo_errors_are_the_right_ones(node):
+def test_foreign_client_gets_the_specified_sdo_aborts(node):
     with pytest.raises(canopen.SdoAbortedError, match="range"):
         node.sdo[0x6060].raw = 7
     with pytest.raises(canopen.SdoAbortedError, match="does not exist"):

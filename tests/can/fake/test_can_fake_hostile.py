@@ -1,4 +1,4 @@
-"""Arbitrary bytes at both doors and arbitrary frames into every device: no exception, no growth."""
+"""Arbitrary bytes at both endpoints and arbitrary frames into every device: no exception, no growth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SOCKETCAND = st.lists(
     max_size=20,
 )
 
-#: Frames that mean something to the devices, and others.
+#: Frames that the devices know, and others.
 IDENTIFIERS = st.one_of(
     st.integers(0, 0x7FF),
     st.sampled_from([0, 0x80, 0x205, 0x305, 0x405, 0x505, 0x605, 0x701, 0x100, 0x101]),
@@ -47,7 +47,7 @@ FRAMES = st.builds(
 
 
 @given(st.one_of(CHUNKS, SOCKETCAND))
-def test_bytes_at_the_tcp_door(chunks):
+def test_any_bytes_at_the_socketcand_endpoint(chunks):
     protocol, buffer = SocketcandProtocol(), bytearray()
     for chunk in chunks:
         buffer += chunk
@@ -59,7 +59,7 @@ def test_bytes_at_the_tcp_door(chunks):
 
 
 @given(st.one_of(CHUNKS, SLCAN))
-def test_bytes_at_the_serial_door(chunks):
+def test_any_bytes_at_the_slcan_endpoint(chunks):
     protocol, buffer = SlcanProtocol(), bytearray()
     for chunk in chunks:
         buffer += chunk
@@ -72,7 +72,7 @@ def test_bytes_at_the_serial_door(chunks):
 
 @settings(max_examples=80, deadline=None)
 @given(st.lists(st.tuples(FRAMES, st.sampled_from([0.0, 0.005, 0.05])), max_size=40))
-def test_frames_into_every_device(script):
+def test_any_frames_into_every_device(script):
     bench = Bench("cia402:5", "odrive:3", f"dbc:{GRIPPER}")
     bench.fault("nonsense=0.1")
     bench.send(0, b"\x01\x00")
@@ -94,7 +94,7 @@ def test_frames_into_every_device(script):
         st.tuples(st.integers(0, 0xFFFF), st.integers(0, 9), st.binary(min_size=4, max_size=4)), max_size=30
     )
 )
-def test_any_value_in_any_object_of_a_drive_that_moves(writes):
+def test_any_value_in_any_object_of_a_moving_drive(writes):
     bench = Bench("cia402:5")
     drive = bench.devices[0]
     keys = sorted(drive.node.objects.entries)

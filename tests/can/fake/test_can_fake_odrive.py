@@ -1,4 +1,4 @@
-"""An ODrive axis by frames on given time."""
+"""An ODrive axis by frames on the time of the test."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class OdriveBench(Bench):
 
     @property
     def beat(self) -> tuple[int, int, int, int]:
-        """Errors, state, result, whether the trajectory is done."""
+        """Errors, state, result, and whether the trajectory is done."""
         self.wait(0.11)
         return struct.unpack("<IBBBx", self.last(0x61))
 
@@ -49,14 +49,14 @@ def bench() -> OdriveBench:
     return OdriveBench()
 
 
-def test_what_it_sends_by_itself(bench):
+def test_periodic_messages_and_their_rates(bench):
     heard = [frame.identifier for frame in bench.wait(1.0)]
     counts = {number: heard.count(3 << 5 | number) for number in (0x01, 0x09, 0x03, 0x14, 0x15, 0x17)}
     assert counts == pytest.approx({0x01: 10, 0x09: 100, 0x03: 10, 0x14: 10, 0x15: 2, 0x17: 2}, abs=1)
     assert bench.beat == (0, AxisState.IDLE, ProcedureResult.SUCCESS, 1)
 
 
-def test_requests_are_remote_frames_or_empty_ones(bench):
+def test_requests_are_remote_frames_or_empty_frames(bench):
     assert bench.ask(0x00, "<8B")[4:7] == (0, 6, 9)
     bench.send(0x7C)
     bench.wait(0.01)
@@ -66,17 +66,17 @@ def test_requests_are_remote_frames_or_empty_ones(bench):
     assert bench.ask(0x15, "<ff") == (20.0, 25.0)
 
 
-def test_nothing_moves_before_closed_loop(bench):
+def test_axis_does_not_move_before_closed_loop(bench):
     bench.command(0x0B, "<II", ControlMode.VELOCITY, InputMode.PASSTHROUGH)
     bench.command(0x0D, "<ff", 2.0, 0.0)
     bench.wait(0.5)
     assert bench.axis.position == 0.0
     bench.command(0x07, "<I", AxisState.CLOSED_LOOP_CONTROL)
     bench.wait(0.5)
-    assert bench.axis.velocity == 0.0, "inputs start where the axis stands"
+    assert bench.axis.velocity == 0.0, "the inputs are reset on entering closed loop"
 
 
-def test_velocity_with_limits_and_ramp(bench):
+def test_velocity_follows_limits_and_ramp(bench):
     bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 3.0, 0.0)
     bench.wait(0.5)
@@ -91,7 +91,7 @@ def test_velocity_with_limits_and_ramp(bench):
     assert bench.axis.velocity == pytest.approx(4.0, abs=0.15), "10 turns per second squared"
 
 
-def test_position_by_trajectory(bench):
+def test_position_follows_a_trajectory(bench):
     bench.closed_loop(ControlMode.POSITION, InputMode.TRAP_TRAJ)
     bench.command(0x11, "<f", 2.0)
     bench.command(0x12, "<ff", 4.0, 4.0)
@@ -104,7 +104,7 @@ def test_position_by_trajectory(bench):
     assert bench.beat == (0, AxisState.CLOSED_LOOP_CONTROL, ProcedureResult.SUCCESS, 1)
 
 
-def test_position_direct_is_bound_by_the_speed_limit(bench):
+def test_direct_position_is_bounded_by_the_speed_limit(bench):
     bench.command(0x0F, "<ff", 4.0, 10.0)
     bench.closed_loop(ControlMode.POSITION)
     bench.command(0x0C, "<fhh", 2.0, 0, 0)
@@ -114,7 +114,7 @@ def test_position_direct_is_bound_by_the_speed_limit(bench):
     assert bench.axis.position == pytest.approx(2.0, abs=0.001)
 
 
-def test_torque(bench):
+def test_torque_accelerates_the_axis(bench):
     bench.closed_loop(ControlMode.TORQUE)
     bench.command(0x0E, "<f", 0.1)
     bench.wait(0.5)
@@ -123,7 +123,7 @@ def test_torque(bench):
     assert bench.ask(0x1C, "<ff")[1] == pytest.approx(0.1)
 
 
-def test_slower_limits_while_fast_are_a_violation(bench):
+def test_speed_limit_below_the_speed_disarms(bench):
     bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 10.0, 0.0)
     bench.wait(0.5)
@@ -159,7 +159,7 @@ def test_estop_and_errors_must_be_cleared(bench):
         ("stuck", AxisError.SPINOUT_DETECTED),
     ],
 )
-def test_faults_disarm(bench, fault, error):
+def test_fault_disarms_the_axis(bench, fault, error):
     bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 2.0, 0.0)
     bench.fault(f"{fault}@3=true")
@@ -184,20 +184,20 @@ def test_homing_and_calibration_take_time_and_end_idle(bench):
 
 
 @pytest.mark.parametrize("rest", [b"", bytes(4)])
-def test_a_parameter_is_read_by_four_bytes_or_by_eight(bench, rest):
+def test_parameter_is_read_with_four_or_eight_bytes(bench, rest):
     """ODrive's own examples send `struct.pack("<BHB", 0, endpoint, 0)`, its DBC file a frame of 8 bytes."""
     bench.command(0x04, "<BHB", 0, 3, 0) if not rest else bench.command(0x04, "<BHB4s", 0, 3, 0, rest)
     bench.wait(0.01)
     assert struct.unpack("<BHBf", bench.last(0x65)) == (0, 3, 0, 10.0)
 
 
-def test_a_write_without_its_value_changes_nothing(bench):
+def test_write_without_a_value_changes_nothing(bench):
     bench.command(0x04, "<BHB", 1, 3, 0)
     bench.wait(0.01)
     assert bench.axis.ramp_rate == 10.0
 
 
-def test_the_watchdog_is_an_endpoint_and_bites(bench):
+def test_watchdog_parameters_disarm_the_axis_without_commands(bench):
     bench.command(0x04, "<BHB?3x", 1, 1, 0, True)
     bench.command(0x04, "<BHBf", 1, 2, 0, 0.25)
     bench.command(0x04, "<BHB4x", 0, 2, 0)
@@ -221,7 +221,7 @@ def test_reading_does_not_feed_the_watchdog():
     assert bench.beat[0] == AxisError.WATCHDOG_TIMER_EXPIRED
 
 
-def test_without_a_brake_its_load_moves_it_when_idle():
+def test_load_moves_an_idle_axis_without_brake():
     bench = OdriveBench(",load=0.2")
     bench.wait(0.3)
     assert bench.axis.position < -0.1
@@ -232,7 +232,7 @@ def test_without_a_brake_its_load_moves_it_when_idle():
     assert bench.devices[0].motor.torque == pytest.approx(0.2, abs=0.01)
 
 
-def test_a_reboot_and_a_power_cut(bench):
+def test_reboot_and_power_loss_end_idle(bench):
     bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x16, "<B", 0)
     assert bench.beat[1] == AxisState.IDLE
@@ -253,7 +253,7 @@ def test_nan_and_short_frames_are_ignored(bench):
     assert bench.beat[1] == AxisState.CLOSED_LOOP_CONTROL
 
 
-def test_nonsense_and_lost_messages(bench):
+def test_nonsense_and_lost_messages_faults(bench):
     bench.fault("lost_tpdo@3=true")
     bench.wait(0.02)
     assert {frame.identifier for frame in bench.wait(1.0)} == {0x61}

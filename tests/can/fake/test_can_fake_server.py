@@ -1,4 +1,4 @@
-"""The fake as a process: python-can at both doors, faults while it runs, its line and its end."""
+"""The fake as a process: python-can at both endpoints, faults at run time, its ready line and its end."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def frame(identifier: int, data: bytes = b"", **options) -> can.Message:
     return can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, **options)
 
 
-def test_python_can_at_both_doors():
+def test_python_can_exchanges_frames_at_both_endpoints():
     with contextlib.ExitStack() as stack:
         fake = stack.enter_context(running_fake("can", *BOTH))
         places = (tcp(fake.ready_line[0]), tcp(fake.ready_line[0]), serial(fake.ready_line[1]))
@@ -54,7 +54,7 @@ def test_python_can_at_both_doors():
         assert c.get_serial_number(60.0) == "F4K3"
 
 
-def test_fd_and_remote_frames_pass_the_serial_doors():
+def test_fd_and_remote_frames_pass_slcan_endpoints():
     with contextlib.ExitStack() as stack:
         fake = stack.enter_context(running_fake("can", "--listen", "slcan-pty", "--listen", "slcan-pty"))
         a = stack.enter_context(opened(serial(fake.ready_line[0]), bitrate=1_000_000))
@@ -68,7 +68,7 @@ def test_fd_and_remote_frames_pass_the_serial_doors():
         assert (message.is_remote_frame, message.dlc) == (True, 4)
 
 
-def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
+def test_slcan_client_with_the_wrong_bit_rate_receives_nothing():
     with running_fake("can", *BOTH, "--device", "odrive:3") as fake:
         with opened(serial(fake.ready_line[1]), bitrate=250_000) as wrong:
             assert wrong.recv(0.5) is None
@@ -77,13 +77,13 @@ def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
 
 
 def client(endpoint: str) -> socket.socket:
-    """One that has asked for all frames. Python-can's own fails when its answer and a frame come at once."""
+    """A client that has requested all frames; python-can's fails on an answer together with a frame."""
     joined = socket.create_connection(("127.0.0.1", tcp(endpoint)["port"]), timeout=60.0)
     joined.sendall(b"< open can0 >< rawmode >")
     return joined
 
 
-def test_clients_come_and_go_and_a_mute_one_harms_nobody():
+def test_clients_come_and_go_beside_one_that_does_not_read():
     with running_fake("can", "--device", "odrive:3") as fake:
         mute = client(fake.ready_line[0])
         for _ in range(5):
@@ -94,7 +94,7 @@ def test_clients_come_and_go_and_a_mute_one_harms_nobody():
         mute.close()
 
 
-def test_many_frames_at_once_are_slowed_down_but_not_lost():
+def test_many_frames_at_once_are_delayed_but_not_lost():
     with (
         running_fake("can") as fake,
         opened(tcp(fake.ready_line[0])) as a,
@@ -106,7 +106,7 @@ def test_many_frames_at_once_are_slowed_down_but_not_lost():
     assert got == list(range(3000))
 
 
-def test_faults_while_it_runs():
+def test_faults_are_set_at_run_time():
     with running_fake("can", "--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as fake:
         assert fake.ready_line[1:] == ["cia402:5"]
         with opened(tcp(fake.ready_line[0])) as bus:
@@ -126,7 +126,7 @@ def test_faults_while_it_runs():
 
 
 def unplugged(place: dict[str, object]) -> bool:
-    """Whether a socketcand client is thrown out before it is greeted."""
+    """Whether a socketcand client is disconnected before the greeting."""
     with socket.create_connection((place["host"], place["port"]), 60) as client:
         try:
             return client.recv(100) == b""
@@ -134,7 +134,7 @@ def unplugged(place: dict[str, object]) -> bool:
             return True
 
 
-def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
+def test_unplugged_endpoints_close_and_return(tmp_path):
     link = tmp_path / "dongle"
     doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
     with running_fake("can", *doors, "--device", "odrive:3") as fake:
@@ -155,7 +155,7 @@ def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
                 heard(again, 0x61)
 
 
-def test_a_link_never_replaces_a_file(tmp_path, capsys):
+def test_link_never_replaces_a_file(tmp_path, capsys):
     taken = tmp_path / "file"
     taken.write_text("kept")
     assert main(["lfield_sim.can:SIM", "--listen", f"slcan-pty:{taken}"]) == 69
@@ -163,14 +163,14 @@ def test_a_link_never_replaces_a_file(tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
-def test_it_ends_with_its_stdin(capfd):
+def test_fake_ends_when_its_stdin_closes(capfd):
     with running_fake("can", *BOTH) as fake:
         out, _ = fake.process.communicate(timeout=60)
         assert (out, capfd.readouterr().err, fake.process.returncode) == ("", "", 0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it(number):
+def test_signal_ends_the_fake(number):
     with running_fake("can", "--device", "cia402:1") as fake:
         fake.process.send_signal(number)
         assert fake.process.wait(60) == 0
@@ -186,7 +186,7 @@ def test_signals_end_it(number):
         (("--bitrate", "7"), 2, "--bitrate: must be"),
     ],
 )
-def test_a_wrong_command_line_is_a_sentence(options, status, words):
+def test_invalid_command_line_is_an_error_without_traceback(options, status, words):
     command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.can:SIM", *options]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.returncode) == ("", status)
@@ -194,7 +194,7 @@ def test_a_wrong_command_line_is_a_sentence(options, status, words):
     assert "Traceback" not in done.stderr
 
 
-def test_a_port_in_use_is_a_sentence(capsys):
+def test_port_in_use_is_an_error(capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert main(["lfield_sim.can:SIM", "--listen", f"socketcand:127.0.0.1:{port}"]) == 69
@@ -206,12 +206,12 @@ def binding(field: str, kind: str, **options) -> DeviceBinding:
     return DeviceBinding(type=kind, options=options, **place)
 
 
-def test_a_binding_that_cannot_be_imitated_is_refused():
+def test_binding_that_cannot_be_simulated_is_refused():
     with pytest.raises(UsageError, match=r"a\.winch: .* counts per second"):
         SIM.arguments([binding("winch", "CanAxis", protocol="cia402", node=5, velocity_unit="rpm")])
 
 
-def test_the_bus_of_bindings():
+def test_simulated_bus_is_made_from_bindings():
     assert isinstance(SIM, Sim)
     devices = [
         binding("winch", "CanAxis", protocol="cia402", node=5, counts=4096),
@@ -230,6 +230,6 @@ def test_the_bus_of_bindings():
 
 
 @pytest.mark.parametrize("text", ["", "slcan", "socketcand:127.0.0.1", "socketcand::1", "socketcand:a:99999"])
-def test_doors_that_are_none(text):
+def test_invalid_listen_endpoint_is_refused(text):
     with pytest.raises(UsageError, match="cannot listen"):
         parse_listen(text)

@@ -1,4 +1,4 @@
-"""The text protocols of both doors, by bytes."""
+"""The text protocols of both endpoints, by bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def opened() -> SocketcandProtocol:
     return protocol
 
 
-def test_socketcand_wants_open_then_rawmode_then_frames():
+def test_socketcand_requires_open_then_rawmode():
     protocol = SocketcandProtocol()
     assert protocol.command(b" rawmode ")[0] == socketcand.UNKNOWN
     assert protocol.command(b" send 1 0 ")[0] == socketcand.UNKNOWN
@@ -40,7 +40,7 @@ def test_socketcand_wants_open_then_rawmode_then_frames():
         (b" send xyz 0 ", None),
     ],
 )
-def test_socketcand_sends_frames_and_ignores_nonsense(text, frame):
+def test_socketcand_parses_frames_and_ignores_malformed_ones(text, frame):
     assert opened().command(text) == (b"", frame)
 
 
@@ -55,11 +55,11 @@ def test_socketcand_sends_frames_and_ignores_nonsense(text, frame):
         (CanFrame(0x5, bytes(12), fd=True), b""),
     ],
 )
-def test_socketcand_tells_of_frames(frame, text):
+def test_socketcand_encodes_frames(frame, text):
     assert SocketcandProtocol.encode(frame, 12.000034) == text
 
 
-def test_commands_come_in_pieces_and_together():
+def test_commands_arrive_in_pieces_and_together():
     buffer = bytearray(b"junk < open can0 >< raw")
     assert socketcand.next_command(buffer) == b" open can0 "
     assert socketcand.next_command(buffer) is None
@@ -74,7 +74,7 @@ def test_commands_come_in_pieces_and_together():
 
 
 @pytest.mark.parametrize("cut", [slcan.next_command, socketcand.next_command])
-def test_what_never_ends_is_thrown_away(cut):
+def test_endless_command_is_discarded(cut):
     buffer = bytearray(b"<" + b"t" * 10_000)
     assert cut(buffer) is None
     assert not buffer
@@ -85,7 +85,7 @@ def dongle(*commands: bytes, errors: int = 0) -> tuple[SlcanProtocol, list[bytes
     return protocol, [protocol.command(command)[0] for command in commands]
 
 
-def test_a_dongle_is_set_up_and_opened():
+def test_slcan_is_configured_and_opened():
     protocol, answers = dongle(b"C", b"S6", b"Y5", b"V", b"N", b"O", b"O", b"S8", b"F", b"C", b"L", b"t1230")
     bad, ok = b"\a", b"\r"
     assert answers == [bad, ok, ok, b"V1013\r", b"NF4K3\r", ok, bad, bad, b"F00\r", ok, ok, bad]
@@ -95,7 +95,7 @@ def test_a_dongle_is_set_up_and_opened():
 @pytest.mark.parametrize(
     "command", [b"S", b"SX", b"S66", b"Y3", b"O1", b"C1", b"M12", b"s12", b"W", b"\xff", b"F"]
 )
-def test_a_dongle_refuses(command):
+def test_slcan_refuses_invalid_commands(command):
     assert dongle(command)[1] == [b"\a"]
 
 
@@ -112,7 +112,7 @@ def test_a_dongle_refuses(command):
         (CanFrame(0x123, fd=True, switch=True, extended=True), b"B000001230"),
     ],
 )
-def test_a_dongle_sends_and_tells_frames_alike(frame, text):
+def test_slcan_encodes_and_decodes_frames(frame, text):
     protocol, _ = dongle(b"O")
     assert protocol.command(text) == (b"Z\r" if frame.extended else b"z\r", frame)
     assert SlcanProtocol.encode(frame) == text + b"\r"
@@ -121,7 +121,7 @@ def test_a_dongle_sends_and_tells_frames_alike(frame, text):
 @pytest.mark.parametrize(
     "text", [b"t8000", b"t1239" + b"00" * 9, b"t12320", b"t12", b"t123100 ", b"T200000000", b"d123A00"]
 )
-def test_a_dongle_refuses_what_is_no_frame(text):
+def test_slcan_refuses_malformed_frames(text):
     protocol, _ = dongle(b"O")
     assert protocol.command(text) == (b"\a", None)
 
@@ -129,9 +129,9 @@ def test_a_dongle_refuses_what_is_no_frame(text):
 @pytest.mark.parametrize(
     ("errors", "flags"), [(0, b"F00\r"), (WARNING, b"F04\r"), (PASSIVE, b"F24\r"), (BUS_OFF, b"FA4\r")]
 )
-def test_status_flags(errors, flags):
+def test_slcan_status_flags(errors, flags):
     assert dongle(b"O", b"F", errors=errors)[1][1] == flags
 
 
-def test_error_frames_are_not_told_by_a_dongle():
+def test_slcan_does_not_encode_error_frames():
     assert SlcanProtocol.encode(CanFrame(ERROR_BUS_OFF, error=True)) == b""

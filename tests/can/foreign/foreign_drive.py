@@ -1,7 +1,7 @@
-"""A drive by canopen's LocalNode on a real bus, written from CiA 301 and CiA 402-2 by another hand.
+"""A drive made of canopen's LocalNode on a real bus, written independently from CiA 301 and CiA 402-2.
 
-SDO server, NMT and heartbeat are canopen's. The PDOs, the consumer heartbeat, the state machine and the motor
-are here. It is strict where the texts are, has no brake, and coasts when its voltage is off.
+SDO server, NMT and heartbeat are from canopen. The PDOs, the consumer heartbeat, the states and the motor
+are here. It is strict where the standards are, has no brake, and coasts when its voltage is off.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from foreign_objects import MAPPABLE, NO_REMOTE, UNUSED, Variant, dictionary, entry
 
 STEP = 0.005
-#: Seconds in which a motor without voltage loses most of its speed.
+#: Time constant in seconds of a motor without voltage.
 COASTS = 0.15
 
 # Abort codes of CiA 301, table 22.
@@ -95,7 +95,7 @@ class ForeignDrive:
                 self.put(0x6061, self.mode)
 
     def check_parameter(self, index: int, subindex: int, value: int) -> None:
-        """CiA 301, 7.5.2.35 and 37: while a PDO exists only its bit 31 may change."""
+        """CiA 301, 7.5.2.35 and 37: while a PDO is enabled only its bit 31 may change."""
         now = self.get(index, 1)
         if subindex == 1:
             if self.variant.no_remote and not value & NO_REMOTE:
@@ -110,7 +110,7 @@ class ForeignDrive:
             raise SdoAbortedError(OUT_OF_RANGE)
 
     def check_mapping(self, index: int, subindex: int, value: int) -> None:
-        """CiA 301, 7.5.2.36: not in use, nothing mapped, before operational."""
+        """CiA 301, 7.5.2.36: PDO disabled, no entries, before operational."""
         if not self.get(index - 0x200, 1) & UNUSED or self.node.nmt.state == "OPERATIONAL":
             raise SdoAbortedError(NOT_NOW)
         if subindex:
@@ -155,7 +155,7 @@ class ForeignDrive:
                 self.network.send_message(cob & 0x7FF, data)
 
     def is_due(self, number: int) -> bool:
-        """By its timer, or since something in it has changed, not sooner than the inhibit time says."""
+        """By its timer, or after a change, but not before the inhibit time has passed."""
         if self.get(0x1800 + number, 2) <= 240:
             return False
         when, before = self.pdos_sent_at.get(number, (-math.inf, b""))
@@ -165,7 +165,7 @@ class ForeignDrive:
         changed = data != before and since >= self.get(0x1800 + number, 3) / 10_000.0
         return changed or bool(timer and since >= timer)
 
-    # -- its master
+    # -- supervision of the master
 
     def on_heartbeat(self, identifier: int, data: bytes, when: float) -> None:
         with self.lock:
@@ -197,7 +197,7 @@ class ForeignDrive:
         else:
             for (mask, value), steps in COMMANDS:
                 if controlword & mask == value and self.state in steps:
-                    # Transition 16 is for a quick stop that stays (0x605A is 5 to 8).
+                    # Transition 16 is for a quick stop that keeps its state (0x605A is 5 to 8).
                     if self.state == STOPPING and steps[self.state] == ENABLED and self.get(0x605A) < 5:
                         break
                     if steps[self.state] == ENABLED != self.state:
@@ -209,7 +209,7 @@ class ForeignDrive:
         self.show()
 
     def command(self, controlword: int, rising: int) -> None:
-        """Bit 4, by mode: a new set-point is acknowledged by bit 12; homing makes where it stands 0."""
+        """Bit 4, by mode: a new setpoint is acknowledged by bit 12; homing sets the present position to 0."""
         if self.mode == 1:
             if rising & 0x10:
                 self.goal = self.get(0x607A)
@@ -274,7 +274,7 @@ class ForeignDrive:
 
 @contextmanager
 def foreign(endpoint: str, node: int, variant: Variant):
-    """The drive on the bus behind a socketcand door, as long as the block lasts."""
+    """The drive on the bus behind a socketcand endpoint, for the duration of the block."""
     network = canopen.Network()
     network.bus = opened(tcp(endpoint))
     network.connect()

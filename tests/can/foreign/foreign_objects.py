@@ -1,4 +1,4 @@
-"""The object dictionary of the foreign drive, in its variants: what a maker may leave out or fix for good."""
+"""The object dictionary of the foreign drive, in variants: manufacturers omit parts or fix them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from canopen.objectdictionary import datatypes as t
 U8, U16, U32, I8, I16, I32 = t.UNSIGNED8, t.UNSIGNED16, t.UNSIGNED32, t.INTEGER8, t.INTEGER16, t.INTEGER32
 UNUSED, NO_REMOTE = 1 << 31, 1 << 30
 
-#: What can be in a PDO: index -> bits.
+#: Objects that can be mapped to a PDO: index -> bits.
 MAPPABLE = {
     0x6040: 16, 0x6041: 16, 0x6060: 8, 0x6061: 8, 0x6064: 32, 0x606C: 32, 0x6077: 16, 0x607A: 32, 0x6081: 32,
     0x60FF: 32,
@@ -20,7 +20,7 @@ MAPPABLE = {
 
 @dataclass(frozen=True)
 class Variant:
-    """How one maker has read CiA 301. PDOs are lists of indices; None may be changed by whoever likes."""
+    """One manufacturer's reading of CiA 301. PDOs are lists of indices."""
 
     name: str
     no_remote: bool = False
@@ -31,7 +31,7 @@ class Variant:
     taken: tuple[tuple[int, ...], ...] = ((0x6040,), (0x6040, 0x6060), (0x607A,), (0x60FF,))
 
 
-#: As CiA 402-3 predefines them: the control word is in each.
+#: As predefined by CiA 402-3: the control word is in each.
 PREDEFINED = {
     "told": ((0x6041,), (0x6041, 0x6061), (0x6041, 0x6064), (0x6041, 0x606C)),
     "taken": ((0x6040,), (0x6040, 0x6060), (0x6040, 0x607A), (0x6040, 0x60FF)),
@@ -93,7 +93,7 @@ def dictionary(variant: Variant, node: int) -> canopen.ObjectDictionary:
         (0x1400, 0x1600, 0x200, variant.taken),
     ):
         for number, indices in enumerate(pdos):
-            # Only the first four have ids of their own (CiA 301, predefined connection set).
+            # Only the first four have predefined ids (CiA 301, predefined connection set).
             cob = first + 0x100 * number + node if number < 4 else UNUSED
             add(record + number, 0, U8, 5, "ro", record=True)
             add(record + number, 1, U32, cob | (NO_REMOTE if variant.no_remote else 0), record=True)

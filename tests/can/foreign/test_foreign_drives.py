@@ -1,5 +1,5 @@
-"""The driver and its kit against drives that somebody else has built: canopen's LocalNode, another object
-dictionary, other readings of CiA 301. In real time and over a socketcand door, as hardware would be."""
+"""The driver and its kit against independently written drives: canopen's LocalNode, another object
+dictionary, other readings of CiA 301. In real time and over a socketcand endpoint, as with hardware."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lfield.testing.driver_bench import guarded, running_fake
 
 pytestmark = [pytest.mark.process, pytest.mark.long]
 
-#: Seconds without a heartbeat after which guards and drives stop: more than a busy computer takes one away.
+#: Seconds without a heartbeat after which guards and drives stop: longer than pauses of a loaded computer.
 SILENCE, TTL = 5.0, 5.0
 #: Seconds for a drive to execute a command.
 BOUND = 60.0
@@ -56,7 +56,7 @@ async def until(fact: Callable[[], bool]) -> None:
 
 @pytest.mark.few(0)
 def test_every_foreign_drive_passes_the_kit(bus, bound, pytestconfig):
-    """Those that leave out most, and with --every-case the others, too."""
+    """The variants that omit most; with --every-case all of them."""
     variants = VARIANTS if pytestconfig.option.every_case else VARIANTS[3::2]
     plugins = discover()
 
@@ -81,25 +81,25 @@ def test_every_foreign_drive_passes_the_kit(bus, bound, pytestconfig):
     assert not wrong, "\n".join(wrong)
 
 
-def test_what_does_not_fit_is_said_with_what_the_drive_has_and_answered(bus, bound):
+def test_unsuitable_drive_is_refused_with_its_mapping_and_abort_text(bus, bound):
     async def open_it():
         async with guarded(bound(bus(UNFIT)[0])):
-            raise AssertionError("it must not be opened")
+            raise AssertionError("the device must not be opened")
 
     with pytest.raises(DevicesError) as error:
         asyncio.run(open_it())
-    told = str(error.value)
+    text = str(error.value)
     assert (
         "no TPDO contains velocity (0x606C), and it cannot be mapped: mapping of TPDO 2 0x1A01:0 refused"
-        in told
+        in text
     )
-    assert "Attempt to write a read only object" in told
-    assert "It has TPDO 1 with 0x6041, TPDO 2 with 0x6041 0x6064" in told
+    assert "Attempt to write a read only object" in text
+    assert "It has TPDO 1 with 0x6041, TPDO 2 with 0x6041 0x6064" in text
 
 
 @pytest.mark.parametrize("variant", VARIANTS[4:], ids=lambda variant: variant.name)
-async def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bound, variant):
-    """The word, the mode and the targets that share a frame never bring one another's old values back."""
+async def test_setpoint_stream_in_pdos_with_control_word(bus, bound, variant):
+    """Control word, mode and targets in one frame never restore one another's old values."""
     endpoint, drive = bus(variant)
     binding = bound(endpoint, waivers=["no_homing"], options={"cyclic": True})
     async with guarded(binding, silence=SILENCE) as (axis,):
@@ -107,16 +107,16 @@ async def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bou
         await axis.call("setVelocity", 1.0)
         await axis.reads("velocity", lambda speed: abs(speed - 1.0) < 0.1)
         await axis.call("setPosition", await axis.call("position") + 0.5)
-        # The call ends when the frame is on its way; the drive reads it in a thread of its own.
+        # The call ends when the frame is sent; the drive reads it in a thread of its own.
         await until(lambda: (drive.mode, drive.controlword) == (8, 0x0F))
         await axis.call("stop")
         await until(lambda: drive.state != 0x0237 and abs(drive.velocity) < 100)
 
 
-async def test_the_ids_of_process_data_keep_what_the_drive_wants_of_them(bus, bound):
+async def test_pdo_ids_keep_the_settings_of_the_drive(bus, bound):
     endpoint, drive = bus(VARIANTS[1])
     async with guarded(bound(endpoint)):
         assert drive.get(0x1800, 1) == 1 << 30 | 0x189
         assert drive.get(0x1400, 1) == 1 << 30 | 0x209
         assert [drive.get(0x1801, n) for n in (2, 3, 5)] == [255, 100, 20]
-        assert drive.get(0x1803, 1) & UNUSED == 0  # not ours, and left as it was
+        assert drive.get(0x1803, 1) & UNUSED == 0  # not used by the driver, and left unchanged

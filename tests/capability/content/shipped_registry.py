@@ -1,4 +1,4 @@
-"""The registry that we ship, read once, and what the three drivers bring."""
+"""The shipped registry, read once, and the device types of the three drivers."""
 
 from __future__ import annotations
 
@@ -33,6 +33,6 @@ def stock_source(include: str) -> Path:
 
 
 def find_include(include: str) -> Path | None:
-    """What the front end asks for an include in angle brackets."""
+    """The include search of the front end for angle brackets."""
     driver, _, name = include.partition("/")
     return PLUGINS[driver].source(name) if driver in PLUGINS else None

@@ -1,4 +1,4 @@
-"""The guide to capabilities: its files check, its figures are those of the ranking."""
+"""The guide to capabilities: its files pass the checks, its figures equal those of the ranking."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def blocks(kind: str) -> list[str]:
 
 @dataclass
 class Team:
-    """A team of which a test says everything."""
+    """A team that is given completely by the test."""
 
     members: Sequence[Candidate] = field(default_factory=tuple)
 
@@ -49,11 +49,11 @@ class Team:
         return [member for member in self.members if member.type == resource]
 
     def here(self) -> None:
-        """Nobody knows where the question is asked."""
+        """The position of the querying host is not known."""
 
 
 def mission(tmp_path: Path, text: str) -> Registry:
-    """What we ship with a file of the guide, which has its L class beside it."""
+    """The shipped registry with a file of the guide, whose L class is beside it."""
     (rule,) = blocks("java L/fork_and_go.L")
     (tmp_path / "L").mkdir()
     (tmp_path / "L/fork_and_go.L").write_text(rule, encoding="utf-8")
@@ -66,7 +66,7 @@ def mission(tmp_path: Path, text: str) -> Registry:
 
 
 @pytest.mark.parametrize("text", blocks("yaml"), ids=lambda text: text.splitlines()[1] or "walk-through")
-def test_every_file_is_a_registry(tmp_path: Path, text: str) -> None:
+def test_every_yaml_block_of_the_guide_is_a_valid_registry(tmp_path: Path, text: str) -> None:
     registry = mission(tmp_path, text)
     found = Diagnostics()
     check_classes(registry, found)
@@ -79,7 +79,7 @@ def walk_through() -> str:
     return text
 
 
-def test_the_walk_through_fits_its_program(tmp_path: Path) -> None:
+def test_walk_through_matches_its_program(tmp_path: Path) -> None:
     registry, found = mission(tmp_path, walk_through()), Diagnostics()
     (program,) = [text for text in blocks("java") if "resource Forklift" in text]
     check_against(registry, signatures_of([parse_file(Source("forklift.L", program), found)]), found)
@@ -90,22 +90,22 @@ def test_the_walk_through_fits_its_program(tmp_path: Path) -> None:
     assert height.factor == 1000.0
 
 
-def test_the_walk_through_gives_the_answers_it_says(tmp_path: Path) -> None:
+def test_walk_through_gives_the_stated_answers(tmp_path: Path) -> None:
     registry = mission(tmp_path, walk_through())
     old = {name: Fact(value) for name, value in registry.agents["old"].items()}
     team = Team((Candidate("old", "Forklift", "yard", 1, facts=old), Candidate("new", "Forklift", "hall")))
     matcher = Matcher(registry, team)
     assert [offer.agent for offer in matcher.offers("Lift")] == ["new", "old"]
-    wish = compile_constraint("payload >= 600", registry.attributes)
+    constraint = compile_constraint("payload >= 600", registry.attributes)
     assert "old: payload 500 < 600" in GUIDE
-    assert "old: payload 500 < 600" in map(str, matcher.explain("Lift", wish))
+    assert "old: payload 500 < 600" in map(str, matcher.explain("Lift", constraint))
     assert {offer.way for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
 
 
 TERMS = ("fitness", "loss", "part", "hop", "near", "age")
 
 
-def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
+def test_figures_of_the_guide_equal_those_of_the_registry() -> None:
     assert f"{len(REGISTRY.primitives)} primitives" in GUIDE
     numbers = ("", "one", "two", "three", "four", "five")
     limits = SearchLimits()
@@ -113,8 +113,8 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert ("the best sixteen combinations" in GUIDE) == (limits.per_rule == 16)
     weights = REGISTRY.weights
     *terms, last = [f"`{name}` {getattr(weights, name):g}" for name in TERMS]
-    said = f"The weights are {', '.join(terms)} and {last}, and `nearby` is {weights.nearby:g} m."
-    assert said in " ".join(GUIDE.split())
+    stated = f"The weights are {', '.join(terms)} and {last}, and `nearby` is {weights.nearby:g} m."
+    assert stated in " ".join(GUIDE.split())
     assert limits.combinations == 1000
     assert "a thousand failures at most" in GUIDE
     assert "at most 32 or the query's limit" in " ".join(GUIDE.split())
@@ -122,7 +122,7 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"from 1 to {MAX_LIMIT}" in GUIDE
 
 
-def test_the_formula_of_the_guide_is_that_of_the_code() -> None:
+def test_cost_formula_of_the_guide_equals_the_code() -> None:
     rows = (
         ("an agent", "", ranking.AGENT),
         ("one-to-one", "the cost of the substitute", ranking.ONE_TO_ONE),
@@ -136,7 +136,7 @@ def test_the_formula_of_the_guide_is_that_of_the_code() -> None:
     assert "```text drawing\n{}\n```".format("\n".join(lines)) in GUIDE
 
 
-def test_the_units_of_the_guide_are_known() -> None:
+def test_units_of_the_guide_are_known() -> None:
     (line,) = re.findall(r"is written as text: (.*)\.", GUIDE)
     for amount in re.findall(r"`([^`]+)`", line.partition("Compound")[0]):
         assert units.is_unit(amount.split(" ", 1)[1]), amount
@@ -188,7 +188,7 @@ def figures() -> Iterator[tuple[float, float]]:
         yield float(cost.rpartition("= ")[2]), float(score)
 
 
-def test_the_worked_example_is_what_the_ranking_gives(tmp_path: Path) -> None:
+def test_worked_example_equals_the_ranking(tmp_path: Path) -> None:
     (tmp_path / "whole.L").write_text("", encoding="utf-8")
     path = tmp_path / "example.yaml"
     path.write_text(EXAMPLE, encoding="utf-8")
@@ -198,8 +198,8 @@ def test_the_worked_example_is_what_the_ranking_gives(tmp_path: Path) -> None:
     assert given == list(figures())
 
 
-def test_what_nobody_of_the_team_is_of_changes_no_score(tmp_path: Path) -> None:
-    """The same example beside all that we ship: no stock type is in the team, so none counts."""
+def test_types_without_an_agent_in_the_team_do_not_change_scores(tmp_path: Path) -> None:
+    """The same example with the whole shipped registry: no stock type is in the team, so none counts."""
     path = tmp_path / "mission.capabilities.yaml"
     path.write_text(STOCKED, encoding="utf-8")
     registry = read_registry(mission=path)

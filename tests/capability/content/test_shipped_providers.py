@@ -1,4 +1,4 @@
-"""What the stock resource types serve is there: their portals and telemetry, and the ids of manifests."""
+"""Portals, telemetry and manifest ids that the shipped providers use exist in the stock resource types."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STOCK = sorted(REGISTRY.providers)
 
 
 def signature(type_name: str) -> Signature:
-    """What a stock resource type has."""
+    """The signature of a stock resource type."""
     path = stock_source(REGISTRY.providers[type_name].include)
     file = parse_file(Source(str(path), path.read_text(encoding="utf-8")), Diagnostics())
     return signatures_of([file])[type_name]
@@ -33,7 +33,7 @@ def test_every_stock_resource_type_is_a_provider() -> None:
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_portals_that_are_called_exist(name: str) -> None:
+def test_mapped_portals_exist_with_fitting_types(name: str) -> None:
     portals = signature(name).portals
     for served in REGISTRY.providers[name].serves.values():
         for canonical in REGISTRY.primitives[served.primitive].portals.values():
@@ -54,20 +54,20 @@ def test_live_attributes_are_telemetry(name: str) -> None:
     for live in REGISTRY.providers[name].live.values():
         quantities = {q.name: q for q in device(name, live.device).telemetry}
         quantity = quantities[live.quantity]
-        # What is not measured it tells of itself, for as long as it is there.
+        # A value that is not measured is reported once and never expires.
         assert REGISTRY.attributes[live.attribute].live or quantity.max_age >= 1e9
         assert quantity.type.endswith("[]") == (live.index is not None)
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_class_of_machine_is_stated(name: str) -> None:
+def test_class_of_machine_is_stated(name: str) -> None:
     stated = REGISTRY.providers[name].attributes
     assert {"environment", "emissions", "chassis", "limbs"} <= set(stated)
 
 
 @pytest.mark.parametrize("name", ["Copter", "Rover"])
 @pytest.mark.parametrize("primitive", ["Grip", "Lift", "Photograph"])
-def test_what_not_every_vehicle_has_is_asked_for(name: str, primitive: str) -> None:
+def test_optional_tools_are_a_condition(name: str, primitive: str) -> None:
     provider = REGISTRY.providers[name]
     tool = {"Grip": "gripper", "Lift": "winch", "Photograph": "camera"}[primitive]
     condition = provider.serves[primitive].when
@@ -76,7 +76,7 @@ def test_what_not_every_vehicle_has_is_asked_for(name: str, primitive: str) -> N
     assert provider.attributes["tools"] == frozenset()
 
 
-def test_every_primitive_is_served_by_a_stock_resource_or_by_a_rule_over_them() -> None:
+def test_every_primitive_is_served_by_a_stock_resource_or_a_rule() -> None:
     served: set[str] = set()
     while new := sorted(_served_by(served) - served):
         served |= set(new)
@@ -84,7 +84,7 @@ def test_every_primitive_is_served_by_a_stock_resource_or_by_a_rule_over_them() 
 
 
 def _served_by(served: set[str]) -> set[str]:
-    """What stock resources serve, and what rules make of what is `served`."""
+    """Primitives of the stock resources, and those that rules derive from `served`."""
     found = {name for provider in REGISTRY.providers.values() for name in provider.serves}
     found |= {rule.serves for rule in REGISTRY.equivalences.values() if rule.by in served}
     for rule in REGISTRY.compositions.values():

@@ -1,4 +1,4 @@
-"""The L classes of the one-to-many rules check in a program that uses them, on the stock resource types."""
+"""The L classes of the one-to-many rules compile in a program that uses them, on the stock resource types."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INCLUDES = "\n".join(f"include <{p.include}>;" for p in REGISTRY.providers.value
 
 
 def findings(program: str) -> list[str]:
-    """What the front end says of a program with all stock resource types."""
+    """Findings of the front end for a program with all stock resource types."""
     types = RegistryTypes(lambda: REGISTRY)
     text = f"{INCLUDES}\n{program}"
     checked = check_text(text, devices=DEVICES, find_include=find_include, capabilities=types)
@@ -20,12 +20,12 @@ def findings(program: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", sorted(REGISTRY.primitives))
-def test_every_primitive_can_be_asked_for(name: str) -> None:
+def test_every_primitive_can_be_queried(name: str) -> None:
     assert findings(f"coordinator C {{ init(string[] arg) {{ {name}[] who = find{name}(); }} }}") == []
 
 
 @pytest.mark.parametrize("name", sorted(REGISTRY.compositions))
-def test_a_rule_has_its_class_beside_it(name: str) -> None:
+def test_one_to_many_rule_has_its_class(name: str) -> None:
     rule = REGISTRY.compositions[name]
     assert rule.source.is_file()
     assert findings(f"coordinator C {{ init(string[] arg) {{ {rule.through} whole = null; }} }}") != []
@@ -37,7 +37,7 @@ def test_a_rule_has_its_class_beside_it(name: str) -> None:
     )
 
 
-def test_a_coordinator_calls_every_composed_portal() -> None:
+def test_coordinator_calls_every_composed_portal() -> None:
     program = """
     coordinator C {
         init(string[] arg) {

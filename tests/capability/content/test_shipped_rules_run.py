@@ -1,4 +1,4 @@
-"""The one-to-many rules that we ship, run by the machine on resources that tell what they do."""
+"""The shipped one-to-many rules, executed on resources that print their calls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.capability.model import Registry
 from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.testing.golden import run_text
 
-#: Who serves the parts; all stand on one host, so they are one robot.
+#: Providers of the parts; all are on one host, so they are one robot.
 MISSION = """
 registry: 1
 providers:
@@ -61,14 +61,14 @@ resource Nose {
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Registry:
-    """What we ship, and the team of this file."""
+    """The shipped registry with the team of this file."""
     mission = Path(tmp_path_factory.mktemp("mission") / "mission.capabilities.yaml")
     mission.write_text(MISSION, encoding="utf-8")
     return read_registry(mission=mission)
 
 
-def said(registry: Registry, agents: str, body: str) -> list[str]:
-    """What is printed when a coordinator does something with these agents: `Cart Hand?empty`."""
+def output_of(registry: Registry, agents: str, body: str) -> list[str]:
+    """The output of a coordinator's statements with these agents: `Cart Hand?empty`."""
     team = []
     for agent in agents.split():
         name, mark, argument = agent.partition("?")
@@ -79,7 +79,7 @@ def said(registry: Registry, agents: str, body: str) -> list[str]:
     return desk.output
 
 
-def test_a_hand_and_a_balloon_lift(registry: Registry) -> None:
+def test_hand_and_balloon_lift(registry: Registry) -> None:
     body = """
         Lift[] who = findLift("payload == 1.0");
         print(f2s(who[0].lift(2.0), 2));
@@ -88,20 +88,20 @@ def test_a_hand_and_a_balloon_lift(registry: Registry) -> None:
         who[0].lower(2.0);
     """
     lines = ["grips", "up 2.0", "1.80", "up 1.0", "0.90", "down 1.0", "0.90", "down 2.0", "lets go"]
-    assert said(registry, "Hand Balloon", body) == lines
+    assert output_of(registry, "Hand Balloon", body) == lines
 
 
-def test_what_was_lifted_is_down_when_it_was_lowered_as_far_as_lift_said(registry: Registry) -> None:
+def test_lowering_by_the_lifted_height_releases_the_load(registry: Registry) -> None:
     body = "Lift who = findLift()[0]; real up = who.lift(2.0); who.lower(up);"
-    assert said(registry, "Hand Balloon", body) == ["grips", "up 2.0", "down 1.8", "lets go"]
+    assert output_of(registry, "Hand Balloon", body) == ["grips", "up 2.0", "down 1.8", "lets go"]
 
 
-def test_a_hand_without_a_load_lifts_nothing(registry: Registry) -> None:
+def test_lift_without_a_load_raises_an_exception(registry: Registry) -> None:
     body = "try { findLift()[0].lift(2.0); } catch (Exception e) { print(e.message()); }"
-    assert said(registry, "Hand?empty Balloon", body) == ["grips", "the hand has found nothing to lift"]
+    assert output_of(registry, "Hand?empty Balloon", body) == ["grips", "the hand has found nothing to lift"]
 
 
-def test_a_path_is_followed_point_by_point(registry: Registry) -> None:
+def test_path_is_followed_point_by_point(registry: Registry) -> None:
     body = """
         real[] path = new real[6];
         path[0] = 1.0; path[4] = 2.0;
@@ -110,18 +110,18 @@ def test_a_path_is_followed_point_by_point(registry: Registry) -> None:
         try { who.followPath(new real[4]); } catch (Exception e) { print(e.message()); }
     """
     lines = ["goes to 1.0 0.0 0.0", "goes to 0.0 2.0 0.0", "a path has north, east and down for every point"]
-    assert said(registry, "Cart", body) == lines
+    assert output_of(registry, "Cart", body) == lines
 
 
-def test_a_load_is_hauled(registry: Registry) -> None:
+def test_load_is_hauled(registry: Registry) -> None:
     body = 'print(findHaul("payload == 1.0")[0].haul(1.0, 2.0, 0.0));'
-    assert said(registry, "Cart Hand", body) == ["grips", "goes to 1.0 2.0 0.0", "lets go", "true"]
-    assert said(registry, "Cart Hand?empty", body) == ["grips", "false"]
+    assert output_of(registry, "Cart Hand", body) == ["grips", "goes to 1.0 2.0 0.0", "lets go", "true"]
+    assert output_of(registry, "Cart Hand?empty", body) == ["grips", "false"]
 
 
-def test_a_thing_is_retrieved(registry: Registry) -> None:
+def test_object_is_retrieved(registry: Registry) -> None:
     body = "print(findRetrieve()[0].retrieve(1.0, 2.0, 0.0));"
-    assert said(registry, "Cart Hand", body) == [
+    assert output_of(registry, "Cart Hand", body) == [
         "goes to 1.0 2.0 0.0",
         "grips",
         "goes to 9.0 0.0 0.0",
@@ -129,29 +129,29 @@ def test_a_thing_is_retrieved(registry: Registry) -> None:
     ]
 
 
-def test_who_brings_a_thing_back_must_know_where_he_himself_was(registry: Registry) -> None:
-    assert said(registry, "Cart Hand Nose", "print(findRetrieve().length());") == ["1"]
+def test_retrieving_requires_a_known_start_position(registry: Registry) -> None:
+    assert output_of(registry, "Cart Hand Nose", "print(findRetrieve().length());") == ["1"]
 
 
-def test_a_sentry_goes_to_its_post_and_looks(registry: Registry) -> None:
+def test_sentry_goes_to_its_post_and_looks(registry: Registry) -> None:
     body = """
         real[] post = new real[3]; real[] place = new real[3];
         post[0] = 5.0; place[1] = 7.0;
         print(findSentry()[0].watch(post, place, 2.5));
     """
-    assert said(registry, "Cart Eye", body) == ["goes to 5.0 0.0 0.0", *["looks at 0.0 7.0"] * 3, "3"]
+    assert output_of(registry, "Cart Eye", body) == ["goes to 5.0 0.0 0.0", *["looks at 0.0 7.0"] * 3, "3"]
 
 
-def test_a_scout_takes_a_picture_of_every_place(registry: Registry) -> None:
+def test_scout_photographs_every_place(registry: Registry) -> None:
     body = "print(findScout()[0].scout(new real[6]));"
     place = ["goes to 0.0 0.0 0.0", "click"]
-    assert said(registry, "Cart Camera", body) == [*place, *place, "2"]
+    assert output_of(registry, "Cart Camera", body) == [*place, *place, "2"]
 
 
-def test_a_fixed_camera_looks_by_turning(registry: Registry) -> None:
-    assert said(registry, "Nose", "findLookAt()[0].lookAt(1.0, 3.0, 0.0);") == ["turns to 1.57"]
+def test_fixed_camera_looks_by_turning(registry: Registry) -> None:
+    assert output_of(registry, "Nose", "findLookAt()[0].lookAt(1.0, 3.0, 0.0);") == ["turns to 1.57"]
 
 
 def test_rules_build_on_rules(registry: Registry) -> None:
     body = "real[] at = new real[3]; findSentry()[0].watch(at, at, 1.0);"
-    assert said(registry, "Cart Nose", body) == ["goes to 0.0 0.0 0.0", "turns to 3.14"]
+    assert output_of(registry, "Cart Nose", body) == ["goes to 0.0 0.0 0.0", "turns to 3.14"]

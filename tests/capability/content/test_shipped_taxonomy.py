@@ -1,4 +1,4 @@
-"""The tree that we ship has every primitive of the thesis, under the parent that it has there."""
+"""The shipped taxonomy has every primitive of the thesis, under the same parent."""
 
 from __future__ import annotations
 
@@ -110,11 +110,11 @@ def paths_of_thesis() -> list[tuple[str, ...]]:
 
 
 def id_of(path: tuple[str, ...]) -> str:
-    """The id that a path of names has: `Taste/Smell` is `taste_smell`."""
+    """The id of a path of names: `Taste/Smell` is `taste_smell`."""
     return ".".join(re.sub(r"[^a-z]+", "_", name.lower()) for name in path)
 
 
-def test_the_list_is_whole() -> None:
+def test_list_of_the_thesis_is_complete() -> None:
     paths = paths_of_thesis()
     assert len(paths) == 86
     assert [path[0] for path in paths if len(path) == 1] == [
@@ -127,7 +127,7 @@ def test_the_list_is_whole() -> None:
 
 
 @pytest.mark.parametrize("path", paths_of_thesis(), ids="/".join)
-def test_a_primitive_of_the_thesis_is_there(path: tuple[str, ...]) -> None:
+def test_primitive_of_the_thesis_is_in_the_taxonomy(path: tuple[str, ...]) -> None:
     term = REGISTRY.terms[id_of(path)]
     assert term.name == path[-1]
     assert not term.deprecated

@@ -1,4 +1,4 @@
-"""Which statement of an attribute counts: a test for each cell of the guide's table."""
+"""Precedence of the statements of an attribute: a test for each cell of the guide's table."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NEVER = {"device", "device's report"}
 
 
 def cells() -> Iterator[tuple[str, str, str]]:
-    """The rows, columns and answers of the table, without what explains them."""
+    """Rows, columns and answers of the table, without the explanations."""
     text = GUIDE.read_text(encoding="utf-8")
     (table,) = re.findall(r"\| stated for \|.*\n.*\n((?:\|.*\n)+)", text)
     for line in table.splitlines():
@@ -61,7 +61,7 @@ def registry_of(folder: Path, stated: Sequence[str]) -> Registry:
 
 
 def payload(registry: Registry, stated: Sequence[str] = (), load: Observation | None = None) -> float | None:
-    """What counts in the end on the host of the crane, whose device has told that load."""
+    """The resulting value on the host of the crane, whose device has reported that load."""
     bound = {"crane": {"payload": VALUES["binding"]}} if "binding" in stated else {}
     yard, clock = _Yard(load), ManualClock()
     directory = AgentDirectory(registry, [_Crane()], "yard", yard, clock)
@@ -78,7 +78,7 @@ class _Crane:
 
 
 class _Silent:
-    """Portals that nobody asks."""
+    """Portals that are never called."""
 
     def last(self, agent: str, portal: str) -> Observation | str | None:
         return None
@@ -103,25 +103,29 @@ class _Yard:
 
 
 @pytest.mark.parametrize(("row", "column", "answer"), list(cells()))
-def test_who_wins(tmp_path: Path, row: str, column: str, answer: str) -> None:
+def test_precedence_of_two_statements_follows_the_table(
+    tmp_path: Path, row: str, column: str, answer: str
+) -> None:
     stated = sorted({row, column})
     said = next((VALUES[place] for place in stated if place in NEVER), None)
     load = None if said is None else Observation(said, ManualClock().monotonic() - 0.4)
     assert payload(registry_of(tmp_path, stated), stated, load) == VALUES[answer]
 
 
-def test_the_table_has_every_pair() -> None:
+def test_table_has_every_pair() -> None:
     found = [(row, column) for row, column, _ in cells()]
     assert found == [(row, column) for row in VALUES for column in VALUES if {row, column} != NEVER]
 
 
 @pytest.mark.parametrize("age", [None, 10.5])
 @pytest.mark.parametrize("also", ["type", "primitive"])
-def test_what_a_device_does_not_measure_is_not_known(tmp_path: Path, also: str, age: float | None) -> None:
+def test_measured_attribute_without_a_fresh_value_is_unknown(
+    tmp_path: Path, also: str, age: float | None
+) -> None:
     load = None if age is None else Observation(3.0, ManualClock().monotonic() - age)
     assert payload(registry_of(tmp_path, ["device", also]), load=load) is None
 
 
 @pytest.mark.parametrize("also", ["type", "primitive"])
-def test_for_what_a_device_does_not_tell_of_itself_its_type_speaks(tmp_path: Path, also: str) -> None:
+def test_unreported_device_property_falls_back_to_the_type(tmp_path: Path, also: str) -> None:
     assert payload(registry_of(tmp_path, ["device's report", also])) == VALUES[also]

@@ -56,7 +56,7 @@ AGENTS = [
 
 @dataclass
 class Wires:
-    """The links of one host, by hand."""
+    """The links of one host, set by the test."""
 
     down_since: dict[str, float] = field(default_factory=dict)
     contacts: dict[str, float] = field(default_factory=dict)

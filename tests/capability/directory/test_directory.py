@@ -1,4 +1,4 @@
-"""What a host knows of its team: whom it finds, how old that is, and who cannot be called."""
+"""A host's view of its team: candidates, ages of values, and agents that cannot be called."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfield.host.directory_updates.directory_codec import DirectoryCodec
 
 @pytest.fixture
 def seats():
-    """alpha and bravo, linked, on clocks that have nothing in common."""
+    """alpha and bravo, linked, with unrelated clocks."""
     alpha, bravo = Seat("alpha"), Seat("bravo", life=7)
     bravo.clock.advance(5000.0)
     alpha.receive("bravo")
@@ -23,15 +23,15 @@ def seats():
     return alpha, bravo
 
 
-def tell(sender, receiver, news):
-    """News on a link: times become ages on the way (fleet/reports.py does it for messages)."""
+def deliver(sender, receiver, news):
+    """Send a delta over a link: times become ages on the way (fleet/reports.py does it for messages)."""
     reports = DirectoryCodec(REGISTRY, AGENTS)
     report = reports.encode(news, sender.clock.monotonic())
     receiver.receive("bravo")
     receiver.directory.on_delta("bravo", reports.decode("bravo", report, receiver.clock.monotonic()))
 
 
-def test_candidates_are_those_of_a_type_in_the_order_of_the_deployment(seats):
+def test_candidates_of_a_type_are_in_deployment_order(seats):
     alpha, _ = seats
     found = alpha.directory.candidates("Arm")
     assert [(c.agent, c.type, c.host, c.hops) for c in found] == [
@@ -42,7 +42,7 @@ def test_candidates_are_those_of_a_type_in_the_order_of_the_deployment(seats):
     assert alpha.directory.candidates("Visitor") == alpha.directory.candidates("Nobody") == []
 
 
-def test_what_the_mission_states_is_a_fact_that_never_ages(seats):
+def test_stated_attributes_never_age(seats):
     alpha, _ = seats
     alpha.clock.advance(1000.0)
     fact = alpha.candidate("arm2").stated["payload"]
@@ -58,15 +58,15 @@ def test_own_values_are_as_old_as_their_samples(seats):
     assert (arm.facts["battery"].value, arm.facts["battery"].age, arm.refusal) == (0.5, 2.25, "")
 
 
-def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
+def test_candidates_are_reused_until_a_change(seats):
     alpha, bravo = seats
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     first, shelf = alpha.candidate("rover1"), alpha.candidate("shelf")
     alpha.clock.advance(ANSWER_REUSE_SECONDS / 2)
     assert alpha.candidate("rover1") is first
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.7)}))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     changed = alpha.candidate("rover1")
     assert changed.facts["battery"].value == 0.7
     alpha.wires.down_since["bravo"] = alpha.clock.monotonic()
@@ -80,7 +80,7 @@ def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
     assert alpha.candidate("shelf") is still
 
 
-def test_what_was_never_told_is_unknown_with_the_reason(seats):
+def test_unreported_value_is_unknown_with_a_reason(seats):
     alpha, _ = seats
     assert alpha.candidate("rover1").unknown == {"battery": "bravo has not reported battery yet"}
     alpha.directory.set_own("arm1", AgentCondition(unknown={"mode": "fc has not reported mode"}))
@@ -89,10 +89,10 @@ def test_what_was_never_told_is_unknown_with_the_reason(seats):
     assert unknown["battery"] == "alpha has not reported battery yet"
 
 
-def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
+def test_remote_value_ages_only_without_messages(seats):
     alpha, bravo = seats
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=0.5)}))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
     alpha.clock.advance(2.0)
     assert alpha.candidate("rover1").facts["battery"].age == 2.5
@@ -101,14 +101,14 @@ def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
 
 
-def test_a_value_that_its_host_has_stopped_renewing_grows_older(seats):
+def test_value_that_its_host_does_not_renew_ages(seats):
     alpha, bravo = seats
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=4.9)}))
     assert bravo.directory.next_delta() is None
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=5.1)}))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     bravo.clock.advance(1.0)
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=6.1)}))
     assert bravo.directory.next_delta() is None
@@ -117,11 +117,11 @@ def test_a_value_that_its_host_has_stopped_renewing_grows_older(seats):
     assert alpha.candidate("rover1").facts["battery"].age == pytest.approx(25.1)
 
 
-def test_only_what_has_changed_notably_is_told(seats):
+def test_only_significant_changes_are_reported(seats):
     _, bravo = seats
-    for value, told in [(0.800, True), (0.804, False), (0.796, False), (0.806, True), (0.802, False)]:
+    for value, is_reported in [(0.800, True), (0.804, False), (0.796, False), (0.806, True), (0.802, False)]:
         bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
-        assert (bravo.directory.next_delta() is not None) == told, value
+        assert (bravo.directory.next_delta() is not None) == is_reported, value
     bravo.directory.set_own("arm2", AgentCondition(samples={"steps": bravo.sample(1)}))
     news = bravo.directory.next_delta()
     assert list(news.agents) == ["arm2"]
@@ -133,14 +133,14 @@ def test_only_what_has_changed_notably_is_told(seats):
     assert bravo.directory.next_delta() is None
 
 
-def test_why_an_agent_cannot_be_called(seats):
+def test_refusal_states_the_reason_and_its_age(seats):
     alpha, bravo = seats
     alpha.directory.set_own("arm1", AgentCondition(Unavailability("died of DeviceException: no")))
     assert alpha.candidate("arm1").refusal == "died of DeviceException: no"
     bravo.directory.set_own(
         "arm2", AgentCondition(Unavailability("axis: no message", bravo.clock.monotonic() - 3.2))
     )
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == "axis: no message for 3.2 s"
     alpha.clock.advance(60.0)
     assert alpha.candidate("arm2").refusal == "axis: no message for 63 s"
@@ -148,16 +148,16 @@ def test_why_an_agent_cannot_be_called(seats):
     assert alpha.candidate("arm2").refusal == "unreachable for 12 s"
     del alpha.wires.down_since["bravo"]
     bravo.directory.set_own("arm2", AgentCondition())
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == ""
 
 
-def test_what_is_reserved_is_offered_to_its_holder_alone(seats):
+def test_reserved_agent_is_offered_to_its_holder_only(seats):
     alpha, bravo = seats
     bravo.directory.set_own(
         "arm2", AgentCondition(reserved=ReservedBy("pilot", bravo.clock.monotonic() - 12.0))
     )
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     assert bravo.directory.next_delta() is None
     for seat in seats:
         assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
@@ -166,15 +166,15 @@ def test_what_is_reserved_is_offered_to_its_holder_alone(seats):
         seat.directory.asker = "rover"
         assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
     bravo.directory.set_own("arm2", AgentCondition(reserved=ReservedBy("rover", bravo.clock.monotonic())))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == ""
     bravo.directory.set_own("arm2", AgentCondition())
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     alpha.directory.asker = ""
     assert alpha.candidate("arm2").refusal == ""
 
 
-def test_what_cannot_be_called_says_so_before_it_says_who_has_it(seats):
+def test_failure_is_stated_before_a_reservation(seats):
     alpha, _ = seats
     alpha.directory.set_own(
         "arm1", AgentCondition(Unavailability("died of X"), reserved=ReservedBy("pilot", 0.0))
@@ -182,11 +182,11 @@ def test_what_cannot_be_called_says_so_before_it_says_who_has_it(seats):
     assert alpha.candidate("arm1").refusal == "died of X"
 
 
-def test_a_host_that_was_away_catches_up_with_one_exchange(seats):
+def test_returning_host_is_synchronized_by_one_exchange(seats):
     alpha, bravo = seats
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
     bravo.directory.set_own("arm2", AgentCondition(Unavailability("fc: in its safe state hold: lost")))
-    tell(bravo, alpha, bravo.directory.next_delta())
+    deliver(bravo, alpha, bravo.directory.next_delta())
     alpha.directory.on_link_down("bravo")
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.4)}))
     bravo.directory.set_own("arm2", AgentCondition(samples={"armed": bravo.sample(True)}))
@@ -194,52 +194,52 @@ def test_a_host_that_was_away_catches_up_with_one_exchange(seats):
     alpha.clock.advance(30.0)
     alpha.receive("bravo")
     alpha.directory.on_link_up("bravo", 7)
-    # It is there again, but what it said then is not fresh for that.
+    # The link is back, but the old value is not fresh.
     assert alpha.candidate("rover1").facts["battery"].age == 30.0
-    tell(bravo, alpha, bravo.directory.full_delta())
+    deliver(bravo, alpha, bravo.directory.full_delta())
     rover, arm = alpha.candidate("rover1"), alpha.candidate("arm2")
     assert (rover.facts["battery"].value, rover.facts["battery"].age) == (0.4, 0.0)
     assert (arm.refusal, arm.facts["armed"].value) == ("", True)
 
 
-def test_a_restarted_host_begins_anew(seats):
+def test_restarted_host_starts_without_values(seats):
     alpha, bravo = seats
     bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
     late = bravo.directory.next_delta()
-    tell(bravo, alpha, late)
+    deliver(bravo, alpha, late)
     again = Seat("bravo", life=8)
     alpha.directory.on_link_up("bravo", 8)
     assert alpha.candidate("rover1").unknown == {"battery": "bravo has not reported battery yet"}
-    tell(bravo, alpha, bravo.directory.full_delta())
+    deliver(bravo, alpha, bravo.directory.full_delta())
     assert "battery" not in alpha.candidate("rover1").facts
     again.directory.set_own("rover1", AgentCondition(samples={"battery": again.sample(0.3)}))
-    tell(again, alpha, again.directory.next_delta())
+    deliver(again, alpha, again.directory.next_delta())
     assert alpha.candidate("rover1").facts["battery"].value == 0.3
 
 
-def test_news_after_a_gap_wait_for_everything(seats):
+def test_delta_after_a_gap_waits_for_a_full_delta(seats):
     alpha, bravo = seats
     news = []
     for value in (0.9, 0.8, 0.7):
         bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
         news.append(bravo.directory.next_delta())
-    tell(bravo, alpha, news[0])
-    tell(bravo, alpha, news[2])
+    deliver(bravo, alpha, news[0])
+    deliver(bravo, alpha, news[2])
     assert alpha.candidate("rover1").facts["battery"].value == 0.9
     alpha.clock.advance(3.0)
     alpha.receive("bravo")
     assert alpha.candidate("rover1").facts["battery"].age == 3.0
-    tell(bravo, alpha, bravo.directory.full_delta())
+    deliver(bravo, alpha, bravo.directory.full_delta())
     assert alpha.candidate("rover1").facts["battery"].value == 0.7
 
 
-def test_a_host_that_never_had_anything_to_tell_says_nothing(seats):
+def test_host_without_live_values_sends_no_delta(seats):
     _, bravo = seats
     assert bravo.directory.next_delta() is None
     assert bravo.directory.full_delta() is None
 
 
-def test_a_host_is_where_its_pose_says_unless_an_agent_of_it_measures_its_place() -> None:
+def test_location_is_the_pose_unless_an_agent_measures_it() -> None:
     attributes = {
         "north": Attribute("north", "real", SPAN, live=True, max_age=2.0),
         "east": Attribute("east", "real", SPAN),

@@ -1,4 +1,4 @@
-"""However news is lost, late or doubled and links come and go: one exchange later both know the same."""
+"""News is lost, late or doubled, and links fail: after one exchange both sides have the same values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TROUBLES = st.sampled_from([None, ("fc: in its safe state hold: why", None), ("f
 
 
 class Exchange(RuleBasedStateMachine):
-    """bravo tells alpha, over links that may do anything short of changing what is said."""
+    """bravo reports to alpha over links that may do anything except change messages."""
 
     @initialize()
     def begin(self):
@@ -48,7 +48,7 @@ class Exchange(RuleBasedStateMachine):
         )
 
     def hear(self):
-        # Answers of one moment are the same, also when a word comes between them.
+        # Candidates are cached for a moment; let it pass before a message.
         self.time_passes(self.moment)
         self.alpha.receive("bravo")
         self.ages.clear()
@@ -140,7 +140,7 @@ class Exchange(RuleBasedStateMachine):
         ]
 
     def teardown(self):
-        """One exchange: a new link, on which everything is told. What comes late changes nothing any more."""
+        """One exchange on a new link, on which everything is sent. Late messages have no effect after it."""
         if not hasattr(self, "alpha"):
             return
         if self.linked:
@@ -177,7 +177,7 @@ class Exchange(RuleBasedStateMachine):
             return
         reason, _, seconds = refusal.removesuffix(" s").rpartition(" for ")
         assert reason == trouble.reason
-        # A second is what may go untold, half a one what rounding may add.
+        # Up to one second may be unreported, and rounding may add half a second.
         assert abs(float(seconds) - (self.bravo.clock.monotonic() - trouble.since)) <= 1.51
 
 

@@ -1,4 +1,4 @@
-"""Reports from anybody: what is read fits its attributes, or the whole report is refused."""
+"""Reports from any sender: the content fits its attributes, or the whole report is refused."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def through_the_wire(report):
 
 
 @given(REPORTS)
-def test_whatever_comes_is_refused_or_fits(report):
+def test_any_report_is_refused_or_fits_the_registry(report):
     reports = DirectoryCodec(REGISTRY, AGENTS)
     try:
         news = reports.decode("bravo", through_the_wire(report), 1000.0)
@@ -79,7 +79,7 @@ def test_whatever_comes_is_refused_or_fits(report):
 
 @given(st.floats(0.0, 100.0), st.floats(-5.0, 100.0), st.booleans())
 def test_times_become_ages_and_times_again(age, later, kept):
-    # Whoever says that something will only be true later has a clock that went wrong; it is new, then.
+    # A sample time in the future comes from a wrong clock: the value counts as new.
     sample = AttributeSample(0.5, 1000.0 - age, 1000.0, kept)
     held = ReservedBy("pilot", 990.0)
     change = AgentCondition(

@@ -1,4 +1,4 @@
-"""Registries and teams in a few words, for the tests of matching."""
+"""Registries and teams in short form, for the tests of matching."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ ATTRIBUTES = {
 }
 
 
-def wish(text: str) -> Expression:
+def constraint_of(text: str) -> Expression:
     """A constraint on an offer."""
     return compile_constraint(text, ATTRIBUTES)
 
@@ -72,14 +72,14 @@ def provider(
     type: str, serves: Iterable[str] | Mapping[str, str], when: str = "", **attributes: Value
 ) -> Provider:
     """A resource type that serves primitives."""
-    condition = wish(when) if when else None
+    condition = constraint_of(when) if when else None
     served = {name: ServedPrimitive(name, {}, NOWHERE, when=condition) for name in serves}
     return Provider(type, served, NOWHERE, attributes=attributes)
 
 
 def equivalence(name: str, serves: str, by: str, when: str = "", loss: float = 0.0) -> Equivalence:
     """A one-to-one rule."""
-    return Equivalence(name, serves, by, {}, NOWHERE, when=wish(when) if when else None, loss=loss)
+    return Equivalence(name, serves, by, {}, NOWHERE, when=constraint_of(when) if when else None, loss=loss)
 
 
 def composition(
@@ -95,7 +95,7 @@ def composition(
     made = {}
     for need, wanted in needs.items():
         primitive, when = (wanted, "") if isinstance(wanted, str) else wanted
-        made[need] = Need(need, primitive, NOWHERE, when=wish(when) if when else None)
+        made[need] = Need(need, primitive, NOWHERE, when=constraint_of(when) if when else None)
     return Composition(
         name,
         serves,
@@ -152,7 +152,7 @@ def candidate(
 
 
 class Crew:
-    """A team of these candidates, which counts how often it was asked."""
+    """A team of these candidates, which counts the queries for candidates."""
 
     def __init__(self, *members: Candidate, place: Position | None = None) -> None:
         self.members, self.place = list(members), place

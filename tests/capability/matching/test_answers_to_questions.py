@@ -1,4 +1,4 @@
-"""What a coordinator gets to know of a search: how many there were, what was left out, and what was cut."""
+"""Reports of a search to a coordinator: the number of offers, omissions, and limits."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class Cranes:
 
 @pytest.fixture
 def answers(tmp_path: Path) -> MatchResults:
-    """Of fifty cranes."""
+    """Results for fifty cranes."""
     (tmp_path / "pair.L").write_text("", encoding="utf-8")
     path = tmp_path / "cranes.yaml"
     path.write_text(REGISTRY, encoding="utf-8")
     return MatchResults(read_registry([path]), Cranes(MANY), WAYS, {f"c{i}": i for i in range(MANY)})
 
 
-def test_an_offer_says_how_many_there_were(answers: MatchResults) -> None:
+def test_offer_reports_the_number_of_offers(answers: MatchResults) -> None:
     who = answers.find_offers("Lift", None)
     assert (len(who), who[0].found, who[0].note) == (32, MANY, "the best 32 of 50 offers are given")
     every = answers.find_offers("Lift", "limit 100")
@@ -77,21 +77,21 @@ def test_an_offer_says_how_many_there_were(answers: MatchResults) -> None:
     assert answers.explain_others("Lift", "reach <= 3.0").splitlines()[0] == "there are 3 offers, by 3 agents"
 
 
-def test_nobody_is_not_said_where_not_everything_was_tried(answers: MatchResults) -> None:
+def test_incomplete_search_without_offers_raises_an_exception(answers: MatchResults) -> None:
     cut = "odd-pair: more combinations of parts exist than could be tried"
     with pytest.raises(SearchIncomplete, match=f"no offer was found for Haul, but {cut}"):
         answers.find_offers("Haul", None)
     with pytest.raises(SearchIncomplete, match="no team of 2 was found for Haul"):
         answers.find_teams("Haul", None, 2)
     assert cut in answers.explain_others("Haul", None)
-    # What prunes before it combines leaves nothing to be tried.
+    # A condition that prunes before combining makes the search complete.
     assert answers.find_offers("Haul", 'agent == "c3"') == []
 
 
-def test_no_team_is_not_said_where_the_best_combinations_have_an_agent_in_common(
+def test_team_search_over_limited_combinations_is_reported_as_incomplete(
     answers: MatchResults,
 ) -> None:
-    # c0 is the first of all that are offered; c1 and c2 could make another pair.
+    # c0 is in all offered combinations; c1 and c2 could form another pair.
     assert {one.agent.partition("+")[0] for one in answers.find_offers("Carry", None)} == {"c0"}
     why = "no team of 2 was found for Carry, but .*any-pair: only the best combinations can be in a team"
     for question in (None, "limit 5", "order by payload"):
@@ -100,7 +100,7 @@ def test_no_team_is_not_said_where_the_best_combinations_have_an_agent_in_common
     assert answers.find_teams("Carry", None, 51) == []
 
 
-def test_teams_of_none_and_of_too_many(answers: MatchResults) -> None:
+def test_invalid_and_oversized_team_sizes(answers: MatchResults) -> None:
     for size in (0, -1, -(2**63)):
         with pytest.raises(ConstraintError, match="a team has one member at least"):
             answers.find_teams("Lift", None, size)
@@ -112,6 +112,6 @@ def test_teams_of_none_and_of_too_many(answers: MatchResults) -> None:
     assert len(answers.find_teams("Lift", "limit 100", 2)) == 100
 
 
-def test_a_question_of_ten_thousand_characters(answers: MatchResults) -> None:
+def test_query_over_2000_characters_is_refused(answers: MatchResults) -> None:
     with pytest.raises(ConstraintError, match="longer than 2000 characters"):
         answers.find_offers("Lift", "reach > 1.0 && " * 700 + "true")

@@ -1,4 +1,4 @@
-"""Conditions are parsed by L's parser, and their checked trees survive a bundle."""
+"""Conditions are parsed by L's parser, and their checked trees are stored in a bundle."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from lfield.capability.condition_encoding import decode_tree, encode_tree
         ("1" + " + 1" * 400, None),
     ],
 )
-def test_a_text_that_is_no_condition_has_one_mistake_at_its_place(text: str, place: str | None) -> None:
+def test_invalid_condition_has_one_error_at_its_place(text: str, place: str | None) -> None:
     tree, mistakes = condition_parser.parse_condition(text)
     if place == "{payload, 1}":
         assert tree is not None, "the checker reports it"
@@ -45,7 +45,7 @@ def test_a_text_that_is_no_condition_has_one_mistake_at_its_place(text: str, pla
 @pytest.mark.parametrize(
     "text", ["not <= 1 order by not asc", "payload > async order by typeof desc limit 3"]
 )
-def test_words_of_other_languages_stay_names(text: str) -> None:
+def test_keywords_of_other_languages_are_names(text: str) -> None:
     query, mistakes = condition_parser.parse_query(text)
     assert query is not None, mistakes
     assert len(query.order) == 1
@@ -61,7 +61,7 @@ _CONDITIONS = [
 
 
 @pytest.mark.parametrize("text", _CONDITIONS)
-def test_the_tree_of_a_condition_survives_its_encoding(text: str) -> None:
+def test_tree_of_a_condition_survives_its_encoding(text: str) -> None:
     tree = compile_constraint(text, ATTRIBUTES).tree
     data = msgspec.msgpack.decode(msgspec.msgpack.encode(encode_tree(tree)))
     again = decode_tree(text, data)
@@ -93,11 +93,11 @@ def _nested(depth: int) -> list[object]:
         _nested(100),
     ],
 )
-def test_data_that_is_no_tree_is_refused(data: object) -> None:
+def test_invalid_tree_data_is_refused(data: object) -> None:
     with pytest.raises(ValueError, match="condition"):
         decode_tree("x", data)
 
 
-def test_only_constants_that_are_queries_are_compiled() -> None:
+def test_only_query_constants_are_compiled() -> None:
     found = compile_constants(["payload >= 2 limit 3", "hello", 7, None, True, "paylod > 1"], ATTRIBUTES)
     assert {text: query.limit for text, query in found.items()} == {"payload >= 2 limit 3": 3}

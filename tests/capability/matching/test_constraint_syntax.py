@@ -1,4 +1,4 @@
-"""What a condition over attributes may say, and what is told of every mistake."""
+"""Valid conditions over attributes, and the errors of invalid ones."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import contextlib
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_registry import ATTRIBUTES, wish
+from small_registry import ATTRIBUTES, constraint_of
 
 from lfield.capability.condition_compiler import compile_constraint, parse_expression
 from lfield.capability.condition_parser import MAX_LENGTH
@@ -31,7 +31,7 @@ from lfield.errors import ConstraintError
         "(payload + 1) * -2 <= - reach",
     ],
 )
-def test_a_condition_may_say(text: str) -> None:
+def test_valid_condition_compiles(text: str) -> None:
     assert compile_constraint(text, ATTRIBUTES).text == text
 
 
@@ -71,7 +71,7 @@ def test_a_condition_may_say(text: str) -> None:
         ("payload >= 2 ready", "ready", "'ready' is not expected here", "the condition ends before it"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_at_its_place(text: str, place: str, message: str, hint: str) -> None:
+def test_error_is_reported_at_its_place(text: str, place: str, message: str, hint: str) -> None:
     (mistake,) = mistakes(text)
     assert text[mistake.start : mistake.end] == place
     assert (mistake.message, mistake.hint) == (message, hint)
@@ -88,13 +88,13 @@ def test_a_mistake_is_told_at_its_place(text: str, place: str, message: str, hin
         ("!" * 500 + "ready", "this is nested more than 100 levels deep"),
     ],
 )
-def test_a_text_that_is_no_condition(text: str, message: str) -> None:
+def test_malformed_condition_is_refused(text: str, message: str) -> None:
     (mistake,) = mistakes(text)
     assert mistake.message == message
 
 
 @pytest.mark.parametrize("sign", ["&&", "||"])
-def test_a_long_chain_is_no_nesting(sign: str) -> None:
+def test_long_chain_is_not_deep_nesting(sign: str) -> None:
     chain = f" {sign} ".join(["ready", "payload >= 2", "!ready"] * 50)
     assert mistakes(chain) == []
     found, _ = parse_expression(chain)
@@ -103,9 +103,9 @@ def test_a_long_chain_is_no_nesting(sign: str) -> None:
     assert found.tree.span.text == chain
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_errors_are_reported_at_once() -> None:
     with pytest.raises(ConstraintError) as caught:
-        wish("paylod > 1 && reach == aerial && environment == areal")
+        constraint_of("paylod > 1 && reach == aerial && environment == areal")
     assert caught.value.problems == (
         "there is no attribute 'paylod' (did you mean 'payload'?)",
         "there is no attribute 'aerial' (text is in double quotes)",
@@ -131,7 +131,7 @@ def test_all_mistakes_are_told_at_once() -> None:
         ("grip < climb", "'<' takes numbers; this is a part"),
     ],
 )
-def test_a_condition_over_the_parts_of_a_composition(text: str, message: str | None) -> None:
+def test_condition_over_parts_is_checked(text: str, message: str | None) -> None:
     expression, found = parse_expression(text)
     assert expression is not None
     found = check_expression(
@@ -141,7 +141,7 @@ def test_a_condition_over_the_parts_of_a_composition(text: str, message: str | N
     assert messages[:1] == ([] if message is None else [message])
 
 
-def test_distance_needs_positions() -> None:
+def test_distance_requires_position_attributes() -> None:
     expression, _ = parse_expression("distance(grip, climb) < 1")
     assert expression is not None
     attributes = {name: a for name, a in ATTRIBUTES.items() if name != "down"}
@@ -159,16 +159,16 @@ def test_distance_needs_positions() -> None:
         ("power", "set", "this is text, not a set"),
     ],
 )
-def test_what_an_expression_shall_be(text: str, wanted: str, message: str | None) -> None:
+def test_expression_is_checked_for_its_expected_type(text: str, wanted: str, message: str | None) -> None:
     expression, _ = parse_expression(text)
     assert expression is not None
     found = check_expression(expression, NameScope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
     assert [m.message for m in found] == ([] if message is None else [message])
 
 
-def test_a_text_in_an_error_is_cut() -> None:
+def test_text_in_an_error_is_truncated() -> None:
     with pytest.raises(ConstraintError) as caught:
-        wish("x" * MAX_LENGTH)
+        constraint_of("x" * MAX_LENGTH)
     assert len(caught.value.text) == 80
 
 
@@ -211,7 +211,7 @@ _SIGNS = [
 
 
 @given(st.one_of(st.text(max_size=60), st.lists(st.sampled_from(_WORDS + _SIGNS), max_size=20).map(" ".join)))
-def test_a_hostile_text_is_refused_with_places_within_it(text: str) -> None:
+def test_any_text_is_compiled_or_refused_with_places(text: str) -> None:
     with contextlib.suppress(ConstraintError):
         compile_constraint(text, ATTRIBUTES)
     for mistake in parse_expression(text)[1]:
@@ -219,7 +219,7 @@ def test_a_hostile_text_is_refused_with_places_within_it(text: str) -> None:
 
 
 def mistakes(text: str) -> list[Mistake]:
-    """What is wrong with a condition on an offer."""
+    """The errors of a condition on an offer."""
     expression, found = parse_expression(text)
     return (
         found

@@ -1,4 +1,4 @@
-"""What conditions are worth on facts, known or not, and why they are not true."""
+"""Values of conditions on known and unknown facts, and the reasons why they are not true."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_registry import over_parts, wish
+from small_registry import constraint_of, over_parts
 
 from lfield.capability.matching.condition_evaluator import conjuncts, distance_to, evaluator, fact_names
 from lfield.capability.matching.failure_reasons import failure_reasons
@@ -52,14 +52,14 @@ FACTS: Mapping[str, Value] = {
         ('note == "x" || note != "x"', None),
     ],
 )
-def test_a_condition_is_true_false_or_unknown(text: str, value: bool | None) -> None:
-    assert evaluator(wish(text))(FACTS) is value
+def test_condition_is_true_false_or_unknown(text: str, value: bool | None) -> None:
+    assert evaluator(constraint_of(text))(FACTS) is value
 
 
 @pytest.mark.parametrize("north", [1e200, 1.7e308])
-def test_a_distance_that_no_number_can_hold_is_unknown(north: float) -> None:
+def test_distance_beyond_all_numbers_is_unknown(north: float) -> None:
     facts: dict[str, Value] = {"north": north, "east": 0.0, "down": 0.0}
-    assert evaluator(wish("distance(0.0, 0.0) > 1"))(facts) is None
+    assert evaluator(constraint_of("distance(0.0, 0.0) > 1"))(facts) is None
     assert distance_to(facts, (-1.7e308, 0.0, 0.0)) is None
     between = {f"{part}.{axis}": at for part in ("a", "b") for axis, at in facts.items()} | {"b.north": 0.0}
     assert evaluator(over_parts("distance(a, b) > 1", ["a", "b"]))(between) is None
@@ -88,8 +88,8 @@ def test_a_distance_that_no_number_can_hold_is_unknown(north: float) -> None:
         ("payload >= 1 && ready", []),
     ],
 )
-def test_why_a_condition_is_not_true(text: str, why: list[str]) -> None:
-    assert list(failure_reasons(wish(text), FACTS, lambda name: f"{name} is not stated")) == why
+def test_reasons_of_a_condition_that_is_not_true(text: str, why: list[str]) -> None:
+    assert list(failure_reasons(constraint_of(text), FACTS, lambda name: f"{name} is not stated")) == why
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_why_a_condition_is_not_true(text: str, why: list[str]) -> None:
         ("distance(grip, climb) <= climb.reach", None, "climb.reach is not stated"),
     ],
 )
-def test_a_condition_over_parts(text: str, value: bool | None, why: str | None) -> None:
+def test_condition_over_parts_is_evaluated(text: str, value: bool | None, why: str | None) -> None:
     facts: dict[str, Value] = {
         **{
             "grip.agent": "a1",
@@ -124,7 +124,7 @@ def test_a_condition_over_parts(text: str, value: bool | None, why: str | None) 
     )
 
 
-def test_names_are_those_that_are_looked_at() -> None:
+def test_fact_names_are_those_in_the_expression() -> None:
     expression = over_parts("distance(a, b) < a.reach && a.reach > 1", ["a", "b"])
     assert fact_names(expression) == ("a.north", "a.east", "a.down", "b.north", "b.east", "b.down", "a.reach")
     assert [c.text for c in conjuncts(expression)] == ["distance(a, b) < a.reach", "a.reach > 1"]
@@ -156,8 +156,8 @@ _KNOWN = st.fixed_dictionaries(
 
 
 @given(_CONDITIONS, _KNOWN)
-def test_logic_is_kleenes(condition: Any, facts: dict[str, Value]) -> None:
-    expression = wish(_text(condition))
+def test_logic_is_three_valued_after_kleene(condition: Any, facts: dict[str, Value]) -> None:
+    expression = constraint_of(_text(condition))
     expected = _kleene(condition, facts)
     assert evaluator(expression)(facts) is expected
     told = failure_reasons(expression, facts, lambda name: f"{name} is not stated")

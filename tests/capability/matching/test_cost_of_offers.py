@@ -1,4 +1,4 @@
-"""The cost of an offer is the formula of ranking.py."""
+"""The cost of an offer equals the formula of ranking.py."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
+from small_registry import Crew, candidate, composition, constraint_of, equivalence, provider, registry
 
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry, Weights
@@ -17,17 +17,17 @@ QUIET = provider("Quiet", ["Lift"], payload=2.0, noise=1.0)
 
 
 def costs(made: Registry, *members: Candidate, constraint: str = "") -> dict[str, float]:
-    """The cost of every offer to lift, by agent."""
-    offers = Matcher(made, Crew(*members)).offers("Lift", wish(constraint) if constraint else None)
+    """The cost of every offer for Lift, by agent."""
+    offers = Matcher(made, Crew(*members)).offers("Lift", constraint_of(constraint) if constraint else None)
     return {offer.agent: offer.cost for offer in offers}
 
 
-def test_a_typical_value_costs_a_half() -> None:
+def test_typical_value_costs_one_half() -> None:
     crane, here = candidate("x", "Crane", payload=2.0), candidate("y", "Crane", hops=0, payload=2.0)
     assert costs(registry(CRANE), crane, here) == pytest.approx({"x": 0.5 + 0.1, "y": 0.5})
 
 
-def test_the_better_value_costs_less_whether_more_or_less_is_better() -> None:
+def test_better_value_costs_less_in_both_directions() -> None:
     members = [
         candidate("strong", "Crane"),
         candidate("quiet", "Quiet"),
@@ -39,18 +39,18 @@ def test_the_better_value_costs_less_whether_more_or_less_is_better() -> None:
     assert found["mute"] == pytest.approx((2 / (2 + 2) + 0) / 2 + 0.1)
 
 
-def test_attributes_are_weighed() -> None:
+def test_attributes_are_weighted() -> None:
     weights = Weights(fitness=10.0, hop=0.0, attributes={"payload": 3.0})
     found = costs(registry(QUIET, weights=weights), candidate("x", "Quiet"))
     assert found["x"] == pytest.approx(10 * (3 * 0.5 + 1 * 0.2) / 4)
 
 
-def test_an_attribute_without_weight_does_not_count() -> None:
+def test_attribute_with_weight_zero_does_not_count() -> None:
     weights = Weights(attributes={"payload": 0.0, "noise": 0.0})
     assert costs(registry(QUIET, weights=weights), candidate("x", "Quiet")) == pytest.approx({"x": 0.1})
 
 
-def test_silence_is_no_merit() -> None:
+def test_unknown_value_ranks_between_good_and_bad() -> None:
     found = costs(
         registry(provider("Any", ["Lift"]), agents={"good": {"payload": 6.0}, "bad": {"payload": 0.5}}),
         candidate("silent", "Any"),
@@ -61,7 +61,7 @@ def test_silence_is_no_merit() -> None:
 
 
 @pytest.mark.parametrize(("age", "share"), [(0.0, 0.0), (5.0, 0.5), (10.0, 1.0), (99.0, 1.0)])
-def test_the_age_of_what_is_asked_for_counts(age: float, share: float) -> None:
+def test_age_of_queried_live_values_counts(age: float, share: float) -> None:
     member = candidate("x", "Crane", battery=Fact(1.0, age), east=Fact(0.0, 2.5))
     base = 2 / (2 + 6) + 0.1
     assert costs(registry(CRANE), member) == pytest.approx({"x": base})
@@ -84,7 +84,7 @@ def test_rules_add_their_loss_and_parts_add_up() -> None:
     assert offers[0].score == pytest.approx(1 / 2)
 
 
-def test_ties_go_to_fewer_rules_then_names_then_the_deployment() -> None:
+def test_ties_are_ordered_by_rules_names_and_deployment() -> None:
     types = [provider("A", ["Lift", "Climb"]), provider("B", ["Lift"])]
     rules = [equivalence("y", "Lift", "Climb"), equivalence("x", "Lift", "Climb")]
     crew = Crew(candidate("b1", "B"), candidate("a2", "A"), candidate("a1", "A"))
@@ -95,7 +95,7 @@ def test_ties_go_to_fewer_rules_then_names_then_the_deployment() -> None:
     ]
 
 
-def test_of_equal_cost_one_rule_goes_before_two_whatever_they_are_called() -> None:
+def test_at_equal_cost_fewer_rules_come_first() -> None:
     types = [provider("A", ["Climb"]), provider("B", ["Step"])]
     rules = [
         equivalence("z", "Lift", "Climb"),
@@ -107,7 +107,7 @@ def test_of_equal_cost_one_rule_goes_before_two_whatever_they_are_called() -> No
     assert [offer.agent for offer in offers] == ["one", "two"]
 
 
-def test_of_wholes_that_cost_the_same_the_better_first_part_goes_first() -> None:
+def test_at_equal_cost_the_better_first_part_comes_first() -> None:
     parts = provider("Part", ["Grip", "Climb"])
     both = composition("both", "Lift", {"a": "Grip", "b": "Climb"}, distinct=("a", "b"))
     crew = Crew(candidate("good", "Part", payload=6.0), candidate("bad", "Part", payload=0.5))
@@ -116,7 +116,7 @@ def test_of_wholes_that_cost_the_same_the_better_first_part_goes_first() -> None
     assert offers[0].cost == offers[1].cost
 
 
-def test_nearness_counts_where_the_asker_is_known() -> None:
+def test_distance_counts_when_the_position_of_the_query_is_known() -> None:
     at = {"east": 0.0, "down": -2.0}
     team = [candidate("far", "Crane", north=150.0, **at), candidate("near", "Crane", north=0.0, **at)]
     team += [candidate("lost", "Crane"), candidate("flat", "Crane", north=50.0, east=0.0)]
@@ -131,8 +131,8 @@ def test_nearness_counts_where_the_asker_is_known() -> None:
     assert offer.cost == pytest.approx(base + 0.2 * 0.5)
 
 
-def test_who_never_serves_does_not_count() -> None:
-    """Nor does what is stated of agents of other types, or of types that nobody is of."""
+def test_agents_that_never_serve_do_not_count() -> None:
+    """Attributes of agents of other types, or of types without an agent, do not count either."""
     gripping = provider("Quiet", ["Lift"], when="power == cable", noise=1.0)
     other = provider("Nobody", ["Lift"], reach=1.0)
     made = registry(CRANE, gripping, other, provider("Elsewhere", ["Climb"], noise=3.0))
@@ -145,12 +145,12 @@ def test_who_never_serves_does_not_count() -> None:
     assert costs(made, crane, lost)["x"] == pytest.approx((0.25 + 0.5) / 2)
 
 
-def test_the_terms_of_a_cost_are_the_cost() -> None:
+def test_terms_of_a_cost_add_up_to_the_cost() -> None:
     parts = provider("Part", ["Grip", "Climb"], payload=2.0, noise=1.0)
     both = composition("both", "Reach", {"a": "Grip", "b": "Climb"}, loss=0.5)
     crew = Crew(candidate("x", "Part", battery=Fact(1.0, 4.0), north=3.0, east=4.0), place=(0.0, 0.0, None))
     matcher = Matcher(registry(parts, both, equivalence("one", "Lift", "Reach", loss=0.25)), crew)
-    (offer,) = matcher.offers("Lift", wish("payload > 1 || battery > 0.5 || true"))
+    (offer,) = matcher.offers("Lift", constraint_of("payload > 1 || battery > 0.5 || true"))
 
     def check(one: Offer) -> None:
         terms = sum(term.weight * term.amount for term in one.terms)
@@ -166,7 +166,7 @@ def test_the_terms_of_a_cost_are_the_cost() -> None:
     assert grip.terms[2].amount == pytest.approx(5 / 55)
 
 
-def test_the_order_of_the_registry_makes_no_difference() -> None:
+def test_order_of_the_registry_does_not_matter() -> None:
     types = [provider(f"T{i}", ["Lift", "Grip", "Climb"], payload=0.1 * i, noise=0.7) for i in range(4)]
     rules = [
         *(equivalence(f"e{i}", "Lift", "Climb", loss=0.1) for i in range(3)),
@@ -174,8 +174,8 @@ def test_the_order_of_the_registry_makes_no_difference() -> None:
     ]
     made = registry(*types, *rules)
     crew = Crew(*[candidate(f"x{i}{j}", f"T{i}", reach=0.3 * j) for i in range(4) for j in range(3)])
-    expected = Matcher(made, crew).offers("Lift", wish("payload >= 0.1"))
-    refused = Matcher(made, crew).explain("Lift", wish("payload >= 0.1"))
+    expected = Matcher(made, crew).offers("Lift", constraint_of("payload >= 0.1"))
+    refused = Matcher(made, crew).explain("Lift", constraint_of("payload >= 0.1"))
     shuffle = random.Random(1)
     for _ in range(5):
         mixed = replace(
@@ -185,5 +185,5 @@ def test_the_order_of_the_registry_makes_no_difference() -> None:
                 for section in ("attributes", "primitives", "providers", "equivalences", "compositions")
             },
         )
-        assert Matcher(mixed, crew).offers("Lift", wish("payload >= 0.1")) == expected
-        assert Matcher(mixed, crew).explain("Lift", wish("payload >= 0.1")) == refused
+        assert Matcher(mixed, crew).offers("Lift", constraint_of("payload >= 0.1")) == expected
+        assert Matcher(mixed, crew).explain("Lift", constraint_of("payload >= 0.1")) == refused

@@ -1,9 +1,9 @@
-"""Whoever can do it is found, however many combinations there are; what could not be tried is said."""
+"""All suitable agents are agents_for among any number of combinations; an incomplete search is reported."""
 
 from __future__ import annotations
 
 import pytest
-from small_registry import Crew, candidate, composition, provider, registry, wish
+from small_registry import Crew, candidate, composition, constraint_of, provider, registry
 
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Composition
@@ -20,13 +20,13 @@ def forks_and_carts(rule: Composition, many: int = MANY) -> Matcher:
     return Matcher(registry(FORK, CART, rule), Crew(*forks, *carts))
 
 
-def found(matcher: Matcher, question: str = "") -> list[str]:
-    return [offer.agent for offer in matcher.offers("Haul", wish(question) if question else None)]
+def agents_for(matcher: Matcher, question: str = "") -> list[str]:
+    return [offer.agent for offer in matcher.offers("Haul", constraint_of(question) if question else None)]
 
 
 def test_parts_in_the_same_slot_are_found() -> None:
     matcher = forks_and_carts(composition("pair", "Haul", PAIR, ["fork.note == cart.note"]))
-    who = found(matcher)
+    who = agents_for(matcher)
     assert len(who) == 16
     assert set(who) <= {f"f{i}+c{MANY - 1 - i}" for i in range(MANY)}
     assert matcher.find("Haul").notes == ["pair: only the best 16 combinations are offered"]
@@ -46,27 +46,27 @@ def test_parts_in_the_same_slot_are_found() -> None:
         "fork.payload + cart.payload * 0 == 8 && fork.note == cart.note",
     ],
 )
-def test_a_condition_on_one_part_prunes(where: str) -> None:
-    assert found(forks_and_carts(composition("pair", "Haul", PAIR, [where]))) == ["f7+c392"]
+def test_condition_on_one_part_prunes(where: str) -> None:
+    assert agents_for(forks_and_carts(composition("pair", "Haul", PAIR, [where]))) == ["f7+c392"]
 
 
 @pytest.mark.parametrize(
     "question",
     ['agent == "f7" && agent == "c392"', 'robot == "f7" && agent == "c392" && agent != "f4"'],
 )
-def test_a_question_who_takes_part_prunes(question: str) -> None:
-    assert found(forks_and_carts(composition("pair", "Haul", PAIR)), question) == ["f7+c392"]
+def test_query_for_members_prunes(question: str) -> None:
+    assert agents_for(forks_and_carts(composition("pair", "Haul", PAIR)), question) == ["f7+c392"]
 
 
-def test_a_question_about_the_whole_prunes_its_parts() -> None:
+def test_query_over_the_whole_prunes_its_parts() -> None:
     worth = {"payload": "min(fork.payload, cart.payload)", "noise": "max(fork.payload, cart.payload)"}
     rule = composition("pair", "Haul", PAIR, ["fork.note == cart.note"], **worth)
     matcher = forks_and_carts(rule, 1000)
-    assert sorted(found(matcher, "payload >= 500")) == ["f499+c500", "f500+c499"]
-    assert sorted(found(matcher, "501 >= noise")) == ["f499+c500", "f500+c499"]
+    assert sorted(agents_for(matcher, "payload >= 500")) == ["f499+c500", "f500+c499"]
+    assert sorted(agents_for(matcher, "501 >= noise")) == ["f499+c500", "f500+c499"]
 
 
-def test_a_chain_of_three_is_found_among_a_thousand_million() -> None:
+def test_chain_of_three_is_found_among_a_thousand_million() -> None:
     many = 1000
     types = [FORK, CART, provider("Arm", ["Grip"])]
     rule = composition(
@@ -78,7 +78,7 @@ def test_a_chain_of_three_is_found_among_a_thousand_million() -> None:
     team = [candidate(f"f{i}", "Fork", note=f"slot {i}", payload=1.0 + i) for i in range(many)]
     team += [candidate(f"c{i}", "Cart", note=f"slot {many - 1 - i}", reach=float(i)) for i in range(many)]
     team += [candidate(f"a{i}", "Arm", reach=i + 998.0) for i in range(many)]
-    assert sorted(found(Matcher(registry(*types, rule), Crew(*team)))) == ["f0+a1+c999", "f1+a0+c998"]
+    assert sorted(agents_for(Matcher(registry(*types, rule), Crew(*team)))) == ["f0+a1+c999", "f1+a0+c998"]
 
 
 def test_sets_are_joined_by_a_common_member() -> None:
@@ -86,27 +86,27 @@ def test_sets_are_joined_by_a_common_member() -> None:
     air, water, both = frozenset(["aerial"]), frozenset(["aquatic"]), frozenset(["aerial", "aquatic"])
     team = [candidate(f"f{i}", "Fork", environment=e) for i, e in enumerate((air, water, both, frozenset()))]
     team += [candidate("c", "Cart", environment=air), candidate("d", "Cart")]
-    assert found(Matcher(registry(FORK, CART, rule), Crew(*team))) == ["f0+c", "f2+c"]
+    assert agents_for(Matcher(registry(FORK, CART, rule), Crew(*team))) == ["f0+c", "f2+c"]
 
 
-def test_distinct_parts_are_found_where_all_are_alike() -> None:
+def test_distinct_parts_are_found_among_equal_agents() -> None:
     rule = composition(
         "all", "Haul", {f"p{i}": "Lift" for i in range(6)}, distinct=tuple(f"p{i}" for i in range(6))
     )
     six = Crew(*[candidate(f"f{i}", "Fork", payload=1.0 + i) for i in range(6)])
-    assert len(found(Matcher(registry(FORK, rule), six))) == 16
+    assert len(agents_for(Matcher(registry(FORK, rule), six))) == 16
     five = Crew(*six.members[:5])
-    assert found(Matcher(registry(FORK, rule), five)) == []
+    assert agents_for(Matcher(registry(FORK, rule), five)) == []
 
 
-def test_one_of_two_ways_to_fit_is_found_though_the_other_cannot_be_tried_out() -> None:
+def test_one_alternative_is_found_when_the_other_cannot_be_indexed() -> None:
     rule = composition("pair", "Haul", PAIR, ["fork.note == cart.note || distance(fork, cart) <= fork.reach"])
-    who = found(forks_and_carts(rule, 100))
+    who = agents_for(forks_and_carts(rule, 100))
     assert len(who) == 16
     assert set(who) <= {f"f{99 - i}+c{i}" for i in range(100)}
 
 
-def test_a_rule_may_need_what_it_serves() -> None:
+def test_rule_may_need_the_primitive_that_it_serves() -> None:
     rule = composition("two", "Lift", {"left": "Lift", "right": "Lift"}, distinct=("left", "right"))
     forks = Crew(*[candidate(f"f{i}", "Fork") for i in range(3)])
     offers = Matcher(registry(FORK, rule), forks).offers("Lift")
@@ -114,7 +114,7 @@ def test_a_rule_may_need_what_it_serves() -> None:
     assert [offer.agent for offer in offers] == ["f0", "f1", "f2", *pairs]
 
 
-def test_a_sum_that_could_not_be_tried_out_is_told() -> None:
+def test_incomplete_search_over_a_sum_is_reported() -> None:
     rule = composition("pair", "Haul", PAIR, ["fork.reach - cart.reach == 1234"])
     team = [candidate(f"f{i}", "Fork", reach=1.0 + i) for i in range(100)]
     team += [candidate(f"c{i}", "Cart", reach=1.0 + i) for i in range(100)]

@@ -1,7 +1,7 @@
-"""The matcher against an oracle that tries everything, on small random registries.
+"""The matcher compared with an exhaustive search, on small random registries.
 
-The oracle knows conditions as tuples and computes costs by the formula of ranking.py written out again; it
-shares no code with the matcher but the data it is given.
+The oracle has conditions as tuples and computes costs by the formula of ranking.py independently; it
+shares only the data with the matcher.
 """
 
 from __future__ import annotations
@@ -15,7 +15,16 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_registry import ATTRIBUTES, Crew, candidate, composition, equivalence, provider, registry, wish
+from small_registry import (
+    ATTRIBUTES,
+    Crew,
+    candidate,
+    composition,
+    constraint_of,
+    equivalence,
+    provider,
+    registry,
+)
 
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.matching.plan_search import SearchLimits
@@ -43,7 +52,7 @@ class World:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the oracle finds: a name of its own for the whole tree, and the same things as an offer has."""
+    """A result of the oracle: a name for the whole tree, and the facts of an offer."""
 
     tree: str
     cost: float
@@ -109,12 +118,12 @@ def worlds(draw: st.DrawFn) -> World:
 
 
 def holds(condition: Condition, facts: Mapping[str, float]) -> bool:
-    """Whether all of it is stated and true."""
+    """Whether every comparison is known and true."""
     return all(name in facts and COMPARE[sign](facts[name], value) for name, sign, value in condition)
 
 
 def facts_of(world: World, member: Candidate) -> dict[str, float]:
-    """What is known of an agent."""
+    """The known facts of an agent."""
     own = {name: fact.value for name, fact in member.facts.items()}
     return {**world.registry.providers[member.type].attributes, **own}  # type: ignore[dict-item]  # numbers only
 
@@ -140,7 +149,7 @@ def agent_cost(world: World, primitive: str, member: Candidate) -> float:
 def everything(
     world: World, primitive: str, depth: int, passed: frozenset[str], used: frozenset[str]
 ) -> Iterator[Plan]:
-    """Every plan there is; `passed` are the primitives of the chain, `used` the compositions above."""
+    """Every plan; `passed` are the primitives of the chain, `used` the compositions above."""
     for member in world.crew.members:
         if primitive in world.registry.providers[member.type].serves and not member.refusal:
             cost = agent_cost(world, primitive, member)
@@ -183,7 +192,7 @@ def combined(world: World, rule: Composition, depth: int, used: frozenset[str]) 
 
 
 def tree_of(offer: Offer) -> str:
-    """An offer's own name for its whole tree."""
+    """The same name of a tree for an offer."""
     return f"{offer.rule}({','.join(map(tree_of, offer.parts.values()))})" if offer.parts else offer.agent
 
 
@@ -191,7 +200,7 @@ def tree_of(offer: Offer) -> str:
 @given(worlds(), _PRIMITIVE, _CONDITION)
 def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, condition: Condition) -> None:
     matcher = Matcher(world.registry, world.crew, limits=EVERYTHING)
-    offers = matcher.offers(primitive, wish(text_of(condition)) if condition else None)
+    offers = matcher.offers(primitive, constraint_of(text_of(condition)) if condition else None)
     nothing = frozenset[str]()
     plans = [p for p in everything(world, primitive, DEPTH, nothing, nothing) if holds(condition, p.facts)]
     expected = sorted((plan.tree, pytest.approx(plan.cost)) for plan in plans)
@@ -202,12 +211,12 @@ def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, co
 
 @settings(deadline=None, max_examples=80)
 @given(worlds(), _PRIMITIVE, _CONDITION)
-def test_of_each_composition_the_cheapest_plan_is_offered(
+def test_cheapest_plan_of_each_composition_is_offered(
     world: World, primitive: str, condition: Condition
 ) -> None:
     limits = SearchLimits(depth=DEPTH, per_rule=1, offers=10**6)
     offers = Matcher(world.registry, world.crew, limits=limits).offers(
-        primitive, wish(text_of(condition)) if condition else None
+        primitive, constraint_of(text_of(condition)) if condition else None
     )
     nothing = frozenset[str]()
     plans = [p for p in everything(world, primitive, DEPTH, nothing, nothing) if holds(condition, p.facts)]
@@ -225,21 +234,21 @@ def bottom(tree: str) -> str:
 
 @settings(deadline=None, max_examples=80)
 @given(worlds(), _PRIMITIVE, _CONDITION)
-def test_everybody_is_offered_or_refused_with_a_true_reason(
+def test_every_agent_is_offered_or_refused_with_a_true_reason(
     world: World, primitive: str, condition: Condition
 ) -> None:
     matcher = Matcher(world.registry, world.crew, limits=EVERYTHING)
-    constraint = wish(text_of(condition)) if condition else None
+    constraint = constraint_of(text_of(condition)) if condition else None
     offers, refusals = matcher.offers(primitive, constraint), matcher.explain(primitive, constraint)
-    told = {refusal.subject: refusal for refusal in refusals}
-    assert len(told) == len(refusals)
+    by_subject = {refusal.subject: refusal for refusal in refusals}
+    assert len(by_subject) == len(refusals)
     direct = {offer.agent for offer in offers if offer.kind == "direct"}
     for member in world.crew.members:
         if primitive in world.registry.providers[member.type].serves:
-            assert (member.agent in direct) is not (member.agent in told)
+            assert (member.agent in direct) is not (member.agent in by_subject)
     by_rule = {offer.rule for offer in offers}
     for rule in rules_for(world, primitive):
-        refusal = told.get(rule.name)
+        refusal = by_subject.get(rule.name)
         assert rule.name in by_rule or refusal is not None
         if refusal is not None and refusal.reasons[0].startswith("no "):
             assert rule.name not in by_rule
@@ -260,7 +269,7 @@ def flat(refusals: tuple[Rejection, ...] | list[Rejection]) -> Iterator[Rejectio
 
 
 def is_true(world: World, subject: str, reason: str) -> bool:
-    """Whether what is said of an agent holds; of others, whether a comparison does in itself."""
+    """Whether a statement about an agent is true; for others, whether the comparison is true."""
     members = {member.agent: member for member in world.crew.members}
     compared = re.fullmatch(r"(\w+) ([\d.]+) (<|<=|>|>=) ([\d.]+)", reason)
     if compared:

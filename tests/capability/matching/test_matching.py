@@ -1,9 +1,9 @@
-"""Who is offered, in which order, and what is said of those who are not."""
+"""Offers, their order, and the explanations of refusals."""
 
 from __future__ import annotations
 
 import pytest
-from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
+from small_registry import Crew, candidate, composition, constraint_of, equivalence, provider, registry
 
 from lfield.capability.matching.explanation import render_refusals
 from lfield.capability.matching.matcher import Matcher
@@ -26,16 +26,18 @@ GRIP_AND_CLIMB = composition(
 
 
 def brief(offers: list[Offer]) -> list[str]:
-    """Offers in a word each."""
+    """Offers in short form."""
     return [f"{offer.way} {offer.agent}" for offer in offers]
 
 
 def explained(matcher: Matcher, primitive: str, constraint: str = "") -> list[str]:
     """The lines of an explanation."""
-    return render_refusals(matcher.explain(primitive, wish(constraint) if constraint else None)).splitlines()
+    return render_refusals(
+        matcher.explain(primitive, constraint_of(constraint) if constraint else None)
+    ).splitlines()
 
 
-def test_agents_are_offered_directly_with_their_own_facts_before_those_of_their_type() -> None:
+def test_direct_offers_prefer_own_facts_to_those_of_the_type() -> None:
     crew = Crew(candidate("crane1", "Crane", "truck"), candidate("crane2", "Crane", payload=2.5))
     matcher = Matcher(registry(CRANE), crew)
     first, second = matcher.offers("Lift")
@@ -45,11 +47,13 @@ def test_agents_are_offered_directly_with_their_own_facts_before_those_of_their_
     assert first.facts["payload"] == Fact(50.0)
     assert second.facts["payload"] == Fact(2.5)
     assert not first.parts
-    assert [offer.agent for offer in matcher.offers("Lift", wish("payload < 3"))] == ["crane2"]
-    assert [o.agent for o in matcher.offers("Lift", wish('robot == "truck" && agent != "x"'))] == ["crane1"]
+    assert [offer.agent for offer in matcher.offers("Lift", constraint_of("payload < 3"))] == ["crane2"]
+    assert [o.agent for o in matcher.offers("Lift", constraint_of('robot == "truck" && agent != "x"'))] == [
+        "crane1"
+    ]
 
 
-def test_an_equivalent_offer_shows_what_stands_behind_it() -> None:
+def test_equivalent_offer_shows_its_part() -> None:
     crew = Crew(candidate("c1", "Copter"), candidate("c2", "Copter", payload=0.1))
     (offer,) = Matcher(registry(COPTER, CLIMB_LIFTS), crew).offers("Lift")
     assert (offer.kind, offer.way, offer.rule) == ("equivalent", "as_climb_lifts", "climb-lifts")
@@ -59,7 +63,7 @@ def test_an_equivalent_offer_shows_what_stands_behind_it() -> None:
     assert offer.cost == pytest.approx(behind.cost + 2.0 * 0.3)
 
 
-def test_a_composition_takes_its_parts_by_their_conditions_and_computes_what_it_is_worth() -> None:
+def test_composition_selects_its_parts_and_computes_its_attributes() -> None:
     crew = Crew(candidate("arm1", "Arm"), candidate("c1", "Copter"), candidate("arm2", "Arm", payload=0.01))
     (offer,) = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew).offers("Lift")
     assert (offer.kind, offer.way, offer.agent, offer.host) == (
@@ -71,7 +75,7 @@ def test_a_composition_takes_its_parts_by_their_conditions_and_computes_what_it_
     assert offer.cost == grip.cost + climb.cost + 2.0 * 0.5 + 0.5
 
 
-def test_one_agent_may_be_two_parts_unless_a_condition_forbids_it() -> None:
+def test_one_agent_may_be_two_parts_unless_forbidden() -> None:
     crew = Crew(candidate("r1", "Rover"))
     free = composition("alone", "Lift", {"grip": "Grip", "climb": "Climb"})
     matcher = Matcher(registry(ROVER, GRIP_AND_CLIMB, free), crew)
@@ -82,14 +86,14 @@ def test_one_agent_may_be_two_parts_unless_a_condition_forbids_it() -> None:
     ]
 
 
-def test_the_agents_of_a_whole_are_all_judged() -> None:
+def test_constraint_applies_to_all_agents_of_a_whole() -> None:
     crew = Crew(candidate("arm1", "Arm"), candidate("c1", "Copter"), candidate("c2", "Copter"))
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew)
-    assert brief(matcher.offers("Lift", wish('agent != "c1"'))) == ["of_grip_and_climb arm1+c2"]
-    assert brief(matcher.offers("Lift", wish('robot == "c1"'))) == ["of_grip_and_climb arm1+c1"]
+    assert brief(matcher.offers("Lift", constraint_of('agent != "c1"'))) == ["of_grip_and_climb arm1+c2"]
+    assert brief(matcher.offers("Lift", constraint_of('robot == "c1"'))) == ["of_grip_and_climb arm1+c1"]
 
 
-def test_what_a_rule_does_not_state_of_the_whole_is_not_stated() -> None:
+def test_attribute_without_a_rule_is_unknown_for_the_whole() -> None:
     crew = Crew(candidate("arm1", "Arm", reach=1.0), candidate("c1", "Copter", reach=1.0))
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew)
     assert explained(matcher, "Lift", "reach > 0.5") == [
@@ -98,7 +102,7 @@ def test_what_a_rule_does_not_state_of_the_whole_is_not_stated() -> None:
     ]
 
 
-def test_a_where_may_name_what_the_whole_is_worth() -> None:
+def test_where_may_use_attributes_of_the_whole() -> None:
     both = composition(
         "both", "Lift", {"a": "Grip", "b": "Climb"}, ["payload >= 0.3"], payload="a.payload - b.payload"
     )
@@ -107,7 +111,7 @@ def test_a_where_may_name_what_the_whole_is_worth() -> None:
     assert brief(matcher.offers("Lift")) == ["of_both arm2+c1"]
 
 
-def test_why_the_worth_of_a_whole_is_not_known() -> None:
+def test_reason_of_an_unknown_attribute_of_a_whole() -> None:
     both = composition("both", "Lift", {"a": "Grip", "b": "Climb"}, noise="a.noise + b.noise")
     crew = Crew(candidate("arm1", "Arm", noise=1.0), candidate("c1", "Copter"))
     matcher = Matcher(registry(ARM, COPTER, both), crew)
@@ -138,7 +142,7 @@ def test_parts_within_reach_of_each_other() -> None:
     ]
 
 
-def test_rules_stand_on_rules_up_to_the_limit() -> None:
+def test_rules_are_chained_up_to_the_limit() -> None:
     rules = [equivalence(f"r{i}", f"P{i}", f"P{i + 1}", loss=0.1) for i in range(4)]
     top = equivalence("top", "Top", "P0")
     crew = Crew(candidate("x", "Type"))
@@ -149,7 +153,7 @@ def test_rules_stand_on_rules_up_to_the_limit() -> None:
     assert explained(matcher, "Top")[-1].strip() == "r3: at most 4 rules are chained"
 
 
-def test_a_composition_counts_as_a_rule_above_its_parts() -> None:
+def test_composition_counts_as_one_rule_of_the_depth() -> None:
     one = composition("one", "Lift", {"a": "Climb"})
     two = composition("two", "Climb", {"a": "Step"})
     made = registry(provider("Stepper", ["Step"]), one, two, equivalence("top", "Top", "Lift"))
@@ -158,7 +162,7 @@ def test_a_composition_counts_as_a_rule_above_its_parts() -> None:
         assert brief(Matcher(made, crew, limits=SearchLimits(depth=depth)).offers("Top")) == found
 
 
-def test_a_part_may_be_composed_itself() -> None:
+def test_part_may_be_composed_itself() -> None:
     inner = composition("inner", "Climb", {"one": "Step", "two": "Step"}, ["one.agent != two.agent"])
     crew = Crew(candidate("arm1", "Arm"), candidate("s1", "Stepper"), candidate("s2", "Stepper"))
     types = [ARM, provider("Stepper", ["Step"])]
@@ -167,7 +171,7 @@ def test_a_part_may_be_composed_itself() -> None:
     assert brief(offers) == ["of_outer arm1+s1+s2", "of_outer arm1+s2+s1"]
 
 
-def test_rules_in_a_circle_end() -> None:
+def test_cyclic_rules_end() -> None:
     types = [provider("A", ["P"]), provider("B", ["Q"])]
     there, back = equivalence("there", "P", "Q", loss=0.1), equivalence("back", "Q", "P", loss=0.1)
     itself = composition("itself", "P", {"one": "P", "two": "Q"})
@@ -187,7 +191,7 @@ def test_one_subsumption_does_not_follow_another() -> None:
     assert brief(matcher.offers("Move")) == ["as_Retrieve_is_Move a"]
 
 
-def test_a_provider_may_serve_on_a_condition() -> None:
+def test_provider_may_serve_on_a_condition() -> None:
     crew = Crew(candidate("c1", "Copter", power="cable"), candidate("c2", "Copter", power="battery"))
     matcher = Matcher(registry(provider("Copter", ["Climb"], when="power == battery")), crew)
     assert brief(matcher.offers("Climb")) == ["byCopter c2"]
@@ -207,25 +211,25 @@ def test_a_provider_may_serve_on_a_condition() -> None:
         (candidate("x", "Crane", battery=Fact(0.1, 1.0)), "x: battery 0.1 <= 0.5"),
     ],
 )  # fmt: skip
-def test_why_an_agent_is_not_offered(member: object, line: str) -> None:
+def test_reason_why_an_agent_is_not_offered(member: object, line: str) -> None:
     matcher = Matcher(registry(CRANE), Crew(member))  # type: ignore[arg-type]  # a parameter
-    assert matcher.offers("Lift", wish("payload >= 2.0 && battery > 0.5")) == []
+    assert matcher.offers("Lift", constraint_of("payload >= 2.0 && battery > 0.5")) == []
     assert explained(matcher, "Lift", "payload >= 2.0 && battery > 0.5") == [line]
 
 
-def test_what_is_too_old_does_not_fall_back_to_the_type() -> None:
+def test_outdated_value_does_not_fall_back_to_the_type() -> None:
     crew = Crew(candidate("x", "Car", battery=Fact(0.9, 30.0)))
     matcher = Matcher(registry(provider("Car", ["Move"], battery=0.7)), crew)
-    assert matcher.offers("Move", wish("battery > 0.1")) == []
+    assert matcher.offers("Move", constraint_of("battery > 0.1")) == []
     assert "battery" not in matcher.offers("Move")[0].facts
 
 
-def test_the_explanation_goes_into_rules() -> None:
+def test_explanation_descends_into_rules() -> None:
     crew = Crew(
         candidate("c1", "Copter", payload=0.1), candidate("arm1", "Arm", refusal="its devices failed")
     )
     matcher = Matcher(registry(CRANE, ARM, COPTER, CLIMB_LIFTS, GRIP_AND_CLIMB), crew)
-    assert matcher.offers("Lift", wish("payload >= 1")) == []
+    assert matcher.offers("Lift", constraint_of("payload >= 1")) == []
     assert explained(matcher, "Lift", "payload >= 1") == [
         "climb-lifts: no Climb",
         "  c1: payload 0.1 < 0.2; payload 0.1 < 1",
@@ -234,18 +238,18 @@ def test_the_explanation_goes_into_rules() -> None:
     ]
 
 
-def test_what_a_rule_asks_for_is_told_once() -> None:
+def test_explanation_of_a_primitive_is_given_once() -> None:
     rules = [equivalence("one", "Lift", "Climb"), equivalence("two", "Lift", "Climb")]
     matcher = Matcher(registry(COPTER, *rules), Crew(candidate("c1", "Copter", refusal="gone")))
     assert explained(matcher, "Lift") == ["one: no Climb", "  c1: gone", "two: no Climb", "  Climb: as above"]
 
 
-def test_a_rule_that_is_open_to_everybody_is_not_refused() -> None:
+def test_rule_that_accepts_every_agent_is_not_refused() -> None:
     rules = [equivalence("one", "Lift", "Climb"), equivalence("two", "Lift", "Climb")]
     assert explained(Matcher(registry(COPTER, *rules), Crew(candidate("c1", "Copter"))), "Lift") == []
 
 
-def test_a_rule_that_is_not_open_to_everybody_says_to_whom() -> None:
+def test_rule_that_excludes_agents_names_them() -> None:
     crew = Crew(candidate("c1", "Copter"), candidate("c2", "Copter", payload=0.1))
     assert explained(Matcher(registry(COPTER, CLIMB_LIFTS), crew), "Lift") == [
         "climb-lifts: not with every Climb",
@@ -262,7 +266,7 @@ def test_only_the_ways_of_the_program_are_offered() -> None:
     assert brief(Matcher(everything, crew, {"Lift": ["as_climb_lifts"]}).offers("Lift")) == []
 
 
-def test_the_best_of_each_composition_are_offered_and_the_limit_is_told() -> None:
+def test_best_combinations_are_offered_and_the_limit_is_noted() -> None:
     arms = [candidate(f"arm{i}", "Arm", payload=0.5 + i) for i in range(5)]
     crew = Crew(*arms, candidate("c1", "Copter"))
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew, limits=SearchLimits(per_rule=2))
@@ -271,19 +275,19 @@ def test_the_best_of_each_composition_are_offered_and_the_limit_is_told() -> Non
     assert matcher.find("Lift").notes == ["grip-and-climb: only the best 2 combinations are offered"]
 
 
-def test_the_best_32_are_offered_and_all_are_counted() -> None:
+def test_best_32_are_offered_and_all_are_counted() -> None:
     cranes = [candidate(f"crane{i}", "Crane", payload=1.0 + i) for i in range(40)]
     matcher = Matcher(registry(CRANE), Crew(*cranes))
     assert brief(matcher.offers("Lift")) == [f"byCrane crane{i}" for i in range(39, 7, -1)]
     assert matcher.count("Lift") == 40
     assert (
-        matcher.count("Lift", wish("payload > 39.5"))
-        == len(matcher.offers("Lift", wish("payload > 39.5")))
+        matcher.count("Lift", constraint_of("payload > 39.5"))
+        == len(matcher.offers("Lift", constraint_of("payload > 39.5")))
         == 1
     )
 
 
-def test_a_search_that_was_given_up_says_so() -> None:
+def test_search_stopped_at_its_limit_is_reported() -> None:
     crew = Crew(*[candidate(f"r{i}", "Rover") for i in range(5)])
     never = composition("never", "Lift", {"a": "Grip", "b": "Climb"}, ["a.payload > b.payload"])
     matcher = Matcher(registry(ROVER, never), crew, limits=SearchLimits(combinations=3))
@@ -295,11 +299,11 @@ def test_a_search_that_was_given_up_says_so() -> None:
     assert len(lines) == 1 + 16
 
 
-def test_a_query_asks_each_type_once_and_sees_what_changed() -> None:
+def test_query_asks_each_type_once_and_sees_changes() -> None:
     crew = Crew(candidate("c1", "Copter"), candidate("c2", "Copter"))
     matcher = Matcher(registry(COPTER, CLIMB_LIFTS), crew)
     assert len(matcher.offers("Lift")) == 2
-    # Who is of a type is asked once more, by the ranking, and never again.
+    # The ranking asks once more for the agents of the type.
     assert crew.asked == 2
     crew.members[0] = candidate("c1", "Copter", payload=0.1)
     assert brief(matcher.offers("Lift")) == ["as_climb_lifts c2"]
@@ -308,7 +312,7 @@ def test_a_query_asks_each_type_once_and_sees_what_changed() -> None:
     assert matcher.offers("Lift") == []
 
 
-def test_nobody_knows_the_primitive() -> None:
+def test_unknown_primitive_has_no_offers() -> None:
     matcher = Matcher(registry(CRANE), Crew(candidate("crane1", "Crane")))
     assert matcher.offers("Fly") == []
     assert matcher.explain("Fly") == []

@@ -1,4 +1,4 @@
-"""The guide to capabilities, carried out by trying everything: written from its text, not from the code."""
+"""The guide to capabilities as an exhaustive search: written from its text, not from the code."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Facts = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Way:
-    """Somebody who can do it. `rules` lead down to the agent or the whole; `end` is which, and its parts."""
+    """One result. `rules` lead down to the agent or the whole; `end` is its number, or its parts."""
 
     tree: str
     cost: float
@@ -30,7 +30,7 @@ class Way:
 
     @property
     def place(self) -> tuple[Any, ...]:
-        """Where it comes in the ranking."""
+        """Its position in the ranking."""
         return (self.cost, len(self.rules), self.rules, self.end)
 
     @property
@@ -41,23 +41,23 @@ class Way:
 # --- conditions ----------------------------------------------------------------------------------------
 
 
-def worth(tree: Tree, facts: Facts) -> Any:
-    """A number, a truth or a text; None: not known."""
+def value_of(tree: Tree, facts: Facts) -> Any:
+    """A number, a truth value or a text; None: unknown."""
     match tree:
         case ("is", name):
             return facts.get(name)
         case ("number" | "word", value):
             return value
         case ("!", operand):
-            value = worth(operand, facts)
+            value = value_of(operand, facts)
             return None if value is None else not value
         case ("call", "distance", *arguments):
             return _distance(arguments, facts)
         case ("call", function, *arguments):
-            values = [worth(argument, facts) for argument in arguments]
+            values = [value_of(argument, facts) for argument in arguments]
             return None if None in values else {"min": min, "max": max}[function](values)
         case (sign, left, right):
-            return _joined(sign, worth(left, facts), worth(right, facts))
+            return _joined(sign, value_of(left, facts), value_of(right, facts))
     raise ValueError(tree)
 
 
@@ -101,7 +101,7 @@ def _distance(arguments: Sequence[Tree], facts: Facts) -> float | None:
         (_, one), (_, other) = arguments
         pairs = [(facts.get(f"{one}.{axis}"), facts.get(f"{other}.{axis}")) for axis in AXES]
     else:
-        wanted = [worth(argument, facts) for argument in arguments]
+        wanted = [value_of(argument, facts) for argument in arguments]
         pairs = [(facts.get(axis), value) for axis, value in zip(AXES, wanted, strict=False)]
     if any(None in pair for pair in pairs):
         return None
@@ -120,7 +120,7 @@ def mentioned(tree: Tree) -> set[str]:
     return set().union(*(mentioned(part) for part in tree[1:] if isinstance(part, tuple)))
 
 
-# --- everybody -----------------------------------------------------------------------------------------
+# --- all results --------------------------------------------------------------------------------------
 
 
 class Oracle:
@@ -145,7 +145,7 @@ class Oracle:
     # --- agents -----------------------------------------------------------------------------------------
 
     def facts(self, name: str, type: str, host: str, primitive: str = "") -> dict[str, Any]:
-        """What is known of an agent: the agent's own before the device's, the primitive's and the type's."""
+        """The facts of an agent: its own before those of the device, the primitive and the type."""
         provider, own = self.world.providers[type], self.world.agents.get(name, {})
         found = {**provider["attributes"], **provider["serves"].get(primitive, {}).get("attributes", {})}
         for attribute in provider["live"]:
@@ -158,7 +158,7 @@ class Oracle:
         return {**found, **sets, "agent": name, "robot": host, "host": host}
 
     def rated(self, primitive: str) -> list[str]:
-        """What counts in the fitness."""
+        """The attributes that count in the fitness."""
         found: set[str] = set()
         for name, type, host in self.world.team:
             if self._ever_serves(name, type, host, primitive):
@@ -175,9 +175,10 @@ class Oracle:
         if when is None:
             return True
         measured = set(self.world.providers[type]["live"]) - set(self.world.agents.get(name, {}))
-        # Each `when` of these worlds is about one attribute, and a device could tell any value of it.
+        # Each `when` of these worlds is about one attribute, and a device could report any value of it.
         return (
-            bool(mentioned(when) & measured) or worth(when, self.facts(name, type, host, primitive)) is True
+            bool(mentioned(when) & measured)
+            or value_of(when, self.facts(name, type, host, primitive)) is True
         )
 
     def cost(self, name: str, type: str, host: str, primitive: str) -> float:
@@ -212,16 +213,16 @@ class Oracle:
         passed: frozenset[str] = frozenset(),
         around: frozenset[str] = frozenset(),
     ) -> Iterator[Way]:
-        """Everybody who serves a primitive, by so many rules at most.
+        """All results for a primitive, by at most `depth` rules.
 
-        `passed` are the primitives of the chain, `around` the rules of the wholes that it is part of.
+        `passed` are the primitives of the chain, `around` the rules of the enclosing wholes.
         """
         for number, (name, type, host) in enumerate(self.world.team):
             served = self.world.providers[type]["serves"].get(primitive)
             if served is None or name in self.world.refused:
                 continue
             facts = self.facts(name, type, host, primitive)
-            if served.get("when") is None or worth(served["when"], facts) is True:
+            if served.get("when") is None or value_of(served["when"], facts) is True:
                 cost = self.cost(name, type, host, primitive)
                 yield Way(name, cost, facts, frozenset([name]), (), (number,))
         if depth == 0:
@@ -229,7 +230,7 @@ class Oracle:
         for rule, said in self.world.one_to_one.items():
             if said["serves"] == primitive and said["by"] not in passed | {primitive}:
                 for way in self.ways(said["by"], depth - 1, passed | {primitive}, around):
-                    if said.get("when") is None or worth(said["when"], way.facts) is True:
+                    if said.get("when") is None or value_of(said["when"], way.facts) is True:
                         cost = round(way.cost + self.weights["loss"] * said["loss"], 9)
                         tree = f"{rule}({way.tree})"
                         yield Way(tree, cost, way.facts, way.agents, (rule, *way.rules), way.end)
@@ -243,7 +244,9 @@ class Oracle:
         choices = []
         for need in said["needs"].values():
             found = self.ways(need["capability"], depth, around=around)
-            choices.append([w for w in found if need["when"] is None or worth(need["when"], w.facts) is True])
+            choices.append(
+                [w for w in found if need["when"] is None or value_of(need["when"], w.facts) is True]
+            )
         for parts in product(*choices):
             whole = self._whole(rule, said, dict(zip(said["needs"], parts, strict=True)))
             if whole is not None:
@@ -255,9 +258,9 @@ class Oracle:
             if parts[one].agents & parts[other].agents:
                 return None
         of_parts = {f"{part}.{key}": value for part, way in parts.items() for key, value in way.facts.items()}
-        facts = {name: worth(tree, of_parts) for name, tree in said["attributes"].items()}
+        facts = {name: value_of(tree, of_parts) for name, tree in said["attributes"].items()}
         facts = {name: value for name, value in facts.items() if value is not None}
-        if any(worth(where, {**of_parts, **facts}) is not True for where in said["where"]):
+        if any(value_of(where, {**of_parts, **facts}) is not True for where in said["where"]):
             return None
         for name in ("agent", "robot", "host"):
             every = [way.facts[name] for way in parts.values()]
@@ -271,11 +274,13 @@ class Oracle:
 
     # --- answers ----------------------------------------------------------------------------------------
 
-    def everybody(self) -> list[Way]:
-        """Everyone who is offered, best first, whatever the limit."""
+    def all_ways(self) -> list[Way]:
+        """All offers, best first, without the limit."""
         wanted = self.asked.condition
         found = self.ways(self.asked.primitive)
-        ways = sorted((w for w in found if wanted is None or worth(wanted, w.facts) is True), key=self._place)
+        ways = sorted(
+            (w for w in found if wanted is None or value_of(wanted, w.facts) is True), key=self._place
+        )
         best, given = [], dict.fromkeys(self.world.one_to_many, 0)
         for way in ways:
             whole = way.rules[-1] if way.rules and way.rules[-1] in given else None
@@ -288,18 +293,18 @@ class Oracle:
     def _place(self, way: Way) -> tuple[Any, ...]:
         keys = []
         for tree, descending in self.asked.order:
-            value = worth(tree, way.facts)
+            value = value_of(tree, way.facts)
             keys.append((value is None, 0 if value is None else -value if descending else value))
         return (*keys, way.place)
 
     def offers(self) -> list[Way]:
         """The answer of a find."""
-        return self.everybody()[: self.asked.limit or MOST]
+        return self.all_ways()[: self.asked.limit or MOST]
 
     def teams(self) -> list[tuple[Way, ...]]:
         """The answer of a find for teams."""
         members: dict[frozenset[str], Way] = {}
-        for way in self.everybody():
+        for way in self.all_ways():
             members.setdefault(way.agents, way)
         found = []
         for numbers in combinations(range(len(members)), self.asked.size):

@@ -1,7 +1,7 @@
-"""Registries and teams drawn at random, as plain data: what the guide calls them, and nothing of the code.
+"""Registries and teams drawn at random, as plain data in the terms of the guide, without the code.
 
-A world is made of what stands in YAML, and of what the devices tell. Conditions are nested tuples, which are
-written as text for the registry and evaluated by the oracle in its own way.
+A world has the content of the YAML file and the reports of the devices. Conditions are nested tuples, which
+are written as text for the registry and evaluated independently by the oracle.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Tree = tuple[Any, ...]
 
 @dataclass
 class World:
-    """A registry as its sections, its team, what is told, and questions."""
+    """A registry as its sections, its team, and the reports."""
 
     providers: dict[str, dict[str, Any]] = field(default_factory=dict)
     one_to_one: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class World:
 
 @dataclass
 class Asked:
-    """A question; `host` is where it is asked, `size` how many make a team."""
+    """A question; `host` is where it is asked, `size` the number of members of a team."""
 
     primitive: str
     host: str
@@ -61,7 +61,7 @@ class Asked:
 
     @property
     def text(self) -> str:
-        """As it is written."""
+        """Its text."""
         said = [] if self.condition is None else [written(self.condition)]
         if self.order:
             keys = (f"{written(tree)}{' desc' if descending else ''}" for tree, descending in self.order)
@@ -159,7 +159,7 @@ def _join(made: World, rng: random.Random, name: str) -> None:
 
 
 def _whole(rng: random.Random, served: list[str]) -> dict[str, Any]:
-    """A rule with parts, most often such that somebody serves."""
+    """A rule with parts, usually such that agents serve them."""
     needs = {
         part: {
             "capability": rng.choice(served if rng.random() < 0.8 else PRIMITIVES),
@@ -233,7 +233,7 @@ def condition(rng: random.Random, depth: int) -> Tree:
 
 
 def question(made: World, rng: random.Random) -> Asked:
-    """A question to such a world, most often for what some rule serves."""
+    """A question to such a world, usually for a primitive that a rule serves."""
     rules = (*made.one_to_one.values(), *made.one_to_many.values(), *made.one_to_many.values())
     ruled = [rule["serves"] for rule in rules]
     keys: list[Tree] = [

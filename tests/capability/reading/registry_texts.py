@@ -1,4 +1,4 @@
-"""Registries as plain data: read from YAML, or made at random so that the reader accepts them."""
+"""Registries as plain data: read from YAML, or drawn at random such that the reader accepts them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _plain(node: YamlNode) -> object:
     return node.value
 
 
-#: Names that are no words of L, no reserved ones, and none of the base.
+#: Names that are no keywords of L, not reserved, and not in the base.
 _SMALL = st.sampled_from(["amber", "birch", "cedarWood", "delta_9", "ebony", "fir", "gorse"])
 _LARGE = st.sampled_from(["Amber", "Birch", "CedarWood", "Delta9", "Ebony"])
 _RULES = st.sampled_from(["amber", "birch-bends", "cedar-9", "delta-and-ebony"])
@@ -47,7 +47,7 @@ _VALUES: dict[str, st.SearchStrategy[Any]] = {
 
 
 def _some(**optional: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
-    """A mapping that may lack any of its keys."""
+    """A mapping in which any key may be absent."""
     return st.fixed_dictionaries({}, optional=optional)
 
 
@@ -136,7 +136,7 @@ def _rules() -> st.SearchStrategy[dict[str, Any]]:
 
 
 def registries() -> st.SearchStrategy[dict[str, Any]]:
-    """A file that the reader accepts beside the base of the golden files."""
+    """A file that the reader accepts together with the base of the golden files."""
     terms = st.dictionaries(
         st.sampled_from(["skill.sewing", "skill.sailing", "perception"]),
         st.one_of(st.none(), _some(name=_SENTENCES, meaning=_SENTENCES, deprecated=st.just("skill.lifting"))),

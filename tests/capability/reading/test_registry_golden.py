@@ -1,4 +1,4 @@
-"""Golden registries: every message of the table at its place, and nothing else."""
+"""Golden registries: every message of the table at its place, and no other."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from lfield.capability.registry_reader.registry_files import check_files
 
 CASES = sorted(path for path in (GOLDEN / "errors").iterdir())
 
-#: Told of a file that is too long to be golden; test_registry_hostile.py has it.
+#: Reported for a file that is too long to be golden; test_registry_hostile.py tests it.
 LONG = {"C101"}
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda p: p.stem)
-def test_a_registry_has_exactly_the_expected_diagnostics(case: Path) -> None:
+def test_registry_has_exactly_the_expected_diagnostics(case: Path) -> None:
     assert_exactly(case)
 
 
@@ -26,7 +26,7 @@ def test_every_code_has_a_golden_case() -> None:
         assert case.stem[:4] in {code for *_, code, _ in expected(case)}, case.name
 
 
-def test_the_base_of_all_cases_is_read_without_a_word() -> None:
+def test_base_of_all_cases_has_no_diagnostics() -> None:
     registry, found = check_files([BASE])
     assert [d.render() for d in found] == []
     assert registry is not None

@@ -1,4 +1,4 @@
-"""Registries that mean harm: findings, never a traceback, in bounded time."""
+"""Malicious registries: findings, never a traceback, in bounded time."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from lfield.capability.registry_reader.registry_builder import MAX_ENTRIES
 from lfield.capability.registry_reader.registry_files import check_files
 from lfield.text.yaml_source import MAX_BYTES
 
-#: Processor seconds that no file may take: a hundred times what a big and good one does.
-PATIENCE = 30.0
+#: Upper bound in CPU seconds: a hundred times the time of a large valid file.
+MAX_CPU_SECONDS = 30.0
 
 
 def codes(tmp_path: Path, content: str | bytes) -> list[str]:
-    """The codes that are told of a file, in order; never an exception, and never for long."""
+    """The codes of the findings in a file, in order, without an exception and within the time limit."""
     path = tmp_path / "hostile.yaml"
     path.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "surrogatepass"))
     began = time.process_time()
     registry, found = check_files([BASE, path])
-    assert time.process_time() - began < PATIENCE
+    assert time.process_time() - began < MAX_CPU_SECONDS
     for diagnostic in found:
         assert diagnostic.render()
     assert (registry is None) == any(d.severity == "error" for d in found)
@@ -74,7 +74,7 @@ BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
         ("text", "Y112"),
     ],
 )  # fmt: skip
-def test_what_means_harm_is_refused(tmp_path: Path, text: str, code: str) -> None:
+def test_malicious_registry_is_refused(tmp_path: Path, text: str, code: str) -> None:
     assert code in codes(tmp_path, text)
 
 
@@ -83,23 +83,23 @@ def test_other_encodings_are_refused(tmp_path: Path, encoding: str) -> None:
     assert set(codes(tmp_path, "registry: 1\ntaxonomy: {}  # é\n".encode(encoding))) & {"Y109", "Y101"}
 
 
-def test_a_byte_order_mark_is_no_harm(tmp_path: Path) -> None:
+def test_byte_order_mark_is_accepted(tmp_path: Path) -> None:
     assert codes(tmp_path, "\ufeffregistry: 1\n") == []
 
 
-def test_a_section_of_too_many(tmp_path: Path) -> None:
+def test_section_with_too_many_entries_is_refused(tmp_path: Path) -> None:
     terms = "".join(f"  skill.t{n}: {{}}\n" for n in range(MAX_ENTRIES + 100))
     assert codes(tmp_path, f"registry: 1\ntaxonomy:\n{terms}") == ["C101"]
 
 
-def test_a_tree_as_deep_as_names_allow(tmp_path: Path) -> None:
+def test_deepest_possible_taxonomy_is_read(tmp_path: Path) -> None:
     ids = [".".join(["a"] * depth) for depth in range(1, 41)]
     terms = "".join(f"  {id}: {{}}\n" for id in ids)
     prims = "".join(f"  P{n}: {{id: {id}, portals: {{p: {{}}}}}}\n" for n, id in enumerate(ids * 5))
     assert codes(tmp_path, f"registry: 1\ntaxonomy:\n{terms}primitives:\n{prims}") == []
 
 
-def test_a_ring_of_thousands(tmp_path: Path) -> None:
+def test_cycle_of_thousands_of_rules_is_found(tmp_path: Path) -> None:
     count = 2000
     source = GOLDEN / "L" / "grip_and_climb.L"
     text = "registry: 1\nprimitives:\n"
@@ -177,7 +177,7 @@ _WORDS = st.sampled_from(
 
 @settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.lists(_WORDS, max_size=60).map("".join), st.binary(max_size=300)))
-def test_anything_at_all(tmp_path: Path, content: str | bytes) -> None:
+def test_any_text_or_bytes_give_findings(tmp_path: Path, content: str | bytes) -> None:
     codes(tmp_path, content)
 
 
@@ -231,7 +231,7 @@ _TREES = st.recursive(
         ),
     )
 )
-def test_anything_of_the_right_words(tmp_path: Path, document: object) -> None:
+def test_any_structure_of_known_keys_gives_findings(tmp_path: Path, document: object) -> None:
     codes(tmp_path, flow(document))
 
 

@@ -1,4 +1,4 @@
-"""What the reader makes of good files, and of a mission's beside them."""
+"""Valid registry files, and the files of missions that extend them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ providers:
 
 @pytest.fixture
 def write(tmp_path: Path):
-    """Writes a file of a registry."""
+    """Write a registry file."""
 
     def written(text: str, name: str = "more.yaml") -> Path:
         path = tmp_path / name
@@ -49,7 +49,7 @@ def write(tmp_path: Path):
     return written
 
 
-def told(found: list[Diagnostic]) -> list[str]:
+def places_of(found: list[Diagnostic]) -> list[str]:
     return [f"{d.code} {d.span.line}:{d.span.column} {d.span.text}" for d in found]
 
 
@@ -60,7 +60,7 @@ def good(*files: Path, mission: Path | None = None) -> Registry:
     return registry
 
 
-def test_a_provider_in_si(write) -> None:
+def test_provider_values_are_converted_to_si(write) -> None:
     crane = good(write(CRANE)).providers["Crane"]
     assert crane.include == "can/crane.L"
     assert crane.attributes == {
@@ -89,17 +89,17 @@ def test_a_provider_in_si(write) -> None:
     assert mapped.result == Argument(factor=0.01)
 
 
-def test_a_portal_left_out_is_served_by_its_like(write) -> None:
+def test_unmapped_portal_is_served_by_the_same_name(write) -> None:
     mapped = good(write(CRANE)).providers["Crane"].serves["Grip"].portals["grip"]
     assert (mapped.target, mapped.arguments, mapped.result) == ("grip", (), None)
 
 
-def test_another_id_of_a_term_means_the_term(write) -> None:
+def test_alias_of_a_term_means_the_term(write) -> None:
     text = "registry: 1\nprimitives:\n  Raise: {id: skill.raising, portals: {up: {}}}\n"
     assert good(write(text)).primitives["Raise"].id == "skill.lifting"
 
 
-def test_a_term_out_of_use_leads_to_the_one_in_use(write) -> None:
+def test_deprecated_term_is_replaced_with_a_warning(write) -> None:
     text = "registry: 1\nprimitives:\n  Raise: {id: skill.hoisting, portals: {up: {}}}\n"
     registry, found = check_files([BASE, write(text)])
     assert registry is not None
@@ -107,7 +107,7 @@ def test_a_term_out_of_use_leads_to_the_one_in_use(write) -> None:
     assert [(d.severity, d.hint) for d in found] == [("warning", "write skill.lifting")]
 
 
-def test_another_id_of_a_term_out_of_use_leads_there_too(write) -> None:
+def test_alias_of_a_deprecated_term_is_replaced(write) -> None:
     text = (
         "registry: 1\ntaxonomy:\n  skill.heaving: {aliases: [skill.hauling], deprecated: skill.raising}\n"
         "primitives:\n  Haul: {id: skill.hauling, portals: {up: {}}}\n"
@@ -137,9 +137,9 @@ primitives:
 """
 
 
-def test_the_specific_serves_the_general(write) -> None:
+def test_specific_primitive_serves_the_general_one(write) -> None:
     rules = good(write(GENTLE)).equivalences
-    # LiftSlowly lacks a portal of LiftGently, LiftByTime means something else by the same name.
+    # LiftSlowly lacks a portal of LiftGently; LiftByTime has another meaning for the same portal name.
     assert set(rules) == {"LiftGently-is-Lift", "LiftSlowly-is-Lift"}
     rule = rules["LiftGently-is-Lift"]
     assert (rule.serves, rule.by, rule.loss, rule.when) == ("Lift", "LiftGently", 0.0, None)
@@ -148,7 +148,7 @@ def test_the_specific_serves_the_general(write) -> None:
     assert ways.equivalent(rule.name) == "as_LiftGently_is_Lift"
 
 
-def test_a_mission_joins_ours(write) -> None:
+def test_mission_file_extends_the_shipped_registry(write) -> None:
     mission = write(
         """
 registry: 1
@@ -186,7 +186,7 @@ ranking:
     assert registry.terms["skill.lifting"].aliases == ("skill.raising", "skill.heaving")
 
 
-def test_a_mission_replaces_a_rule(write) -> None:
+def test_mission_replaces_a_rule(write) -> None:
     rule = "{serves: Lift, by: Climb, portals: {lift: {portal: climb, emit: {parameter: height}}}, loss: %s}"
     ours = write(f"registry: 1\nequivalences:\n  up: {rule % 0.1}\n")
     source = GOLDEN / "L" / "grip_and_climb.L"
@@ -201,7 +201,7 @@ def test_a_mission_replaces_a_rule(write) -> None:
     assert registry.compositions["up"].source == source
 
 
-def test_mistakes_in_an_expression_stand_at_their_characters(write) -> None:
+def test_errors_in_an_expression_are_located_in_the_file(write) -> None:
     text = """registry: 1
 providers:
   A: {serves: {Lift: {when: payload >= 1 && paylod < 3}}}
@@ -210,7 +210,7 @@ providers:
   D: {serves: {Lift: {when: "payload >= 1 \\u0026& paylod < 3"}}}
 """
     _, found = check_files([BASE, write(text)])
-    assert told(found) == [
+    assert places_of(found) == [
         "C154 3:45 paylod",
         "C154 4:46 paylod",
         "C154 5:46 paylod",
@@ -218,7 +218,7 @@ providers:
     ]
 
 
-def test_everything_wrong_in_all_files_is_told_in_one_run(write) -> None:
+def test_errors_of_all_files_are_reported_in_one_run(write) -> None:
     files = [
         write("registry: 1\ntaxonomy: {a.b: {}}\n", "a.yaml"),
         write("registry: 1\nproviders: {X: {serves: {Lfit: {}}, colour: red}}\n", "b.yaml"),
@@ -230,12 +230,12 @@ def test_everything_wrong_in_all_files_is_told_in_one_run(write) -> None:
     assert [d.code for d in caught.value.diagnostics] == ["C110", "C130", "Y111", "Y103", "C121", "C124"]
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_missing_registry_file_is_an_input_file_error(tmp_path: Path) -> None:
     with pytest.raises(InputFileError):
         read_registry([tmp_path / "none.yaml"])
 
 
-def test_what_is_shipped_is_read_without_a_word() -> None:
+def test_shipped_registry_has_no_diagnostics() -> None:
     registry, found = check_files()
     assert [d.render() for d in found] == []
     assert registry is not None
@@ -245,7 +245,7 @@ def test_what_is_shipped_is_read_without_a_word() -> None:
 # --- digest -------------------------------------------------------------------------------------------
 
 
-def test_the_digest_is_that_of_what_is_meant(write) -> None:
+def test_digest_ignores_notation_and_order_of_files(write) -> None:
     digest = good(write(CRANE)).digest
     assert len(digest) == 32
     same = "# a comment\n" + CRANE.replace("include:", "meaning: it lifts\n    include:").replace(
@@ -270,12 +270,12 @@ def test_the_digest_is_that_of_what_is_meant(write) -> None:
         ("constant: fast", "constant: slow"),
     ],
 )
-def test_the_digest_changes_with_what_changes_an_answer(write, old: str, new: str) -> None:
+def test_digest_changes_when_answers_change(write, old: str, new: str) -> None:
     assert old in CRANE
     assert good(write(CRANE)).digest != good(write(CRANE.replace(old, new), "other.yaml")).digest
 
 
-def test_the_digest_knows_the_order_of_needs(write) -> None:
+def test_digest_depends_on_the_order_of_needs(write) -> None:
     def rule(needs: str) -> str:
         source = GOLDEN / "L" / "grip_and_climb.L"
         return (
@@ -291,7 +291,7 @@ def test_the_digest_knows_the_order_of_needs(write) -> None:
 # --- places -------------------------------------------------------------------------------------------
 
 
-def test_a_finding_is_drawn_with_a_caret_and_a_hint(write) -> None:
+def test_finding_is_rendered_with_a_caret_and_a_hint(write) -> None:
     path = write("registry: 1\nproviders:\n  Crane: {attributes: {paylod: 3}}\n")
     _, found = check_files([BASE, path])
     assert [d.render() for d in found] == [
@@ -302,6 +302,6 @@ def test_a_finding_is_drawn_with_a_caret_and_a_hint(write) -> None:
     ]
 
 
-def test_no_portal_may_be_named_like_what_offers_tell_of_themselves():
+def test_method_names_of_offers_are_reserved_for_portals():
     offer = parse_file(prelude(), Diagnostics()).units[0]
     assert {method.name for method in offer.methods if method.public} == OFFER_METHODS

@@ -1,4 +1,4 @@
-"""The published schema and the reader: what we accept the schema accepts, what it refuses we refuse."""
+"""The published schema and the reader: the schema accepts whatever the reader accepts."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def faults(document: object) -> list[str]:
     return [f"{list(e.absolute_path)}: {e.message}" for e in VALIDATOR.iter_errors(document)]
 
 
-def test_the_schema_is_one() -> None:
+def test_schema_is_valid() -> None:
     Draft202012Validator.check_schema(SCHEMA)
 
 
 @pytest.mark.parametrize("path", [*shipped(), BASE], ids=lambda p: p.stem)
-def test_what_is_shipped_fits_the_schema(path: Path) -> None:
+def test_shipped_files_fit_the_schema(path: Path) -> None:
     assert faults(plain(path.read_text(encoding="utf-8"))) == []
 
 
-def test_the_schema_lists_what_the_reader_knows() -> None:
+def test_schema_lists_the_names_that_the_reader_knows() -> None:
     known = SCHEMA["$defs"]
     assert set(known["valueType"]["enum"]) == set(PORTAL_TYPES)
     assert set(known["portal"]["properties"]["effect"]["enum"]) == set(get_args(Effect))
@@ -53,8 +53,8 @@ def test_the_schema_lists_what_the_reader_knows() -> None:
     assert {*weights, *ranking} - {"weights"} == set(Weights.__dataclass_fields__)
 
 
-def test_nothing_may_be_added_anywhere() -> None:
-    """Every mapping of the schema says which keys it has."""
+def test_schema_allows_no_additional_keys() -> None:
+    """Every mapping of the schema lists its keys."""
     open_ended = []
     waiting: list[tuple[str, Any]] = [("", SCHEMA)]
     while waiting:
@@ -70,7 +70,7 @@ def test_nothing_may_be_added_anywhere() -> None:
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(registries())
-def test_what_the_reader_accepts_the_schema_accepts(tmp_path: Path, document: dict[str, Any]) -> None:
+def test_registry_accepted_by_the_reader_fits_the_schema(tmp_path: Path, document: dict[str, Any]) -> None:
     file = tmp_path / "registry.yaml"
     file.write_text(json.dumps(document), encoding="utf-8")
     registry, found = check_files([BASE, file])
@@ -78,7 +78,7 @@ def test_what_the_reader_accepts_the_schema_accepts(tmp_path: Path, document: di
     assert faults(document) == []
 
 
-#: A registry with something of everything.
+#: A registry with one entry of each kind.
 WHOLE: dict[str, Any] = {
     "registry": 1,
     "taxonomy": {"skill.sewing": {"name": "Sewing", "aliases": ["skill.stitching"]}},
@@ -119,7 +119,7 @@ WHOLE: dict[str, Any] = {
     "ranking": {"weights": {"loss": 1.0}, "attributes": {"payload": 2.0}},
 }
 
-#: Where to change it, and to what; ... takes the key away.
+#: Place and new value; ... removes the key.
 MUTATIONS: list[tuple[str, object]] = [
     ("registry", 2),
     ("registry", "1"),
@@ -210,19 +210,19 @@ def mutated(place: str, value: object) -> dict[str, Any]:
 
 
 def read(tmp_path: Path, document: dict[str, Any]) -> bool:
-    """Whether the reader accepts it, in whichever order its keys stand."""
+    """Whether the reader accepts it."""
     file = tmp_path / "registry.yaml"
     file.write_text(json.dumps(document), encoding="utf-8")
     return check_files([BASE, file])[0] is not None
 
 
-def test_the_whole_is_accepted_by_both(tmp_path: Path) -> None:
+def test_complete_registry_is_accepted_by_reader_and_schema(tmp_path: Path) -> None:
     assert faults(WHOLE) == []
     assert read(tmp_path, WHOLE)
 
 
 @pytest.mark.parametrize(("place", "value"), MUTATIONS, ids=[f"{p}={v!r}" for p, v in MUTATIONS])
-def test_both_refuse(tmp_path: Path, place: str, value: object) -> None:
+def test_invalid_change_is_refused_by_reader_and_schema(tmp_path: Path, place: str, value: object) -> None:
     document = mutated(place, value)
     assert faults(document) != []
     assert not read(tmp_path, document)
@@ -230,7 +230,7 @@ def test_both_refuse(tmp_path: Path, place: str, value: object) -> None:
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_no_change_is_accepted_by_us_and_refused_by_the_schema(tmp_path: Path, data: st.DataObject) -> None:
+def test_change_accepted_by_the_reader_fits_the_schema(tmp_path: Path, data: st.DataObject) -> None:
     document, node = copy.deepcopy(WHOLE), None
     node = document
     while isinstance(node, dict) and node:

@@ -1,4 +1,4 @@
-"""Circles through needs, against a search that tries everything."""
+"""Cycles through needs, compared with an exhaustive search."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from lfield.capability.registry_reader.registry_files import check_files
 SOURCE = GOLDEN / "L" / "grip_and_climb.L"
 NAMES = [f"P{n}" for n in range(6)]
 
-#: What is served, and by whom; a rule of several needs all of them, as one that is composed does.
+#: The served primitive, the serving ones, and whether the rule is composed (and needs all of them).
 Rule = tuple[str, list[str], bool]
 
-#: What is served, what serves it, and by which rule.
+#: The served primitive, the serving one, and the rule.
 Edge = tuple[str, str, str]
 
 _NAME = st.sampled_from(NAMES)
@@ -28,7 +28,7 @@ _RULES = st.lists(
 
 
 def registry(rules: list[Rule]) -> tuple[str, set[Edge], set[tuple[str, str]]]:
-    """The YAML of some rules, the edges with their rules, and those of them that are needs."""
+    """The YAML of some rules, the edges with their rules, and the edges that are needs."""
     text = "registry: 1\ntaxonomy: {skill: {}}\nprimitives:\n"
     text += "".join(f"  {name}: {{id: skill, portals: {{p: {{}}}}}}\n" for name in NAMES)
     text += "equivalences:\n" if rules else ""
@@ -55,14 +55,14 @@ def reachable(edges: set[Edge], start: str) -> set[str]:
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(_RULES)
-def test_every_circle_through_a_need_and_no_other(
+def test_exactly_the_cycles_through_a_need_are_found(
     tmp_path: Path, rules: list[tuple[str, list[str], bool]]
 ) -> None:
     text, edges, needs = registry(rules)
     file = tmp_path / "rules.yaml"
     file.write_text(text, encoding="utf-8")
     _, found = check_files([file])
-    told = set()
+    reported = set()
     for diagnostic in found:
         assert diagnostic.code == "C152"
         path = diagnostic.message.partition(": ")[2].split(" -> ")
@@ -72,9 +72,9 @@ def test_every_circle_through_a_need_and_no_other(
         assert nodes[0][0] == nodes[-1][0]
         for (before, _), (after, rule) in pairwise(nodes):
             assert (before, after, rule) in edges
-        told.add(nodes[1])
+        reported.add(nodes[1])
     serves = {rule: source for source, _, rule in edges}
-    assert told == {
+    assert reported == {
         (need, rule)
         for need, rule in needs
         if need != serves[rule] and serves[rule] in reachable(edges, need)

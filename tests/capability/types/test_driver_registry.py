@@ -1,4 +1,4 @@
-"""What a driver's package says of the resource types that it brings, and providers that are nobody's."""
+"""Registry files of a driver's package, and providers without a resource type."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LORRY = """resource Lorry {
     portal synchronized raise(real metres) emit real { return metres; }
 }
 """
-SAID = """registry: 1
+REGISTRY = """registry: 1
 providers:
   Lorry:
     include: hall/lorry.L
@@ -38,12 +38,12 @@ providers:
 
 @pytest.fixture
 def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The package of a driver that brings a resource type, and says in a registry file what that can do."""
+    """The package of a driver with a resource type and a registry file for it."""
     package = tmp_path / "lfield_hall"
     (package / "L").mkdir(parents=True)
     (package / "__init__.py").touch()
     (package / "L" / "lorry.L").write_text(LORRY)
-    (package / "capabilities.yaml").write_text(SAID)
+    (package / "capabilities.yaml").write_text(REGISTRY)
     monkeypatch.syspath_prepend(str(tmp_path))
     plugin = Plugin("hall", "lfield_hall", "lfield_hall.driver:None", manifests=())
     known = Plugins({"hall": InstalledPlugin("hall", "lfield_hall:PLUGIN", {}, {}, "", plugin=plugin)})
@@ -56,13 +56,13 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_what_a_driver_says_of_its_types_counts_in_every_mission(hall: Path) -> None:
+def test_registry_of_a_driver_applies_to_every_mission(hall: Path) -> None:
     registry = load_mission(hall / "m.dL").registry
     assert registry is not None
     assert registry.providers["Lorry"].attributes == {"payload": 2000.0}
 
 
-def test_a_mission_adds_to_it(hall: Path) -> None:
+def test_mission_overrides_the_registry_of_a_driver(hall: Path) -> None:
     (hall / "m.capabilities.yaml").write_text(
         "registry: 1\nproviders: {Lorry: {attributes: {payload: 5.0}}}\n"
     )
@@ -71,16 +71,16 @@ def test_a_mission_adds_to_it(hall: Path) -> None:
     assert registry.providers["Lorry"].attributes == {"payload": 5.0}
 
 
-def test_two_drivers_that_say_the_same_of_a_type_are_told(hall: Path) -> None:
+def test_two_drivers_that_define_one_type_are_reported(hall: Path) -> None:
     package = hall.parent / "lfield_hall" / "capabilities.yaml"
     other = hall / "capabilities.yaml"
-    other.write_text(SAID)
+    other.write_text(REGISTRY)
     _, found = check_files(libraries=[package, other])
     assert [finding.code for finding in found] == ["C104"]
 
 
 @pytest.mark.parametrize("name", ["Lory", "lorry", "LORRY"])
-def test_a_provider_that_is_no_type_of_the_program_is_told(hall: Path, name: str, capsys) -> None:
+def test_provider_without_a_resource_type_is_an_error(hall: Path, name: str, capsys) -> None:
     mission = hall / "m.capabilities.yaml"
     mission.write_text(f"registry: 1\nproviders: {{{name}: {{attributes: {{payload: 5.0}}}}}}\n")
     with pytest.raises(ProgramError) as caught:
@@ -91,7 +91,7 @@ def test_a_provider_that_is_no_type_of_the_program_is_told(hall: Path, name: str
     assert main(["capabilities", "check", str(mission)]) == 65
 
 
-def test_an_include_that_nobody_brings_is_told(hall: Path) -> None:
+def test_unknown_include_is_an_error(hall: Path) -> None:
     mission = hall / "m.capabilities.yaml"
     mission.write_text("registry: 1\nproviders: {Barge: {include: hall/barge.L}}\n")
     with pytest.raises(ProgramError) as caught:
@@ -99,7 +99,7 @@ def test_an_include_that_nobody_brings_is_told(hall: Path) -> None:
     assert [finding.code for finding in caught.value.diagnostics] == ["C176"]
 
 
-def test_the_stock_registry_includes_only_what_is_there() -> None:
+def test_stock_registry_includes_existing_files() -> None:
     from lfield.driver.plugins import discover
 
     plugins = discover()

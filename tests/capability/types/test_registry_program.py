@@ -1,4 +1,4 @@
-"""The registry that comes with lfield against the resources and manifests that come with it."""
+"""The shipped registry compared with the shipped resources and manifests."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def registry_of(tmp_path: Path, provider: str) -> Registry:
     return registry
 
 
-def test_signatures() -> None:
+def test_signatures_of_a_program() -> None:
     units = signatures()
     assert units["Crane"] == Signature(
         "Crane",
@@ -93,14 +93,14 @@ def test_signatures() -> None:
         ("{portal: grip, arguments: [], emit: {unit: m}}", ["C146"]),
     ],
 )
-def test_a_mapped_call_against_the_program(tmp_path: Path, mapped: str, codes: list[str]) -> None:
+def test_mapped_call_is_checked_against_the_program(tmp_path: Path, mapped: str, codes: list[str]) -> None:
     registry = registry_of(tmp_path, f"{{serves: {{Lift: {{portals: {{lift: {mapped}}}}}}}}}")
     found = Diagnostics()
     check_against(registry, signatures(), found)
     assert [d.code for d in found.in_order()] == codes
 
 
-def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> None:
+def test_live_attribute_is_converted_from_the_unit_of_its_manifest(tmp_path: Path) -> None:
     registry = registry_of(
         tmp_path, "{live: {battery: fc.battery, heat: {from: fc.heat, unit: K}, down: 'fc.position[2]'}}"
     )
@@ -113,11 +113,11 @@ def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> N
         "heat": (1.0, -273.15),
         "down": (1.0, 0.0),
     }
-    # What the file says of its unit counts, also against the manifest; another program's types stay.
+    # The unit in the file takes precedence over the manifest; types of other programs are unchanged.
     assert convert_live_units(registry, {}, {}, found) == registry
 
 
-def test_what_does_not_fit_is_left_out(tmp_path: Path) -> None:
+def test_live_attribute_of_an_unknown_device_is_dropped_with_a_finding(tmp_path: Path) -> None:
     registry = registry_of(tmp_path, "{live: {battery: fc.battery, heat: other.heat}}")
     found = Diagnostics()
     settled = convert_live_units(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
@@ -127,13 +127,13 @@ def test_what_does_not_fit_is_left_out(tmp_path: Path) -> None:
 
 def test_every_unit_of_a_driver_is_known() -> None:
     devices = discover().device_types.values()
-    told = {quantity.unit for device in devices for quantity in device.telemetry}
+    reported = {quantity.unit for device in devices for quantity in device.telemetry}
     taken = {p.unit for device in devices for i in device.instructions for p in i.parameters}
-    assert [unit for unit in told | taken if not is_unit(unit)] == []
-    assert "°C" in told
+    assert [unit for unit in reported | taken if not is_unit(unit)] == []
+    assert "°C" in reported
 
 
-def test_what_we_ship_fits_what_we_ship() -> None:
+def test_shipped_registry_fits_the_shipped_resources() -> None:
     registry, found = read_registry(), Diagnostics()
     files = [parse_file(Source(str(path), path.read_text(encoding="utf-8")), found) for path in SOURCES]
     units = signatures_of(files)
@@ -145,7 +145,7 @@ def test_what_we_ship_fits_what_we_ship() -> None:
     assert set(registry.providers) <= set(units)
 
 
-#: A mission that asks for nothing; what it says of its crane is looked at all the same.
+#: A mission without queries; its registry file is checked all the same.
 MISSION = """
 resource Crane {
     init(string[] arg) { }
@@ -174,7 +174,7 @@ RULE = """equivalences:
     ],
 )
 @pytest.mark.parametrize("compiled", [False, True])
-def test_what_a_mission_adds_fits_its_program_whatever_that_asks_for(
+def test_registry_of_a_mission_is_checked_without_queries(
     tmp_path: Path, added: str, codes: list[str], compiled: bool
 ) -> None:
     (tmp_path / "mission.L").write_text(MISSION)
@@ -189,7 +189,7 @@ def test_what_a_mission_adds_fits_its_program_whatever_that_asks_for(
     assert [mistake.code for mistake in raised.value.diagnostics] == codes
 
 
-def test_what_is_not_fulfilled_is_not_in_the_registry_of_the_hosts(tmp_path: Path) -> None:
+def test_unsatisfied_entries_are_not_in_the_registry_of_the_hosts(tmp_path: Path) -> None:
     registry = registry_of(
         tmp_path,
         "{serves: {Lift: {portals: {lift: secret}}, Grip: {}}, live: {battery: gone()}}",

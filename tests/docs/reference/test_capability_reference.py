@@ -1,4 +1,4 @@
-"""The reference of the registry is that of the files, and has all that is in them."""
+"""The reference page of the registry is current and complete."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from lfield.capability.registry_reader.registry_files import read_registry
 REGISTRY = read_registry()
 
 
-def test_the_page_is_current() -> None:
+def test_capability_page_is_current() -> None:
     assert capability_reference.PAGE.read_text(encoding="utf-8") == capability_reference.page(REGISTRY), (
         "run: python tests/docs/reference/capability_reference.py --write"
     )
 
 
-def test_the_page_has_everything() -> None:
+def test_capability_page_has_every_entry() -> None:
     text = capability_reference.page(REGISTRY)
     cells = [*REGISTRY.terms, *REGISTRY.attributes, *REGISTRY.equivalences]
     assert [cell for cell in cells if f"\n| `{cell}` |" not in text] == []
@@ -23,7 +23,7 @@ def test_the_page_has_everything() -> None:
     assert [heading for heading in headings if f"\n### {heading}\n" not in text] == []
 
 
-def test_a_stock_resource_type_serves_every_primitive() -> None:
+def test_stock_resource_types_serve_every_primitive() -> None:
     text = capability_reference.page(REGISTRY)
     unserved = {
         section.partition("\n")[0]

@@ -1,4 +1,4 @@
-"""The language reference says what the front end does."""
+"""The language reference agrees with the front end."""
 
 import re
 
@@ -10,7 +10,7 @@ from lfield.lang.scanner import KEYWORDS
 DOCUMENT = PAGE.read_text(encoding="utf-8")
 
 
-def test_the_generated_table_is_current() -> None:
+def test_generated_library_table_is_current() -> None:
     assert updated(DOCUMENT) == DOCUMENT, "run: python tests/docs/reference/language_reference.py --write"
 
 

@@ -1,4 +1,4 @@
-"""The page of the thesis names tests that exist, all of the appendices, and the opcodes of the machine."""
+"""The page of the thesis names existing tests, all productions of the appendix, and all opcodes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ INSTRUCTIONS = {
     "J.9": "write_int write_float write_str array_len str_concat i2f f2i yield s2i s2f",
     "J.10": "find findall",
 }
-#: Characters are no type of L.
+#: L has no character type.
 OF_CHARACTERS = {"eqc", "slec", "sgec", "snec", "sltc", "sgtc"}
-#: What a row may say, each with whether it needs a test.
+#: Possible states of a row, each with whether it needs a test.
 STATES = {
     "implemented": True,
     "implemented differently": True,
@@ -93,7 +93,7 @@ def cases(path: Path, function: str) -> set[str]:
 
 
 def missing(name: str, monkeypatch: pytest.MonkeyPatch) -> str:
-    """What does not exist of `file::function[case]`; '' if all does."""
+    """The missing part of `file::function[case]`; '' if all exists."""
     file, _, rest = name.partition("::")
     function, _, case = rest.partition("[")
     path = ROOT / file
@@ -130,12 +130,12 @@ def test_each_test_exists(table: list[Row], monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_each_production_of_the_grammar_has_a_row(table: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tests/lang"))
-    productions = cases(ROOT / "tests/lang/test_thesis_grammar.py", "test_production")
+    productions = cases(ROOT / "tests/lang/test_thesis_grammar.py", "test_production_compiles")
     assert len(productions) == 42
     assert productions <= {row.cells.get("item", "").strip("`") for row in table}
 
 
-def test_the_opcodes_are_those_of_the_machine(table: list[Row]) -> None:
+def test_opcodes_equal_those_of_the_machine(table: list[Row]) -> None:
     printed = {(number, name) for number, names in INSTRUCTIONS.items() for name in names.split()}
     shown = {
         (row.cells["table"], row.cells["instruction"].strip("`")): row
@@ -155,11 +155,13 @@ def test_the_opcodes_are_those_of_the_machine(table: list[Row]) -> None:
     [
         ("tests/golden/programs/arrays.L", ""),
         ("tests/golden/programs/nothing.L", "tests/golden/programs/nothing.L"),
-        ("tests/lang/test_thesis_grammar.py::test_production", ""),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles", ""),
         ("tests/lang/test_thesis_grammar.py::test_nothing", "test_nothing"),
-        ("tests/lang/test_thesis_grammar.py::test_production[PARAM]", ""),
-        ("tests/lang/test_thesis_grammar.py::test_production[NOTHING]", "NOTHING]"),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles[PARAM]", ""),
+        ("tests/lang/test_thesis_grammar.py::test_production_compiles[NOTHING]", "NOTHING]"),
     ],
 )
-def test_what_does_not_exist_is_found(name: str, part: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_file_function_or_case_is_found(
+    name: str, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert missing(name, monkeypatch) == part

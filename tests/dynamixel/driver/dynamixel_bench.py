@@ -1,4 +1,4 @@
-"""The bench of the Dynamixel driver: the fake chain at the other end of a port in memory."""
+"""A bench for the Dynamixel driver: the fake chain at the other end of a port in memory."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lfield_sim.dynamixel.servo_chain import ServoChain
 from lfield_sim.dynamixel.servo_model import model_named
 
 BAUD = 1_000_000
-#: Seconds before an answer, as from the factory.
+#: Seconds before an answer, the factory setting.
 RETURN_DELAY = 500e-6
 START = 1000.0
 
 
 class MemoryPort:
-    """A port whose other end is the fake; replies come when the wire has carried them."""
+    """A port whose other end is the fake; replies arrive after their transmission time."""
 
     baud, latency = BAUD, 0.0
 
@@ -29,7 +29,7 @@ class MemoryPort:
         self.sent: list[tuple[float, bytes]] = []
 
     def join(self, endpoint: str, events: Any, note: Any) -> MemoryPort:
-        """The port as the driver makes it."""
+        """The port, in place of the one that the driver would make."""
         self.events = events
         return self
 
@@ -62,7 +62,7 @@ class MemoryPort:
 
 
 class Bench(DriverBench):
-    """A chain of fakes, and a driver with one device for them, or more by `extra`."""
+    """A chain of fakes, and a driver with one device for them; `extra` adds devices."""
 
     def __init__(
         self, *ids: int, fake: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
@@ -90,7 +90,7 @@ class Bench(DriverBench):
 
     @property
     def sent(self) -> list[tuple[float, bytes]]:
-        """What the driver has sent, with the times."""
+        """The packets that the driver has sent, with their times."""
         return self.port.sent
 
     def fault(self, *texts: str) -> None:
@@ -98,5 +98,5 @@ class Bench(DriverBench):
 
 
 def call(device: Any, instruction: str, *arguments: object) -> Any:
-    """An instruction as the guard carries it out."""
+    """Execute an instruction as the guard does."""
     return device.execute(instruction, arguments)

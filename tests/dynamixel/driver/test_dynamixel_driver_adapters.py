@@ -26,7 +26,7 @@ def bench(protocol: int, *ids: int, **more) -> Bench:
 
 
 def twin(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3) -> None:
-    """Another servo with an id that is there already."""
+    """Add a servo with an id that is already on the bus."""
     first = b.servos[number]
     servo = make_servo(model_named(first.model.name), START)
     for name in ("id", "baud_rate"):
@@ -40,7 +40,7 @@ def twin(b: Bench, number: int, *, delay: int | None = None, angle: float = 0.3)
 
 @pytest.mark.parametrize("ids", [(1,), (1, 2, 3)])
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_an_adapter_with_an_echo_is_used_as_one_without(protocol, ids):
+def test_echoing_adapter_is_used_like_one_without_echo(protocol, ids):
     b = bench(protocol, *ids, limits={"speed": 2.0})
     b.fault("echo=true")
 
@@ -61,8 +61,8 @@ def test_an_adapter_with_an_echo_is_used_as_one_without(protocol, ids):
 
 
 @pytest.mark.parametrize("damaged", [1, 2])
-def test_a_damaged_first_echo_hides_no_echo(damaged):
-    """The first bytes after a port was opened may be anything."""
+def test_damaged_first_echo_does_not_hide_the_echo(damaged):
+    """The first bytes after a port was opened are arbitrary."""
     b = bench(1, 1)
     b.fault("echo=true")
     left = [damaged]
@@ -86,7 +86,7 @@ def test_a_damaged_first_echo_hides_no_echo(damaged):
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_without_an_echo_nothing_is_said_of_it(protocol):
+def test_adapter_without_echo_gives_no_echo_note(protocol):
     b = bench(protocol, 1)
 
     async def story(servo):
@@ -97,7 +97,7 @@ def test_without_an_echo_nothing_is_said_of_it(protocol):
 
 
 @pytest.mark.parametrize("protocol", [0, 1, 2])
-def test_an_echo_is_no_servo(protocol):
+def test_echo_is_not_taken_for_a_servo(protocol):
     b = bench(protocol, 1)
     b.fault("echo=true", "dead@1=true")
 
@@ -109,7 +109,7 @@ def test_an_echo_is_no_servo(protocol):
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_a_servo_that_dies_behind_an_echo_is_missed_and_found(protocol):
+def test_dead_servo_behind_an_echo_is_reported_and_found_again(protocol):
     b = bench(protocol, 1)
     b.fault("echo=true")
 
@@ -123,7 +123,7 @@ def test_a_servo_that_dies_behind_an_echo_is_missed_and_found(protocol):
 
 
 @pytest.mark.parametrize("first", [False, True])
-def test_another_adapter_may_come_back(first):
+def test_port_may_return_with_another_adapter(first):
     b = bench(1, 1)
     b.fault(f"echo={str(first).lower()}")
 
@@ -153,13 +153,13 @@ def test_lost_and_damaged_answers_behind_an_echo():
     b.run(story)
 
 
-def test_an_instruction_of_protocol_1_is_an_answer_byte_for_byte():
-    """Why the echo must be known before anybody is asked: a ping is an answer with a voltage error."""
+def test_protocol_1_instruction_equals_an_answer_byte_for_byte():
+    """Why the echo is detected before the first request: a ping equals an answer with a voltage error."""
     (status,) = Reader1().feed(Protocol1.encode(1, 1))
     assert (status.number, status.error, status.data) == (1, 1, b"")
 
 
-def test_a_servo_whose_answer_is_its_ping_is_heard():
+def test_servo_whose_answer_equals_its_ping_is_found():
     b = bench(1, 1)
     b.fault("sag=8.0")
 
@@ -177,7 +177,7 @@ def test_a_servo_whose_answer_is_its_ping_is_heard():
     st.lists(st.binary(max_size=12), max_size=6),
     st.data(),
 )
-def test_what_is_sent_is_taken_out_however_it_comes(sent, answers, data):
+def test_echo_is_removed_however_it_is_cut(sent, answers, data):
     """Echoes in order, each answer after the echo of its packet, cut anywhere."""
     echo, stream = EchoFilter(), b""
     for at, packet in enumerate(sent):
@@ -193,7 +193,7 @@ def test_what_is_sent_is_taken_out_however_it_comes(sent, answers, data):
 
 
 @pytest.mark.parametrize("codec", [Protocol1, Protocol2])
-def test_what_looks_for_the_echo_does_nothing(codec):
+def test_echo_probe_changes_nothing(codec):
     b = bench(codec.version, 1)
     before = dict(b.servos[1].table._values)
     assert b.chain.receive(harmless(codec), START, 1_000_000) == []
@@ -219,7 +219,7 @@ def test_two_servos_with_one_id_are_named(protocol, delay, words):
     b.run(story, opened=False)
 
 
-def test_a_second_servo_that_joins_is_named_and_nothing_moves():
+def test_joining_servo_with_the_same_id_is_named_and_motion_refused():
     b = bench(2, 1)
     b.servos[1].table.put("return_delay_time", 0)
 
@@ -246,7 +246,7 @@ def test_a_second_servo_that_joins_is_named_and_nothing_moves():
 @pytest.mark.few(6)
 @pytest.mark.parametrize("protocol", [0, 1, 2])
 @pytest.mark.parametrize("delay", [254, None])
-def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(protocol, ids, delay):
+def test_joining_duplicate_stops_the_motion_and_is_named(protocol, ids, delay):
     """Its answers come after those of the first, or damage them; the motion ends with an exception."""
     b = bench(protocol, *ids, limits={"speed": 2.0})
     if delay:
@@ -264,7 +264,7 @@ def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(
         began = asyncio.get_running_loop().time()
         with pytest.raises(DeviceError, match=r"two servos|come damaged|does not answer"):
             await motion
-        # Of one servo nothing is known any more.
+        # With one servo, no state is known any more.
         assert b.values["torqueOn"] is (len(ids) > 1)
         assert asyncio.get_running_loop().time() - began < 2.5
         await b.until(lambda: any("two servos" in note for note in b.notes))
@@ -276,7 +276,7 @@ def test_a_second_servo_that_joins_while_the_first_answers_is_named_and_stopped(
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
-def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
+def test_lost_late_and_damaged_answers_prove_no_second_servo(protocol):
     b = bench(protocol, 1)
     b.fault("lose=0.1", "corrupt=0.1", "noise=0.1", "delay=0.01")
 
@@ -288,8 +288,8 @@ def test_lost_late_and_damaged_answers_are_no_second_servo(protocol):
     assert not any("id" in note for note in b.notes)
 
 
-class DeafToFast:
-    """A bus whose servos answer plain sync reads, and fast ones once that is said."""
+class SlowBus:
+    """A bus whose servos answer plain sync reads, and fast ones only once `knows_fast` is set."""
 
     gone = ""
 
@@ -307,8 +307,8 @@ class DeafToFast:
         return [Status(0xFE, 0, part[1:-2])]
 
 
-def test_fast_reads_that_failed_are_tried_again():
-    bus, nodes = DeafToFast(), [Node(1), Node(2)]
+def test_failed_fast_reads_are_tried_again():
+    bus, nodes = SlowBus(), [Node(1), Node(2)]
     chain = Chain(bus)
 
     async def read(times: int) -> list[bool]:

@@ -17,7 +17,7 @@ def ax(*ids: int, **more) -> Bench:
 
 
 @on_bench(ax, 4, limits={"speed": 2.0})
-async def test_it_moves(bench, servo, /):
+async def test_ax_servo_moves_to_its_goal(bench, servo, /):
     assert "AX-12A 4" in await servo.open()
     await call(servo, "torque", True)
     await call(servo, "moveTo", 1.0)
@@ -29,8 +29,8 @@ async def test_it_moves(bench, servo, /):
 
 @pytest.mark.parametrize("instruction", ["moveTo", "setPosition"])
 @on_bench(ax, 4, limits={"speed": 0.5})
-async def test_the_first_motion_after_power_keeps_the_limit_of_speed(bench, servo, /, instruction):
-    """Its register of speed is 0 then, which is the greatest; goal and speed come in one packet."""
+async def test_first_motion_after_power_on_keeps_the_speed_limit(bench, servo, /, instruction):
+    """Its speed register is then 0, which means the maximum; goal and speed are sent in one packet."""
     await call(servo, "torque", True)
     motion = asyncio.ensure_future(call(servo, instruction, 1.0))
     for _ in range(100):
@@ -41,12 +41,12 @@ async def test_the_first_motion_after_power_keeps_the_limit_of_speed(bench, serv
 
 
 @on_bench(Bench, 4, fake="AX-12A", protocol=1, opened=False)
-async def test_it_has_no_watchdog_and_the_binding_must_say_so(b, servo, /):
+async def test_ax_without_the_watchdog_waiver_is_refused(b, servo, /):
     with pytest.raises(DeviceError, match="no watchdog in the device"):
         await servo.open()
 
 
-def test_what_it_keeps_is_not_written_at_opening():
+def test_stored_setting_is_not_written_at_opening():
     bench = ax(4)
     bench.servos[4].table.put("status_return_level", 1)
 
@@ -75,21 +75,21 @@ def test_what_it_keeps_is_not_written_at_opening():
     ],
 )
 @on_bench(ax, 1)
-async def test_what_it_cannot_do_is_said(b, servo, /, instruction, match):
+async def test_unsupported_ax_instruction_is_refused(b, servo, /, instruction, match):
     await call(servo, "torque", True)
     with pytest.raises(DeviceError, match=match):
         await call(servo, *instruction)
 
 
 @on_bench(ax, 1)
-async def test_holding_does_not_make_it_stiff(bench, servo, /):
+async def test_torque_hold_does_not_switch_the_torque_on(bench, servo, /):
     await servo.make_safe()
     await asyncio.sleep(1.0)
     assert not bench.values["torqueOn"]
 
 
 @on_bench(ax, 1, 2, 3)
-async def test_a_group_of_them_is_stopped_by_one_packet(bench, group, /):
+async def test_ax_group_is_stopped_by_one_packet(bench, group, /):
     await call(group, "torque", True)
     await call(group, "setProfile", 2.0, 0.0)
     await call(group, "moveTo", [0.5, -0.5, 0.2])
@@ -106,7 +106,7 @@ async def test_a_group_of_them_is_stopped_by_one_packet(bench, group, /):
 
 
 @on_bench(ax, 1)
-async def test_overload_is_told(bench, servo, /):
+async def test_ax_overload_is_reported_and_reset(bench, servo, /):
     await call(servo, "torque", True)
     bench.fault("overload=true")
     with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) restores it"):

@@ -1,4 +1,4 @@
-"""STS3215 servos of Feetech through the interfaces of DYNAMIXEL servos, and servos that fail in mid-move."""
+"""STS3215 servos of Feetech through the interfaces of DYNAMIXEL servos; servos that fail in motion."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def sts(*ids: int, **more) -> Bench:
 
 
 @on_bench(sts, 4, limits={"speed": 2.0})
-async def test_it_moves_and_measures(bench, servo, /):
+async def test_feetech_servo_moves_and_reports_its_values(bench, servo, /):
     assert await servo.open() == "STS3215 4 (firmware 3.10, position mode)"
     await call(servo, "torque", True)
     await call(servo, "setProfile", 2.0, 10.0)
@@ -34,7 +34,7 @@ async def test_it_moves_and_measures(bench, servo, /):
 
 
 @on_bench(sts, 1, 2, 3)
-async def test_a_group_is_read_by_one_packet_and_moves_together(bench, group, /):
+async def test_feetech_group_is_read_by_one_packet(bench, group, /):
     await call(group, "torque", True)
     await call(group, "setProfile", 2.0, 10.0)
     since = len(bench.sent)
@@ -46,7 +46,7 @@ async def test_a_group_is_read_by_one_packet_and_moves_together(bench, group, /)
 
 
 @on_bench(sts, 1, limits={"speed": 3.0})
-async def test_velocity_mode_and_back(bench, servo, /):
+async def test_feetech_velocity_mode_is_stored(bench, servo, /):
     await call(servo, "mode", "velocity")
     await call(servo, "torque", True)
     for _ in range(5):
@@ -64,7 +64,7 @@ async def test_velocity_mode_and_back(bench, servo, /):
 
 
 @on_bench(sts, 1, limits={"current": 0.6})
-async def test_a_gripper_holds_with_a_limited_force(bench, servo, /):
+async def test_feetech_gripper_holds_with_a_limited_force(bench, servo, /):
     bench.fault("obstacle=-0.5")
     await call(servo, "mode", "currentPosition")
     await call(servo, "torque", True)
@@ -82,7 +82,7 @@ async def test_a_gripper_holds_with_a_limited_force(bench, servo, /):
 
 
 @on_bench(sts, 1)
-async def test_calibrating_subtracts_the_offset_and_is_kept(bench, servo, /):
+async def test_feetech_calibration_is_stored_as_an_offset(bench, servo, /):
     await call(servo, "calibrate", 0.5)
     await call(servo, "setRange", -1.0, 1.0)
     assert (await servo.servo.present()).position == pytest.approx(0.5, abs=0.01)
@@ -97,7 +97,7 @@ async def test_calibrating_subtracts_the_offset_and_is_kept(bench, servo, /):
 
 @pytest.mark.parametrize("angle", [3.0, -3.0])
 @on_bench(sts, 1)
-async def test_an_offset_of_more_than_half_a_turn_is_one_the_other_way(bench, servo, /, angle):
+async def test_offset_over_half_a_turn_is_taken_the_other_way(bench, servo, /, angle):
     await call(servo, "torque", True)
     await call(servo, "moveTo", -math.copysign(2.0, angle))
     await call(servo, "calibrate", angle)
@@ -111,7 +111,7 @@ async def test_an_offset_of_more_than_half_a_turn_is_one_the_other_way(bench, se
         ("phase", 0x10, "phase of servo 1", 0x0C),
     ],
 )
-def test_what_it_stores_must_be_right_and_can_be_set_up(register, value, setting, right):
+def test_wrong_stored_setting_is_refused_and_set_up_writes_it(register, value, setting, right):
     bench = sts(1)
     bench.servos[1].table.put(register, value)
 
@@ -139,7 +139,7 @@ def test_what_it_stores_must_be_right_and_can_be_set_up(register, value, setting
     ],
 )
 @on_bench(sts, 1)
-async def test_what_it_cannot_do_is_said(b, servo, /, instruction, match):
+async def test_unsupported_feetech_instruction_is_refused(b, servo, /, instruction, match):
     await call(servo, "torque", True)
     with pytest.raises(DeviceError, match=match):
         await call(servo, *instruction)
@@ -157,7 +157,7 @@ async def test_what_it_cannot_do_is_said(b, servo, /, instruction, match):
         ("currentPosition", ("moveUntil", 1e7, 0.1)),
     ],
 )
-def test_values_beyond_all_registers_are_refused(fake, protocol, mode, instruction):
+def test_values_beyond_the_registers_are_refused(fake, protocol, mode, instruction):
     bench = Bench(1, fake=fake, protocol=protocol, waivers=["device_watchdog"])
 
     async def story(servo):
@@ -170,19 +170,19 @@ def test_values_beyond_all_registers_are_refused(fake, protocol, mode, instructi
 
 
 @on_bench(Bench, 1, fake="STS3215", protocol=0, opened=False)
-async def test_it_has_no_watchdog_and_the_binding_must_say_so(b, servo, /):
+async def test_feetech_without_the_watchdog_waiver_is_refused(b, servo, /):
     with pytest.raises(DeviceError, match="no watchdog in the device"):
         await servo.open()
 
 
 @on_bench(Bench, 1, fake="STS3215", protocol=1, opened=False)
-async def test_the_other_protocol_of_its_packets_is_named(b, servo, /):
+async def test_error_names_the_other_protocol(b, servo, /):
     with pytest.raises(DeviceError, match=r"known: AX-12A\); check 'protocol' in its binding"):
         await servo.open()
 
 
 @on_bench(sts, 1, 2, names=["pan", "lift"])
-async def test_a_weak_servo_is_refused_until_it_is_switched_on_again(bench, group, /):
+async def test_servo_with_reduced_torque_is_refused_until_switched_on_again(bench, group, /):
     await call(group, "torque", True)
     bench.servos[2].table.put("protection_time", 50)
     bench.fault("overload@2=true")
@@ -211,7 +211,7 @@ async def test_a_weak_servo_is_refused_until_it_is_switched_on_again(bench, grou
         ("AX-12A", 1, "brownout@2=true", r"servo 2 has lost its torque without a fault"),
     ],
 )
-def test_a_servo_that_overheats_or_loses_torque_in_mid_move_stops_all(fake, protocol, fault, match):
+def test_overheating_or_torque_loss_in_motion_stops_all_servos(fake, protocol, fault, match):
     bench = Bench(1, 2, fake=fake, protocol=protocol, waivers=["device_watchdog"])
 
     async def story(group):
@@ -228,13 +228,13 @@ def test_a_servo_that_overheats_or_loses_torque_in_mid_move_stops_all(fake, prot
             assert asyncio.get_running_loop().time() - began < 1.0
         place = bench.values["positions"][0]
         await asyncio.sleep(1.0)
-        assert bench.values["positions"][0] == pytest.approx(place, abs=0.03), "the other one holds"
+        assert bench.values["positions"][0] == pytest.approx(place, abs=0.03), "the other servo holds"
 
     bench.run(story)
 
 
 @on_bench(Bench, 1)
-async def test_after_a_dip_of_its_supply_its_watchdog_is_set_again(bench, servo, /):
+async def test_watchdog_is_set_again_after_a_supply_dip(bench, servo, /):
     await call(servo, "torque", True)
     bench.fault("brownout=true")
     await bench.until(lambda: any("torque off, restarted" in note for note in bench.notes))

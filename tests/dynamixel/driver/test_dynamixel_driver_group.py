@@ -1,4 +1,4 @@
-"""Groups: together, degraded to who answers, and safe also when one is dead."""
+"""Groups: synchronous motion, members that do not answer, and the safe state with a dead member."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ async def stiff(group, velocity=2.0, acceleration=10.0):
 
 
 @on_bench(Bench, 1, 2, 3)
-async def test_all_arrive_together(bench, group, /):
+async def test_group_members_arrive_together(bench, group, /):
     goals = [1.2, -0.6, 0.3]
 
     await stiff(group)
@@ -31,12 +31,12 @@ async def test_all_arrive_together(bench, group, /):
         shares.append([p / g for p, g in zip(bench.values["positions"], goals, strict=True)])
     await moving
     assert bench.values["positions"] == pytest.approx(goals, abs=0.02)
-    # On the whole way, all have covered the same share of it.
+    # During the whole motion, all have covered the same share of their way.
     assert max(max(share) - min(share) for share in shares) < 0.12
 
 
 @on_bench(Bench, 1, 2, 3)
-async def test_a_setpoint_for_all_is_one_packet(bench, group, /):
+async def test_group_setpoint_is_one_packet(bench, group, /):
     await stiff(group)
     sent = len(bench.sent)
     await call(group, "setPositions", [0.1, 0.2, 0.3])
@@ -46,7 +46,7 @@ async def test_a_setpoint_for_all_is_one_packet(bench, group, /):
 
 
 @on_bench(Bench, 1, 2, 3)
-async def test_one_that_is_missing_is_named_and_has_no_number(bench, group, /):
+async def test_missing_member_is_named_and_its_position_is_nan(bench, group, /):
     await stiff(group)
     bench.fault("dead@2=true")
     await asyncio.sleep(2.0)
@@ -60,15 +60,15 @@ async def test_one_that_is_missing_is_named_and_has_no_number(bench, group, /):
     bench.fault("dead@2=false")
     await asyncio.sleep(1.0)
     assert bench.values["missing"] == []
-    told = [note for note in bench.notes if "servo 2" in note and "respond" in note]
-    assert told[0] == "servo 2 not responding; retrying"
-    assert told[1].startswith("servo 2 responding again: torque on, stopped by its watchdog")
-    assert len(told) == 2
+    matching = [note for note in bench.notes if "servo 2" in note and "respond" in note]
+    assert matching[0] == "servo 2 not responding; retrying"
+    assert matching[1].startswith("servo 2 responding again: torque on, stopped by its watchdog")
+    assert len(matching) == 2
 
 
 @pytest.mark.parametrize("fault", ["lose=0.1", "corrupt=0.1", "noise=0.2"])
 @on_bench(Bench, 1, 2, 3, 4, 5, 6)
-async def test_lost_replies_are_nobodys_absence(bench, group, /, fault):
+async def test_lost_replies_do_not_stop_a_group(bench, group, /, fault):
     seen = []
 
     await stiff(group)
@@ -78,7 +78,7 @@ async def test_lost_replies_are_nobodys_absence(bench, group, /, fault):
         await asyncio.sleep(0.05)
         seen.append((list(bench.values["positions"]), list(bench.values["missing"])))
     await moving
-    # A position that is not known is NaN, never 0 out of nothing: all move away from 0 and none comes back.
+    # An unknown position is NaN, never 0: all move away from 0 and none returns.
     for servo in range(6):
         way = [abs(positions[servo]) for positions, _ in seen if not math.isnan(positions[servo])]
         assert all(later >= before - 0.02 for before, later in itertools.pairwise(way))
@@ -86,7 +86,7 @@ async def test_lost_replies_are_nobodys_absence(bench, group, /, fault):
 
 @pytest.mark.parametrize("fault", ["other@1=true", "nonsense@1=true", "delay@1=0.04"])
 @on_bench(Bench, 1, 2, 3)
-async def test_one_that_lies_is_missing(bench, group, /, fault):
+async def test_member_with_invalid_answers_is_missing(bench, group, /, fault):
     await stiff(group)
     await call(group, "moveTo", [0.5, 0.5, 0.5])
     bench.fault(fault)
@@ -100,7 +100,7 @@ async def test_one_that_lies_is_missing(bench, group, /, fault):
 
 @pytest.mark.parametrize(("state", "item"), [("torque_off", "torque_enable"), ("torque_hold", None)])
 @on_bench(Bench, 1, 2, 3, given="safe_state=state")
-async def test_the_safe_state_reaches_all_and_names_the_dead(bench, group, /, state, item):
+async def test_safe_state_reaches_all_members_and_names_the_dead(bench, group, /, state, item):
     await stiff(group)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5, 1.5]))
     await asyncio.sleep(0.4)
@@ -118,7 +118,7 @@ async def test_the_safe_state_reaches_all_and_names_the_dead(bench, group, /, st
 
 
 @on_bench(Bench, 1, 2, 3, safe_state="torque_off")
-async def test_a_member_that_hears_but_cannot_answer_is_safe_too(bench, group, /):
+async def test_member_that_cannot_answer_is_made_safe(bench, group, /):
     await stiff(group)
     bench.fault("lose@2=1.0")
     with pytest.raises(DeviceError, match="servo 2 does not answer"):
@@ -127,7 +127,7 @@ async def test_a_member_that_hears_but_cannot_answer_is_safe_too(bench, group, /
 
 
 @on_bench(Bench, 1, 2, 3, 4, 5, 6, safe_state="torque_off")
-async def test_the_first_safe_frame_does_not_wait_for_the_dead(bench, group, /):
+async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
     await stiff(group)
     bench.fault("dead@1=true", "dead@2=true", "dead@3=true")
     await asyncio.sleep(0.51)
@@ -141,7 +141,7 @@ async def test_the_first_safe_frame_does_not_wait_for_the_dead(bench, group, /):
         await task
 
 
-def test_opening_names_all_that_are_missing():
+def test_opening_names_all_missing_servos():
     bench = Bench(1, 2, 3)
     bench.fault("dead@1=true", "dead@3=true")
 
@@ -153,7 +153,7 @@ def test_opening_names_all_that_are_missing():
 
 
 @on_bench(Bench, 1, 2)
-async def test_as_many_angles_as_members(b, group, /):
+async def test_group_requires_one_angle_per_member(b, group, /):
     await stiff(group)
     with pytest.raises(DeviceError, match="requires 2 angles, one for each id, not 3"):
         await call(group, "moveTo", [0.0, 0.0, 0.0])
@@ -162,12 +162,12 @@ async def test_as_many_angles_as_members(b, group, /):
 
 
 @on_bench(Bench, 1, 2, ids=[], opened=False)
-async def test_a_group_of_nobody(b, group, /):
+async def test_group_without_servos_is_refused(b, group, /):
     with pytest.raises(DeviceError, match="names no servo"):
         await group.open()
 
 
-def test_a_servo_belongs_to_one_device():
+def test_servo_of_two_devices_is_refused():
     other = DeviceBinding(
         agent="alpha", field="wrist", type="Dynamixel", driver="dynamixel",
         endpoint="serial:/dev/null:1000000", safe_state="torque_hold",
@@ -179,7 +179,7 @@ def test_a_servo_belongs_to_one_device():
 
 
 @on_bench(Bench, 1, 2)
-async def test_an_unplugged_port_is_told_once_and_comes_back(bench, group, /):
+async def test_unplugged_port_is_reported_once_and_returns(bench, group, /):
     await stiff(group)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.0, 1.0]))
     await asyncio.sleep(0.2)
@@ -205,7 +205,7 @@ async def test_an_unplugged_port_is_told_once_and_comes_back(bench, group, /):
 
 
 @on_bench(Bench, 1, 2)
-async def test_one_that_lost_its_power_is_set_up_again(bench, group, /):
+async def test_member_that_lost_power_is_configured_again(bench, group, /):
     await stiff(group)
     bench.fault("dead@2=true")
     await asyncio.sleep(1.0)

@@ -1,4 +1,4 @@
-"""Joints: names, directions, offsets and bounds of each, and calibrations of LeRobot."""
+"""Joints: names, directions, offsets and bounds, and calibrations of LeRobot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BOTH = {"pan": PAN, "lift": LIFT}
 
 @pytest.fixture
 def file(tmp_path):
-    """Writes a calibration; returns its path."""
+    """Write a calibration file; returns its path."""
 
     def write(joints: object) -> str:
         path = tmp_path / "arm.json"
@@ -40,7 +40,7 @@ def file(tmp_path):
 def arm(
     calibration: str = "", *, set_up: object = None, fake: str = "STS3215", protocol: int = 0, **more
 ) -> Bench:
-    """Two servos, set up as a calibration says."""
+    """Two servos, with the stored settings of a calibration."""
     bench = Bench(
         1, 2, fake=fake, protocol=protocol, waivers=["device_watchdog"], calibration=calibration, **more
     )
@@ -72,13 +72,13 @@ def arm(
         ),
     ],
 )
-def test_a_file_that_is_no_calibration(joints, sentence):
+def test_invalid_calibration_file_is_refused(joints, sentence):
     with pytest.raises(DeviceError) as caught:
         parsed("arm.json", json.dumps(joints).encode())
     assert sentence in caught.value.reason
 
 
-def test_all_mistakes_of_a_file_are_told_at_once():
+def test_all_errors_of_a_calibration_are_reported_at_once():
     wrong = {"pan": PAN | {"range_min": 3000, "range_max": 1}, "lift": LIFT | {"range_max": 1200, "id": 1}}
     with pytest.raises(DeviceError) as caught:
         parsed("arm.json", json.dumps(wrong).encode())
@@ -117,12 +117,12 @@ def bound(calibration: str = "", **options) -> DeviceBinding:
         ({"ids": [1, 1]}, "its binding names servo 1 twice; give each servo its own id"),
     ],
 )
-def test_a_binding_whose_joints_are_wrong(options, sentence):
+def test_invalid_joint_option_is_a_conflict(options, sentence):
     (why,) = conflicts(bound(**options))
     assert sentence in why
 
 
-def test_a_calibration_for_other_joints(file):
+def test_calibration_that_does_not_match_the_joints_is_a_conflict(file):
     (why,) = conflicts(bound(file({"pan": PAN})))
     assert why.endswith("arm.json: it has no joint of servo 2")
     (why,) = conflicts(bound(file(BOTH), names=["lift", "pan"]))
@@ -132,13 +132,15 @@ def test_a_calibration_for_other_joints(file):
     assert conflicts(bound(file(BOTH), names=["pan", "lift"])) == []
 
 
-def test_a_servo_that_two_bindings_have():
+def test_servo_in_two_bindings_is_a_conflict():
     one = bound()
     other = msgspec.structs.replace(one, field="hand")
     assert conflicts(one, other) == [
         f"servo {number} on {one.endpoint} already belongs to alpha.joint" for number in (1, 2)
     ]
-    assert conflicts(one, msgspec.structs.replace(one, agent="bravo")) == [], "perhaps on another computer"
+    assert conflicts(one, msgspec.structs.replace(one, agent="bravo")) == [], (
+        "the other agent may be on another computer"
+    )
 
 
 # ---- servos -----------------------------------------------------------------------------------------------
@@ -147,7 +149,7 @@ def test_a_servo_that_two_bindings_have():
 @given(
     st.sampled_from([1, -1]), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)
 )  # fmt: skip
-def test_angles_of_joints_come_back(direction, zero, offset, angle):
+def test_joint_angles_are_reversible(direction, zero, offset, angle):
     joint = Joint(1, "pan", direction, zero, offset)
     assert joint.to_joint(joint.to_servo(angle)) == pytest.approx(angle, abs=1e-9)
 
@@ -156,7 +158,7 @@ def test_angles_of_joints_come_back(direction, zero, offset, angle):
     arm, names=["pan", "lift"], direction=[1, -1], offset=[0.0, 0.3], lowest=[-1.0, -0.5], highest=[1.0, 0.9],
     limits={"speed": 3.0},
 )  # fmt: skip
-async def test_each_joint_has_its_own_mounting(bench, group, /):
+async def test_each_joint_has_its_own_direction_offset_and_bounds(bench, group, /):
     await call(group, "torque", True)
     await call(group, "moveTo", [0.5, 0.8])
     assert bench.values["positions"] == pytest.approx([0.5, 0.8], abs=0.01)
@@ -183,7 +185,7 @@ def reversed_servo(**more) -> Bench:
 
 
 @on_bench(reversed_servo)
-async def test_a_reversed_servo_counts_the_other_way_in_everything(bench, servo, /):
+async def test_reversed_servo_is_reversed_in_every_quantity(bench, servo, /):
     await call(servo, "setRange", -1.0, 0.5)
     table = bench.servos[1].table
     assert (table["min_position_limit"], table["max_position_limit"]) == (
@@ -204,7 +206,7 @@ async def test_a_reversed_servo_counts_the_other_way_in_everything(bench, servo,
     assert table["goal_velocity"] < 0
 
 
-def test_angles_are_lerobots_degrees_and_bounds_its_ranges(file):
+def test_calibrated_angles_and_bounds_equal_those_of_lerobot(file):
     async def story(group):
         assert [servo.joint.name for servo in group.servos.values()] == ["pan", "lift"]
         start = await group.observe()
@@ -227,7 +229,7 @@ def test_angles_are_lerobots_degrees_and_bounds_its_ranges(file):
     bench.run(story)
 
 
-def test_a_reversed_joint_turns_the_other_way(file):
+def test_reversed_joint_turns_the_other_way(file):
     async def story(group):
         await call(group, "torque", True)
         await call(group, "moveTo", [0.0, 0.5])
@@ -239,7 +241,7 @@ def test_a_reversed_joint_turns_the_other_way(file):
 
 
 @pytest.mark.parametrize(("fake", "protocol"), [("STS3215", 0), ("XL330-M288", 2)])
-def test_a_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake, protocol):
+def test_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake, protocol):
     bench = arm(file(BOTH), fake=fake, protocol=protocol)
 
     async def story(group):
@@ -258,7 +260,7 @@ def test_a_calibration_of_another_arm_is_refused_and_set_up_writes_it(file, fake
     bench.run(story, opened=False)
 
 
-def test_a_dynamixel_servo_reverses_itself(file):
+def test_dynamixel_servo_stores_its_reversal(file):
     joints = {"pan": PAN | {"drive_mode": 1}, "lift": LIFT}
     bench = arm(file(joints), set_up=joints.values(), fake="XL330-M288", protocol=2)
     bench.servos[1].table.put("drive_mode", 0)
@@ -278,7 +280,7 @@ def test_a_dynamixel_servo_reverses_itself(file):
         ("AX-12A", 1, {"range_max": 900, "range_min": 10}),
     ],
 )
-def test_a_calibration_of_another_model(file, fake, protocol, entry):
+def test_calibration_of_another_model_is_refused(file, fake, protocol, entry):
     bench = arm(file({"pan": PAN | entry, "lift": LIFT}), fake=fake, protocol=protocol)
 
     async def story(group):
@@ -288,7 +290,7 @@ def test_a_calibration_of_another_model(file, fake, protocol, entry):
     bench.run(story, opened=False)
 
 
-def test_a_calibration_narrows_the_bounds_of_the_binding():
+def test_calibration_narrows_the_bounds_of_the_binding():
     entry = JointCalibration(id=1, drive_mode=0, homing_offset=0, range_min=1048, range_max=3048)
     fitted = Joint(1, lowest=-0.2, highest=9.0, calibration=entry).fitted(models()[0, 777])
     assert (fitted.lowest, fitted.highest) == (-0.2, pytest.approx(1000 * COUNT))

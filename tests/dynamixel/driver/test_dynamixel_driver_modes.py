@@ -1,4 +1,4 @@
-"""Drive mode (address 10): each value as the manual has it, in the fake and through the driver."""
+"""Drive mode (address 10): each value as in the manual, in the fake and through the driver."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def in_mode(drive_mode: int, model: str = "XM430-W350", **more) -> Bench:
     return bench
 
 
-def way(drive_mode: int) -> int:
+def direction(drive_mode: int) -> int:
     return -1 if drive_mode & REVERSE else 1
 
 
 @pytest.mark.parametrize("drive_mode", DRIVE_MODES)
-def test_a_travel_takes_its_time_and_turns_its_way(drive_mode):
+def test_motion_duration_and_direction_in_every_drive_mode(drive_mode):
     bench = in_mode(drive_mode, limits={"speed": 0.5})
     motor = bench.servos[1].motion.motor
     begun = motor.angle
@@ -45,15 +45,15 @@ def test_a_travel_takes_its_time_and_turns_its_way(drive_mode):
         assert asyncio.get_running_loop().time() - start == pytest.approx(2.1, abs=0.2)
         assert fastest < 0.56
         assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
-        assert motor.angle - begun == pytest.approx(way(drive_mode), abs=0.02)
+        assert motor.angle - begun == pytest.approx(direction(drive_mode), abs=0.02)
         await call(servo, "moveTo", -1.0)
-        assert motor.angle - begun == pytest.approx(-way(drive_mode), abs=0.02)
+        assert motor.angle - begun == pytest.approx(-direction(drive_mode), abs=0.02)
 
     bench.run(story)
 
 
 @pytest.mark.parametrize("drive_mode", DRIVE_MODES)
-def test_velocity_and_current_turn_the_same_way(drive_mode):
+def test_velocity_and_current_turn_in_the_direction_of_the_mode(drive_mode):
     bench = in_mode(drive_mode, ttl=2.0)
     motor = bench.servos[1].motion.motor
 
@@ -63,7 +63,7 @@ def test_velocity_and_current_turn_the_same_way(drive_mode):
             await call(servo, "mode", mode)
             await call(servo, instruction, value)
             await asyncio.sleep(0.3)
-            assert motor.speed * way(drive_mode) > 0.3
+            assert motor.speed * direction(drive_mode) > 0.3
             assert bench.values["velocity"] > 0.3
             await call(servo, "torque", False)
             await asyncio.sleep(0.5)
@@ -73,7 +73,7 @@ def test_velocity_and_current_turn_the_same_way(drive_mode):
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
-def test_the_sign_of_the_homing_offset_is_not_turned(drive_mode):
+def test_drive_mode_does_not_change_the_sign_of_the_homing_offset(drive_mode):
     bench = in_mode(drive_mode)
 
     async def story(servo):
@@ -98,13 +98,13 @@ def test_limits_are_in_the_direction_of_the_servo(drive_mode):
         with pytest.raises(DeviceError, match=r"only moves from 0\.000 to"):
             await call(servo, "moveTo", -0.5)
         await call(servo, "moveTo", 1.0)
-        assert (motor.angle - begun) * way(drive_mode) == pytest.approx(1.0, abs=0.02)
+        assert (motor.angle - begun) * direction(drive_mode) == pytest.approx(1.0, abs=0.02)
 
     bench.run(story)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
-def test_a_servo_that_starts_is_within_one_turn(drive_mode):
+def test_position_after_a_restart_is_within_one_turn(drive_mode):
     bench = in_mode(drive_mode)
     servo = bench.servos[1]
     for angle in (0.0, 0.1, 3.0, 6.2, 7.0, -1.0):
@@ -113,11 +113,11 @@ def test_a_servo_that_starts_is_within_one_turn(drive_mode):
         place = int.from_bytes(servo.read(132, 4), "little", signed=True)
         assert 0 <= place <= 4096
         assert math.cos(place / COUNTS) == pytest.approx(math.cos(angle), abs=0.01)
-        assert math.sin(place / COUNTS) * way(drive_mode) == pytest.approx(math.sin(angle), abs=0.01)
+        assert math.sin(place / COUNTS) * direction(drive_mode) == pytest.approx(math.sin(angle), abs=0.01)
 
 
 @pytest.mark.parametrize("drive_mode", [0, REVERSE])
-def test_more_than_one_turn_in_extended_mode(drive_mode):
+def test_extended_mode_moves_over_one_turn(drive_mode):
     bench = in_mode(drive_mode, limits={"speed": 4.0}, lowest=-100.0, highest=100.0)
     motor = bench.servos[1].motion.motor
     begun = motor.angle
@@ -126,13 +126,13 @@ def test_more_than_one_turn_in_extended_mode(drive_mode):
         await call(servo, "mode", "extended")
         await call(servo, "torque", True)
         await call(servo, "moveTo", 9.0)
-        assert motor.angle - begun == pytest.approx(9.0 * way(drive_mode), abs=0.02)
+        assert motor.angle - begun == pytest.approx(9.0 * direction(drive_mode), abs=0.02)
 
     bench.run(story)
 
 
 @on_bench(in_mode, TIME_BASED, limits={"speed": 0.2}, lowest=-100.0, highest=100.0)
-async def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried(bench, servo, /):
+async def test_motion_longer_than_the_longest_profile_is_refused(bench, servo, /):
     await call(servo, "mode", "extended")
     await call(servo, "torque", True)
     with pytest.raises(DeviceError, match=r"takes 35\.0 s for this motion at 0\.2 rad/s"):
@@ -141,7 +141,7 @@ async def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried(bench,
 
 
 @on_bench(in_mode, TORQUE_BY_GOAL)
-async def test_a_limp_servo_that_any_goal_makes_stiff_is_left_limp(bench, servo, /):
+async def test_servo_enabled_by_any_goal_stays_without_torque(bench, servo, /):
     await call(servo, "torque", True)
     bench.driver.quiet()
     await asyncio.sleep(1.5)
@@ -155,7 +155,7 @@ async def test_a_limp_servo_that_any_goal_makes_stiff_is_left_limp(bench, servo,
 
 
 @pytest.mark.parametrize("drive_mode", [mode for mode in DUAL_DRIVE_MODES if mode & SLAVE])
-def test_a_slave_ignores_goals_and_is_refused(drive_mode):
+def test_slave_ignores_goals_and_is_refused(drive_mode):
     bench = in_mode(drive_mode, "XM540-W270")
     servo = bench.servos[1]
     servo.write(64, b"\1")
@@ -173,7 +173,7 @@ def test_a_slave_ignores_goals_and_is_refused(drive_mode):
     bench.run(story)
 
 
-def test_others_have_no_slaves():
+def test_models_without_dual_drive_refuse_the_slave_bit():
     servo = Bench(fake="XM430-W350").servos[1]
     for drive_mode in range(16):
         if drive_mode in DRIVE_MODES:
@@ -184,7 +184,7 @@ def test_others_have_no_slaves():
 
 
 @pytest.mark.parametrize("drive_mode", [0, TIME_BASED])
-def test_no_goal_is_above_the_limit_by_rounding(drive_mode):
+def test_rounding_never_exceeds_the_speed_limit(drive_mode):
     for limit in (0.3, 0.5, 1.0, 1.5):
         bench = in_mode(drive_mode, limits={"speed": limit}, ttl=2.0)
 
@@ -206,7 +206,7 @@ def test_no_goal_is_above_the_limit_by_rounding(drive_mode):
 
 
 @on_bench(in_mode, 0, lowest=-0.3, highest=0.3)
-async def test_the_ends_of_a_range_are_legal_whatever_rounding_makes_of_them(bench, servo, /):
+async def test_range_ends_are_reachable_despite_rounding(bench, servo, /):
     await call(servo, "setRange", -math.pi, math.pi)
     await call(servo, "torque", True)
     await call(servo, "moveTo", 0.1 + 0.2)

@@ -1,4 +1,4 @@
-"""Packets against the vendor's own code, and against bytes that make no sense."""
+"""Packets compared with the vendor's SDK, and arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lfield_dynamixel.bus.packets import (
 
 
 class Wire:
-    """A port of the vendor's SDK that keeps what is written and gives back what it was given."""
+    """A port of the vendor's SDK that stores the written bytes and returns a given answer."""
 
     def __init__(self, answer: bytes = b"") -> None:
         self.is_using, self.written, self.answer = False, b"", answer
@@ -46,7 +46,7 @@ class Wire:
 
 
 NUMBERS = st.integers(0, 252)
-# Bytes in which headers and stuffing are frequent.
+# Bytes with many headers and much stuffing.
 TRICKY = st.lists(st.sampled_from([b"\xff", b"\xfd", b"\x00", b"\x55", b"\x01"]), max_size=60).map(b"".join)
 
 
@@ -61,14 +61,14 @@ def status1(number: int, error: int, data: bytes) -> bytes:
     return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
 
-def test_a_packet_of_the_protocols_page():
+def test_packet_equals_the_example_of_the_protocol_page():
     clear = Protocol2.encode(1, 0x10, bytes((0x01, 0x44, 0x58, 0x4C, 0x22)))
     assert clear.hex(" ") == "ff ff fd 00 01 08 00 10 01 44 58 4c 22 b1 dc"
 
 
 @given(NUMBERS, st.integers(0, 0xFFFF), TRICKY | st.binary(max_size=60))
-def test_a_write_is_what_the_vendors_sdk_sends(number, address, data):
-    # The SDK (4.1.0) forgets to stuff: it throws the stuffed packet away and sends the one it began with.
+def test_write_equals_that_of_the_vendor_sdk(number, address, data):
+    # The SDK (4.1.0) does not send the stuffed packet: it discards it and sends the original.
     assume(b"\xff\xff\xfd" not in address.to_bytes(2, "little") + data)
     wire = Wire()
     PacketHandler(2.0).writeTxOnly(wire, number, address, len(data), list(data))
@@ -76,21 +76,21 @@ def test_a_write_is_what_the_vendors_sdk_sends(number, address, data):
 
 
 @given(NUMBERS, st.integers(0, 0xFF), st.binary(max_size=60))
-def test_a_write_of_protocol_1_too(number, address, data):
+def test_protocol_1_write_equals_that_of_the_vendor_sdk(number, address, data):
     wire = Wire()
     PacketHandler(1.0).writeTxOnly(wire, number, address, len(data), list(data))
     assert Protocol1.encode(number, 3, bytes((address,)) + data) == wire.written
 
 
 def sdk_misreads(body: bytes) -> bool:
-    """The SDK takes stuffing out in place: after the first stuffed byte it takes any FF FD FD for stuffed."""
+    """The SDK removes stuffing in place: after the first stuffed byte it takes any FF FD FD for stuffed."""
     first = body.find(b"\xff\xff\xfd")
     return first >= 0 and b"\xff\xfd\xfd" in body[first + 2 :]
 
 
 @given(NUMBERS, st.integers(0, 255), TRICKY.filter(bool))
 @example(0, 0, b"\xff\xff\xfd\xff\xfd\xfd")
-def test_the_vendors_sdk_reads_an_answer_as_we_do(number, error, data):
+def test_answer_is_read_as_by_the_vendor_sdk(number, error, data):
     packet = status2(number, error, data)
     if sdk_misreads(bytes((error,)) + data):
         assert Reader2().feed(packet) == [Status(number, error, data)]
@@ -100,14 +100,14 @@ def test_the_vendors_sdk_reads_an_answer_as_we_do(number, error, data):
 
 
 @given(TRICKY | st.binary())
-def test_stuffing_and_back(body):
+def test_stuffing_is_reversible(body):
     assert unstuff(stuff(body)) == body
     assert stuff(body).count(b"\xff\xff\xfd") == stuff(body).count(b"\xff\xff\xfd\xfd")
 
 
 @pytest.mark.parametrize(("reader", "status"), [(Reader1, status1), (Reader2, status2)])
 @given(st.lists(st.tuples(NUMBERS, st.integers(0, 255), st.binary(max_size=40)), max_size=5), st.data())
-def test_answers_in_pieces(reader, status, answers, data):
+def test_answers_are_read_from_pieces(reader, status, answers, data):
     stream = b"".join(status(*answer) for answer in answers)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
     taken, found = reader(), []
@@ -118,7 +118,7 @@ def test_answers_in_pieces(reader, status, answers, data):
 
 @pytest.mark.parametrize("reader", [Reader1, Reader2])
 @given(st.lists(TRICKY | st.binary(max_size=300), max_size=20))
-def test_any_bytes_at_all(reader, chunks):
+def test_reader_survives_any_bytes(reader, chunks):
     taken = reader()
     for chunk in chunks:
         for status in taken.feed(chunk):
@@ -127,14 +127,14 @@ def test_any_bytes_at_all(reader, chunks):
 
 
 @given(st.binary(min_size=15, max_size=15), st.integers(0, 25), st.integers(1, 255))
-def test_a_damaged_answer_is_no_answer(data, place, change):
+def test_damaged_answer_is_dropped(data, place, change):
     packet = bytearray(status2(1, 0, data))
     packet[place % len(packet)] ^= change
     assert Status(1, 0, data) not in Reader2().feed(bytes(packet))
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=8, unique=True), st.integers(1, 30), st.data())
-def test_a_fast_answer_is_taken_apart(numbers, size, data):
+def test_fast_answer_is_split_by_servo(numbers, size, data):
     parts = {n: data.draw(st.binary(min_size=size, max_size=size)) for n in numbers}
     blocks = b"".join(bytes((0, n)) + part + b"\xaa\xbb" for n, part in parts.items())[:-2]
     answer = Status(0xFE, blocks[0], blocks[1:])
@@ -145,6 +145,6 @@ def test_a_fast_answer_is_taken_apart(numbers, size, data):
 
 
 @given(st.binary(max_size=80), st.lists(NUMBERS, max_size=6).map(tuple), st.integers(0, 30))
-def test_no_fast_answer_does_harm(body, numbers, size):
+def test_any_fast_answer_is_split_or_refused(body, numbers, size):
     split = split_fast(Status(0xFE, 0, body), numbers, size)
     assert split is None or split.keys() == set(numbers)

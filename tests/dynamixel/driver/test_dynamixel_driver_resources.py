@@ -1,4 +1,4 @@
-"""The stock resource types check against the manifests, and so does a mission that includes them."""
+"""The stock resource types compile with the manifests, and so does a mission that includes them."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ coordinator Pick {
 
 
 @pytest.mark.parametrize("name", ["servo", "arm", "gripper"])
-def test_a_stock_resource_is_a_sound_program(name):
+def test_dynamixel_stock_resource_compiles(name):
     path = PLUGIN.source(f"{name}.L")
     assert path is not None
     checked = check_file(path, devices=DEVICES)
     assert [d.render() for d in checked.diagnostics] == []
 
 
-def test_a_mission_includes_all_of_them():
+def test_mission_includes_all_stock_resources():
     def find(path: str):
         return PLUGIN.source(path.removeprefix("dynamixel/"))
 
@@ -53,5 +53,5 @@ def test_every_instruction_has_its_method():
     check_methods(DynamixelGroup, manifests["DynamixelGroup"])
 
 
-def test_the_driver_loads_without_being_asked_for_more():
+def test_driver_class_is_loaded():
     assert PLUGIN.load().__name__ == "DynamixelDriver"

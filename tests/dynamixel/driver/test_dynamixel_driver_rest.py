@@ -1,4 +1,4 @@
-"""What servos still do in their safe states."""
+"""Detection of rest in the safe states of servos."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfield.errors import DeviceError
 
 
 async def under_way(device, *goals):
-    """Stiff, and in the middle of a travel that nobody waits for any more."""
+    """Torque on, and in the middle of a motion whose call was cancelled."""
     await call(device, "torque", True)
     await call(device, "setProfile", 1.0, 0.0)
     moving = asyncio.ensure_future(call(device, "moveTo", list(goals) if len(goals) > 1 else goals[0]))
@@ -23,7 +23,7 @@ async def under_way(device, *goals):
 
 
 @on_bench(Bench)
-async def test_a_servo_that_turns_says_so_and_rests_when_it_is_held(bench, servo, /):
+async def test_turning_servo_reports_its_speed_and_rests_when_held(bench, servo, /):
     await under_way(servo, 1.5)
     assert re.fullmatch(r"turning at \d\.\d rad/s", servo.moving()), servo.moving()
     await servo.make_safe()
@@ -31,10 +31,10 @@ async def test_a_servo_that_turns_says_so_and_rests_when_it_is_held(bench, servo
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_a_servo_whose_torque_is_off_rests_when_it_stands_and_is_limp(bench, servo, /):
+async def test_servo_with_torque_off_is_at_rest_until_torque_returns(bench, servo, /):
     await under_way(servo, 1.5)
     await servo.make_safe()
-    # What was measured last may be a moment old: it still turns as far as is known.
+    # The last measurement may be outdated: the servo counts as turning until the next one.
     await asyncio.sleep(0.3)
     assert servo.moving() == ""
     bench.servos[1].table.put("torque_enable", 1)
@@ -43,7 +43,7 @@ async def test_a_servo_whose_torque_is_off_rests_when_it_stands_and_is_limp(benc
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_a_limp_servo_that_is_turned_from_outside_is_not_at_rest(bench, servo, /):
+async def test_servo_turned_from_outside_is_not_at_rest(bench, servo, /):
     await under_way(servo, 1.5)
     await servo.make_safe()
     for _ in range(20):
@@ -54,7 +54,7 @@ async def test_a_limp_servo_that_is_turned_from_outside_is_not_at_rest(bench, se
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold"])
 @on_bench(Bench, 1, 2, 3, given="safe_state=state")
-async def test_a_member_that_does_not_answer_is_named(bench, group, /, state):
+async def test_member_without_answer_is_named_as_not_at_rest(bench, group, /, state):
     await under_way(group, 1.5, 1.5, 1.5)
     await group.make_safe()
     await asyncio.sleep(0.3)
@@ -70,13 +70,13 @@ async def test_a_member_that_does_not_answer_is_named(bench, group, /, state):
 
 
 @on_bench(Bench, 1, 2)
-async def test_members_that_turn_are_named(bench, group, /):
+async def test_turning_members_are_named(bench, group, /):
     await under_way(group, 1.5, 1.5)
     assert re.fullmatch(r"servo 1 turning at [\d.]+ rad/s, servo 2 turning at .*", group.moving())
 
 
 @on_bench(Bench)
-async def test_an_adapter_that_is_unplugged_leaves_nobody_at_rest(bench, servo, /):
+async def test_unplugged_adapter_means_not_at_rest(bench, servo, /):
     await call(servo, "torque", True)
     await servo.make_safe()
     assert servo.moving() == ""
@@ -86,13 +86,13 @@ async def test_an_adapter_that_is_unplugged_leaves_nobody_at_rest(bench, servo, 
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_what_was_measured_before_a_stop_is_no_rest(bench, servo, /):
+async def test_measurement_before_a_stop_does_not_prove_rest(bench, servo, /):
     await under_way(servo, 1.5)
     at, seen = servo._readings[1]
-    servo._readings[1] = (at, replace(seen, velocity=0.0))  # as it was before it set out
+    servo._readings[1] = (at, replace(seen, velocity=0.0))  # as before the motion
     turned = bench.servos[1].motion.motor.speed
     await servo.make_safe()
-    told = servo.moving()
+    report = servo.moving()
     assert servo._readings[1][0] > at
     assert turned
-    assert bool(told) == (abs(servo._readings[1][1].velocity) > 0.2), told
+    assert bool(report) == (abs(servo._readings[1][1].velocity) > 0.2), report

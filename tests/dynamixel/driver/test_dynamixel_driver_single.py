@@ -1,4 +1,4 @@
-"""One servo: instructions, limits, modes, EEPROM, safe states, watchdog; on the fake, in jumping time."""
+"""One servo: instructions, limits, modes, EEPROM, safe states, watchdog; on the fake, on virtual time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ async def stiff(servo, velocity=2.0, acceleration=10.0):
 
 
 def refused(bench: Bench, *instruction: object, match: str, prepare=stiff) -> None:
-    """The instruction raises with these words, and nothing has been written to the servo for it."""
+    """The instruction raises with these words, and writes nothing to the servo."""
 
     async def story(servo):
         await prepare(servo)
@@ -33,7 +33,7 @@ def refused(bench: Bench, *instruction: object, match: str, prepare=stiff) -> No
     bench.run(story)
 
 
-def test_opening_tells_who_it_is_and_sets_its_watchdog():
+def test_opening_identifies_the_servo_and_sets_its_watchdog():
     bench = Bench(7)
 
     async def story(servo):
@@ -46,7 +46,7 @@ def test_opening_tells_who_it_is_and_sets_its_watchdog():
 
 
 @on_bench(Bench)
-async def test_move_to_is_done_when_it_is_there(bench, servo, /):
+async def test_move_to_ends_at_the_goal(bench, servo, /):
     await stiff(servo)
     start = asyncio.get_running_loop().time()
     await call(servo, "moveTo", 1.0)
@@ -57,7 +57,7 @@ async def test_move_to_is_done_when_it_is_there(bench, servo, /):
 
 
 @pytest.mark.parametrize("time_based", [False, True])
-def test_the_limit_of_speed_is_in_every_profile(time_based):
+def test_speed_limit_is_in_every_profile(time_based):
     bench = Bench(limits={"speed": 1.0})
     bench.servos[1].table.put("drive_mode", 4 if time_based else 0)
 
@@ -75,7 +75,7 @@ def test_the_limit_of_speed_is_in_every_profile(time_based):
 
 
 @on_bench(Bench)
-async def test_a_setpoint_is_sent_once(bench, servo, /):
+async def test_servo_setpoint_is_sent_once(bench, servo, /):
     await stiff(servo)
     sent = len(bench.sent)
     await call(servo, "setPosition", 0.3)
@@ -86,7 +86,7 @@ async def test_a_setpoint_is_sent_once(bench, servo, /):
 
 
 @on_bench(Bench, limits={"speed": 3.0, "current": 0.5})
-async def test_velocity_and_current_need_their_mode(bench, servo, /):
+async def test_velocity_and_current_require_their_mode(bench, servo, /):
     await stiff(servo)
     with pytest.raises(DeviceError, match="setVelocity requires the mode velocity; servo 1 is in position"):
         await call(servo, "setVelocity", 1.0)
@@ -123,18 +123,18 @@ async def test_velocity_and_current_need_their_mode(bench, servo, /):
         (("setRange", -9.0, 1.0), "is beyond"),
     ],
 )
-def test_what_is_refused_before_anything_is_sent(instruction, match):
+def test_invalid_value_is_refused_before_a_packet_is_sent(instruction, match):
     bench = Bench(limits={"speed": 4.0, "current": 0.6}, lowest=-1.0, highest=1.5)
     refused(bench, *instruction, match=match)
 
 
-def test_its_own_position_limits_are_told_in_words():
+def test_error_states_the_position_limits_of_the_servo():
     bench = Bench()
     bench.servos[1].table.put("max_position_limit", 2500)
     refused(bench, "moveTo", 1.0, match="only moves from -3.142 to 0.693 rad")
 
 
-def test_a_limp_servo_is_not_moved():
+def test_motion_without_torque_is_refused():
     async def nothing(servo):
         pass
 
@@ -142,7 +142,7 @@ def test_a_limp_servo_is_not_moved():
 
 
 @on_bench(Bench)
-async def test_a_servo_that_was_let_go_reads_so_where_the_refusal_is_caught(bench, servo, /):
+async def test_released_servo_shows_torque_off_when_motion_is_refused(bench, servo, /):
     await servo.execute("torque", [True])
     await servo.make_safe("torque_off")
     with pytest.raises(DeviceError, match="torque of servo 1 is off"):
@@ -150,7 +150,7 @@ async def test_a_servo_that_was_let_go_reads_so_where_the_refusal_is_caught(benc
     assert bench.values["torqueOn"] is False
 
 
-def test_a_model_without_current_says_so():
+def test_model_without_current_measurement_is_refused():
     async def nothing(servo):
         pass
 
@@ -160,7 +160,7 @@ def test_a_model_without_current_says_so():
 
 
 @on_bench(Bench)
-async def test_something_in_the_way_ends_the_travel_and_the_pushing(bench, servo, /):
+async def test_obstacle_ends_the_motion_and_the_force(bench, servo, /):
     await stiff(servo)
     bench.fault("stuck=true")
     with pytest.raises(DeviceError, match=r"servo 1 stopped 1\.\d+ rad short"):
@@ -169,7 +169,7 @@ async def test_something_in_the_way_ends_the_travel_and_the_pushing(bench, servo
 
 
 @on_bench(Bench)
-async def test_overload_shuts_down_is_told_and_reboot_cures_it(bench, servo, /):
+async def test_overload_is_reported_and_reboot_clears_it(bench, servo, /):
     await stiff(servo)
     bench.fault("overload=true")
     with pytest.raises(DeviceError, match=r"overload|short"):
@@ -198,7 +198,9 @@ async def test_move_until_stops_at_the_force_and_keeps_it(bench, servo, /):
     await moving
     assert bench.values["position"] < 0.9
     assert abs(bench.values["current"]) >= 0.25
-    await servo.make_safe()  # what it holds would fall if it took its present place as the goal
+    await (
+        servo.make_safe()
+    )  # the safe state keeps the force: with the present position as goal the load would fall
     await asyncio.sleep(1.0)
     assert abs(bench.values["current"]) >= 0.25
     bench.servos[1].motion.motor.blocked = False
@@ -207,7 +209,7 @@ async def test_move_until_stops_at_the_force_and_keeps_it(bench, servo, /):
 
 
 @on_bench(Bench)
-async def test_calibration_is_kept_and_seen(bench, servo, /):
+async def test_calibration_is_stored_and_published(bench, servo, /):
     await stiff(servo)
     await call(servo, "moveTo", 0.3)
     await call(servo, "calibrate", 0.0)
@@ -219,7 +221,7 @@ async def test_calibration_is_kept_and_seen(bench, servo, /):
 
 
 @on_bench(Bench)
-async def test_the_range_is_written_with_the_torque_off_and_restored(bench, servo, /):
+async def test_range_is_written_with_torque_off_and_torque_is_restored(bench, servo, /):
     await stiff(servo)
     await call(servo, "setRange", -0.5, 0.5)
     table = bench.servos[1].table
@@ -230,7 +232,7 @@ async def test_the_range_is_written_with_the_torque_off_and_restored(bench, serv
 
 
 @on_bench(Bench)
-async def test_torque_hold_stays_where_it_is(bench, servo, /):
+async def test_torque_hold_stops_at_the_present_position(bench, servo, /):
     await stiff(servo)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
     await asyncio.sleep(0.4)
@@ -245,7 +247,7 @@ async def test_torque_hold_stays_where_it_is(bench, servo, /):
 
 
 @on_bench(Bench)
-async def test_stop_stays_on_the_way_and_follows_the_next_goal(bench, servo, /):
+async def test_stop_ends_the_motion_and_accepts_the_next_goal(bench, servo, /):
     await stiff(servo)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
     await asyncio.sleep(0.4)
@@ -260,14 +262,14 @@ async def test_stop_stays_on_the_way_and_follows_the_next_goal(bench, servo, /):
 
 
 @on_bench(Bench)
-async def test_stop_leaves_what_is_limp_limp(bench, servo, /):
+async def test_stop_does_not_switch_the_torque_on(bench, servo, /):
     await call(servo, "stop")
     assert bench.servos[1].table["torque_enable"] == 0
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005])
 @on_bench(Bench, safe_state="torque_off")
-async def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(bench, servo, /, delay):
+async def test_cancelled_mode_change_ends_with_torque_off(bench, servo, /, delay):
     await stiff(servo)
     changing = asyncio.ensure_future(call(servo, "mode", "velocity"))
     await asyncio.sleep(delay)
@@ -278,14 +280,14 @@ async def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(bench, servo, /, 
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_torque_off_is_seen_to_be_off(bench, servo, /):
+async def test_torque_off_is_confirmed(bench, servo, /):
     await stiff(servo)
     await servo.make_safe()
     assert bench.servos[1].table["torque_enable"] == 0
 
 
 @on_bench(Bench, safe_state="torque_off")
-async def test_a_safe_state_that_was_not_seen_is_an_error(bench, servo, /):
+async def test_unconfirmed_servo_safe_state_is_an_error(bench, servo, /):
     await stiff(servo)
     bench.fault("dead=true")
     with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
@@ -296,7 +298,7 @@ async def test_a_safe_state_that_was_not_seen_is_an_error(bench, servo, /):
 
 
 @on_bench(Bench)
-async def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it(bench, servo, /):
+async def test_watchdog_fires_without_packets_and_only_release_clears_it(bench, servo, /):
     await stiff(servo)
     await call(servo, "setProfile", 0.5, 0.0)
     moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
@@ -308,7 +310,7 @@ async def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it(b
     assert len(bench.sent) <= last + 2
     bench.chain.advance(asyncio.get_running_loop().time())
     assert bench.servos[1].table["bus_watchdog"] == 255
-    await servo.make_safe()  # stopped by its watchdog is stopped
+    await servo.make_safe()  # a servo stopped by its watchdog is safe
     bench.driver.resume()
     await asyncio.sleep(1.0)
     assert "servo 1 stopped by its own watchdog; release() frees it" in bench.notes
@@ -323,20 +325,20 @@ async def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it(b
 
 
 @on_bench(Bench, ttl=0.04)
-async def test_a_short_ttl_is_polled_faster_than_its_watchdog(bench, servo, /):
+async def test_short_ttl_is_polled_faster_than_the_watchdog(bench, servo, /):
     await stiff(servo)
     await asyncio.sleep(2.0)
     assert bench.servos[1].table["bus_watchdog"] == 4
     await call(servo, "moveTo", 0.3)
 
 
-def test_a_watchdog_that_cannot_be_short_enough_needs_a_waiver():
+def test_watchdog_slower_than_the_ttl_requires_a_waiver():
     with pytest.raises(DeviceError, match=r"watchdog too slow: 0\.02 s"):
         Bench(ttl=0.005).run(lambda servo: servo.open(), opened=False)
     Bench(ttl=0.005, waivers=["device_watchdog"]).run(lambda servo: servo.open(), opened=False)
 
 
-def test_a_servo_that_answers_pings_only_is_told_to_answer():
+def test_status_return_level_is_set_at_opening():
     bench = Bench()
     bench.servos[1].table.put("status_return_level", 0)
     bench.run(lambda servo: call(servo, "torque", True))
@@ -350,7 +352,7 @@ def test_a_servo_that_answers_pings_only_is_told_to_answer():
         ({"id": 9}, "servo 9 does not answer: check"),
     ],
 )
-def test_who_is_not_the_one_is_not_opened(options, match):
+def test_wrong_model_or_absent_servo_is_refused(options, match):
     async def story(servo):
         with pytest.raises(DeviceError, match=match):
             await servo.open()
@@ -358,7 +360,7 @@ def test_who_is_not_the_one_is_not_opened(options, match):
     Bench(**options).run(story, opened=False)
 
 
-def test_an_unknown_model_is_named():
+def test_unknown_model_number_is_named():
     bench = Bench()
     bench.servos[1].table.put("model_number", 4711)
 

@@ -1,4 +1,4 @@
-"""Control tables and units: every model's table is sound, and conversions come back to where they began."""
+"""Control tables and units: every model's table is consistent, and conversions are reversible."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ EVERY = pytest.mark.parametrize("model", models().values(), ids=lambda model: mo
 
 
 @EVERY
-def test_a_model_is_whole(model: Model):
+def test_control_table_is_complete_and_without_overlaps(model: Model):
     vendor = "http://doc.feetech.cn/" if model.protocol == 0 else "https://emanual.robotis.com/docs/en/dxl/"
     assert model.manual.startswith(vendor)
-    # The goal and the profile of the speed are one register in a Feetech servo.
+    # In a Feetech servo goal and profile of the speed are one register.
     places = sorted({(item.address, item.address + item.size) for item in model.items.values()})
     assert all(end <= start for (_, end), (start, _) in pairwise(places))
     needed = {"model_number", "firmware_version", "torque_enable", "goal_position", "profile_velocity"}
@@ -40,7 +40,7 @@ def test_a_model_is_whole(model: Model):
 
 
 @EVERY
-def test_a_goal_with_its_profile_is_one_write(model: Model):
+def test_goal_and_profile_are_adjacent_registers(model: Model):
     names = ("profile_acceleration", "profile_velocity", "goal_time", "goal_position")
     items = sorted((model.items[name] for name in names if model.has(name)), key=lambda item: item.address)
     assert all(a.address + a.size == b.address for a, b in pairwise(items))
@@ -49,12 +49,12 @@ def test_a_goal_with_its_profile_is_one_write(model: Model):
 @pytest.mark.few(4)
 @EVERY
 @given(angle=st.floats(-2.6, 2.6))
-def test_angles_come_back(model: Model, angle: float):
+def test_angle_conversion_is_reversible(model: Model, angle: float):
     assert abs(model.to_angle(model.to_counts(angle)) - angle) <= model.position / 2 + 1e-12
 
 
 @given(st.sampled_from([1, 2, 4]), st.sampled_from(["", "signed"]), st.data())
-def test_items_come_back(size, sign, data):
+def test_item_encoding_is_reversible(size, sign, data):
     low, high = (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if sign else (0, (1 << 8 * size) - 1)
     value, item = data.draw(st.integers(low, high)), Item(10, size, sign)
     assert item.decode(b"\0\0\0" + item.encode(value), 7) == value
@@ -66,7 +66,7 @@ def test_items_come_back(size, sign, data):
     st.integers(-1023, 1023),
     st.sampled_from([(AX, "present_velocity", 10), (STS, "homing_offset", 11), (STS, "goal_velocity", 15)]),
 )
-def test_values_with_a_sign_bit(value, place):
+def test_sign_bit_values_are_encoded_and_decoded(value, place):
     model, name, bit = place
     item, raw = model.items[name], value if value >= 0 else -value | 1 << bit
     assert item.decode(raw.to_bytes(2, "little"), item.address) == value
@@ -78,7 +78,7 @@ def test_values_with_a_sign_bit(value, place):
 @pytest.mark.few(4)
 @EVERY
 @given(data=st.data(), error=st.integers(0, 255))
-def test_any_bytes_are_some_state(model: Model, data, error):
+def test_any_register_bytes_are_decoded(model: Model, data, error):
     size = model.present[1]
     seen = present(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
     assert math.isfinite(seen.position)
@@ -92,16 +92,16 @@ def test_any_bytes_are_some_state(model: Model, data, error):
     st.sampled_from([X, AX, STS]),
 )  # fmt: skip
 @example(0.0, 0.0, 1.0, 5e-324, True, X)
-def test_any_motion_fits_into_the_table(angle, distance, speed, acceleration, time_based, model):
+def test_any_motion_fits_into_the_registers(angle, distance, speed, acceleration, time_based, model):
     servo = Servo(Chain(None), Node(1))  # type: ignore[arg-type]  # nothing is sent here
     servo.model, servo.time_based = model, time_based and model is X
     start, data = servo.motion(angle, distance, speed, acceleration)
     assert model.items["goal_position"].decode(data, start) == model.to_counts(angle)
     profile = model.items["profile_velocity"].decode(data, start)
-    assert 1 <= profile <= model.fastest, "0 would be without any limit"
+    assert 1 <= profile <= model.fastest, "0 would mean no limit"
 
 
-def test_the_figures_of_the_manual():
+def test_units_equal_those_of_the_manual():
     # XL330-M288: 0.229 rev/min, 1 mA, 0.1 V; half a turn is 2048.
     data = bytearray(25)
     for name, value in (("present_velocity", -100), ("present_current", 500), ("present_position", 4096)):
@@ -118,7 +118,7 @@ def test_the_figures_of_the_manual():
 
 
 @given(st.integers(0, 255))
-def test_every_error_byte_has_words(error):
+def test_every_error_byte_is_described(error):
     status = Status(1, error, b"")
     assert bool(refusal_text(2, status)) == bool(error & 0x7F)
     assert isinstance(refusal_text(1, status), str)
@@ -129,7 +129,7 @@ def test_every_error_byte_has_words(error):
     assert "overload" in fault_text(2, error | 0x20)
 
 
-def test_the_modes_are_the_manuals():
+def test_operating_modes_equal_those_of_the_manual():
     assert X.modes == {
         "current": 0,
         "velocity": 1,

@@ -34,5 +34,5 @@ async def test_requests_and_answers_are_logged(bench, joint, /, tmp_path):
 
 
 @pytest.mark.parametrize("line", [HEX_HEADER.decode(), "1.5 > FF", "1.5 > F\n", "x > FF\n", "\n"])
-def test_what_is_no_line_of_the_log(line):
+def test_invalid_log_line_is_refused(line):
     assert parse_hex_line(line) is None

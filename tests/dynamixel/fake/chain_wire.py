@@ -1,4 +1,4 @@
-"""The port of a vendor's SDK with simulated servos at its end; asking what time it is lets some pass."""
+"""The port of a vendor's SDK with simulated servos at its end; each query of the time advances it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from lfield_sim.dynamixel.servo_chain import ServoChain, TimedReply
 
 
 class ChainWire:
-    """What an SDK's PortHandler does, on given time: a base of it, before the SDK's own class."""
+    """The behaviour of an SDK's PortHandler on virtual time: a base class before the SDK's own."""
 
     chain: ServoChain
     now: float

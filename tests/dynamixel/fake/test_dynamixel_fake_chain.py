@@ -1,4 +1,4 @@
-"""The fake's bus by raw packets and given time: who answers what, when, and what goes wrong."""
+"""The fake's bus by raw packets on the time of the test: answers, their times, and faults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RESULT_FAIL, BAD_INSTRUCTION, BAD_CRC, RANGE, LENGTH, LIMIT, ACCESS, ALERT = 1, 
 
 
 def parse(data: bytes) -> list[tuple[int, int, bytes]]:
-    """Status packets as id, error and data; each must be sound."""
+    """Status packets as id, error and data; each must be valid."""
     found = []
     while data:
         end = 7 + int.from_bytes(data[5:7], "little")
@@ -47,7 +47,7 @@ class Bus:
         self.now, self.baud = 1.0, None
 
     def send(self, raw: bytes) -> bytes:
-        """What comes back, all of it, before the next question."""
+        """Send bytes; returns all replies before the next request."""
         replies = self.chain.receive(raw, self.now, self.baud)
         self.now = max([self.now + 0.005, *(reply.at for reply in replies)])
         return b"".join(reply.data for reply in replies)
@@ -63,12 +63,12 @@ class Bus:
         return data
 
     def write(self, id: int, address: int, data: bytes) -> int | None:
-        """The error, or None when nobody answered."""
+        """The error byte, or None without an answer."""
         answers = self.ask(id, WRITE, struct.pack("<H", address) + data)
         return answers[0][1] if answers else None
 
     def wait(self, seconds: float) -> None:
-        """Silence."""
+        """Advance the time without a packet."""
         self.now += seconds
         self.chain.advance(self.now)
 
@@ -81,7 +81,7 @@ def sync_read(*ids: int, fast: bool = False) -> bytes:
 # ---- single servos ----------------------------------------------------------------------------------
 
 
-def test_ping_and_broadcast_ping_in_the_order_of_ids():
+def test_pings_answer_in_the_order_of_ids():
     bus = Bus(5, 2, 9)
     assert bus.ask(5, PING) == [(5, 0, b"\xfc\x03\x34")]
     assert [id for id, _, _ in bus.ask(BROADCAST, PING)] == [2, 5, 9]
@@ -113,29 +113,29 @@ def test_ping_and_broadcast_ping_in_the_order_of_ids():
         (5000, b"\x01", 0, ACCESS),
     ],
 )
-def test_which_writes_are_refused(address, data, torque, error):
+def test_invalid_write_is_refused_with_its_error(address, data, torque, error):
     bus = Bus()
     assert bus.write(1, TORQUE, bytes([torque])) == 0
     before = bus.chain.servos[0].table.read(0, 120)
     assert bus.write(1, address, data) == error
     if error:
-        assert bus.chain.servos[0].table.read(0, 120) == before, "nothing has changed"
+        assert bus.chain.servos[0].table.read(0, 120) == before, "no register has changed"
 
 
-def test_a_write_of_several_registers_is_all_or_nothing():
+def test_write_of_several_registers_is_all_or_nothing():
     bus = Bus()
     assert bus.write(1, TORQUE, b"\x01\x02") == RANGE
     assert bus.read(1, TORQUE, 2) == b"\x00\x00"
 
 
-def test_reads_beyond_the_table_and_too_short():
+def test_read_beyond_the_table_or_too_short_is_an_error():
     bus = Bus()
     assert bus.ask(1, READ, struct.pack("<HH", 660, 10)) == [(1, ACCESS, b"")]
     assert bus.ask(1, READ, b"\x84") == [(1, LENGTH, b"")]
     assert bus.ask(1, 0x77) == [(1, BAD_INSTRUCTION, b"")]
 
 
-def test_a_wrong_check_sum_is_told_by_the_one_who_was_meant():
+def test_wrong_checksum_is_answered_by_the_addressed_servo():
     bus = Bus(1, 2)
     raw = bytearray(encode(2, WRITE, b"\x41\x00\x01"))
     raw[-1] ^= 1
@@ -143,10 +143,10 @@ def test_a_wrong_check_sum_is_told_by_the_one_who_was_meant():
     assert bus.read(2, LED, 1) == b"\x00"
     raw = bytearray(encode(BROADCAST, PING))
     raw[-1] ^= 1
-    assert bus.send(bytes(raw)) == b"", "nobody was meant"
+    assert bus.send(bytes(raw)) == b"", "a broadcast is not answered"
 
 
-def test_status_return_level():
+def test_status_return_level_selects_the_answers():
     bus = Bus()
     for level, read, write in ((2, True, True), (1, True, False), (0, False, False)):
         bus.chain.servos[0].table.put("status_return_level", level)
@@ -157,17 +157,17 @@ def test_status_return_level():
     assert bus.chain.servos[0].table["led"] == 1
 
 
-def test_broadcast_writes_are_carried_out_in_silence():
+def test_broadcast_writes_are_executed_without_answers():
     bus = Bus(1, 2)
     assert bus.ask(BROADCAST, WRITE, b"\x41\x00\x01") == []
     assert bus.read(1, LED, 1) == bus.read(2, LED, 1) == b"\x01"
     assert bus.ask(BROADCAST, REBOOT) == []
     assert bus.ask(BROADCAST, RESET, b"\xff") == []
     bus.wait(0.2)
-    assert len(bus.ask(BROADCAST, PING)) == 2, "all with the same id would be the end of them"
+    assert len(bus.ask(BROADCAST, PING)) == 2, "a broadcast reset keeps the ids"
 
 
-def test_ids_and_speeds_change_at_once():
+def test_id_and_baud_rate_change_at_once():
     bus = Bus()
     bus.baud = 57_600
     assert bus.write(1, ID, b"\x07") == 0
@@ -178,14 +178,14 @@ def test_ids_and_speeds_change_at_once():
     assert len(bus.ask(7, PING)) == 1
 
 
-def test_a_secondary_id_writes_ram_in_silence():
+def test_secondary_id_writes_ram_without_an_answer():
     bus = Bus(1, 2, secondary_id=100)
     assert bus.write(100, LED, b"\x01") is None
     assert bus.write(100, MODE, b"\x01") is None
     assert bus.read(1, LED, 1) == bus.read(2, LED, 1) == b"\x01"
-    assert bus.read(1, MODE, 1) == b"\x03", "but no EEPROM"
+    assert bus.read(1, MODE, 1) == b"\x03", "the EEPROM is unchanged"
     bus.chain.servos[0].table.put("secondary_id", 2)
-    assert bus.write(2, LED, b"\x00") == 0, "the one whose id it is answers"
+    assert bus.write(2, LED, b"\x00") == 0, "the servo with this id answers"
     assert bus.read(1, LED, 1) == b"\x00"
 
 
@@ -199,7 +199,7 @@ def test_registered_writes_wait_for_action():
     assert bus.ask(1, REG_WRITE, b"\x41\x00\x09") == [(1, RANGE, b"")]
 
 
-def test_reboot_is_answered_and_then_there_is_silence():
+def test_reboot_is_answered_before_a_silence():
     bus = Bus()
     bus.write(1, LED, b"\x01")
     assert bus.ask(1, REBOOT) == [(1, 0, b"")]
@@ -209,7 +209,7 @@ def test_reboot_is_answered_and_then_there_is_silence():
 
 
 @pytest.mark.parametrize(("option", "id", "baud"), [(0xFF, 1, 57_600), (1, 9, 57_600), (2, 9, 1_000_000)])
-def test_factory_reset_keeps_what_it_says(option, id, baud):
+def test_factory_reset_keeps_the_selected_settings(option, id, baud):
     bus = Bus(9, baud_rate=3, velocity_limit=100)
     assert bus.ask(9, RESET, bytes([option])) == [(9, 0, b"")]
     bus.wait(0.15)
@@ -218,7 +218,7 @@ def test_factory_reset_keeps_what_it_says(option, id, baud):
     assert bus.ask(id, RESET, b"\x07") == [(id, RANGE, b"")]
 
 
-def test_clear_forgets_turns_only_while_it_stands_still():
+def test_clear_resets_turns_only_at_rest():
     bus = Bus(operating_mode=4)
     bus.chain.servos[0].motion.motor.angle += 12.0
     turns = b"\x01\x44\x58\x4c\x22"
@@ -234,7 +234,7 @@ def test_clear_forgets_turns_only_while_it_stands_still():
 @pytest.mark.parametrize(("model", "data"), [("XM430-W350", 224), ("XL330-M288", 208)])
 def test_indirect_addresses(model, data):
     bus = Bus(model=model)
-    assert bus.write(1, data, b"\x2a") == 0, "at first each leads to its own byte"
+    assert bus.write(1, data, b"\x2a") == 0, "initially each pointer refers to its own byte"
     assert bus.read(1, data, 1) == b"\x2a"
     pointers = [POSITION, POSITION + 1, POSITION + 2, POSITION + 3, 146, GOAL, GOAL + 1, GOAL + 2, GOAL + 3]
     assert bus.write(1, 168, struct.pack("<9H", *pointers)) == 0
@@ -246,7 +246,7 @@ def test_indirect_addresses(model, data):
     assert bus.write(1, 168, b"\x01\x00") == RANGE
 
 
-def test_data_that_looks_like_a_header_is_stuffed():
+def test_data_equal_to_a_header_is_stuffed():
     bus = Bus()
     bus.write(1, 224, b"\xff\xff\xfd\x00\xff\xff\xfd")
     assert bus.read(1, 224, 7) == b"\xff\xff\xfd\x00\xff\xff\xfd"
@@ -255,7 +255,7 @@ def test_data_that_looks_like_a_header_is_stuffed():
 # ---- groups -----------------------------------------------------------------------------------------
 
 
-def test_group_reads_answer_in_the_order_of_the_list_and_stop_at_one_who_is_missing():
+def test_group_read_answers_in_list_order_up_to_a_missing_servo():
     bus = Bus(1, 2, 3)
     assert [id for id, _, _ in parse(bus.send(sync_read(3, 1, 2)))] == [3, 1, 2]
     assert [id for id, _, _ in parse(bus.send(sync_read(3, 77, 2)))] == [3]
@@ -263,7 +263,7 @@ def test_group_reads_answer_in_the_order_of_the_list_and_stop_at_one_who_is_miss
     assert bus.ask(BROADCAST, Instruction.BULK_READ, wishes) == [(2, 0, b"\x78\x00"), (1, 0, b"\x1e")]
 
 
-def test_fast_reads_share_one_packet_that_breaks_where_one_is_missing():
+def test_fast_read_packet_ends_at_a_missing_servo():
     bus = Bus(1, 2, 3)
     ((id, error, data),) = parse(bus.send(sync_read(2, 3, fast=True)))
     assert (id, error, data[0]) == (BROADCAST, 0, 2)
@@ -293,7 +293,7 @@ def test_group_writes_are_never_answered():
     assert bus.read(1, LED, 1) + bus.read(2, GOAL, 4) == b"\x00" + struct.pack("<i", 777)
 
 
-def test_groups_that_cannot_be_answered():
+def test_invalid_group_reads_are_not_answered():
     bus = Bus(1, 2)
     assert bus.send(sync_read(1, 2, 1)) == b""
     wishes = struct.pack("<BHHBHH", 1, 0, 660, 2, 0, 660)
@@ -304,7 +304,7 @@ def test_groups_that_cannot_be_answered():
 # ---- time -------------------------------------------------------------------------------------------
 
 
-def test_an_answer_takes_the_wire_and_the_return_delay():
+def test_answer_takes_transmission_time_and_return_delay():
     bus = Bus(1, 2)
     question = encode(1, READ, b"\x84\x00\x04\x00")
     (reply,) = bus.chain.receive(question, 1.0, 57_600)
@@ -313,7 +313,7 @@ def test_an_answer_takes_the_wire_and_the_return_delay():
     assert second.at - first.at == pytest.approx(15 * 10 / 57_600 + 500e-6)
 
 
-def test_questions_that_overtake_answers_are_answered_later_and_never_without_end():
+def test_flood_of_requests_is_answered_late_and_in_bounds():
     bus = Bus()
     flood = encode(1, PING) * 2000
     replies = bus.chain.receive(flood, 1.0, 57_600)
@@ -322,7 +322,7 @@ def test_questions_that_overtake_answers_are_answered_later_and_never_without_en
     assert len(replies) < 300
 
 
-def test_the_wrong_speed_and_half_a_packet_are_silence():
+def test_wrong_baud_rate_or_half_a_packet_gets_no_answer():
     bus = Bus()
     bus.baud = 115_200
     assert bus.ask(1, PING) == []
@@ -332,11 +332,11 @@ def test_the_wrong_speed_and_half_a_packet_are_silence():
     assert len(parse(bus.send(raw[5:]))) == 1
     bus.send(raw[:5])
     bus.wait(0.2)
-    assert bus.send(raw[5:]) == b"", "too late for the rest"
+    assert bus.send(raw[5:]) == b"", "the rest came too late"
     assert len(bus.ask(1, PING)) == 1
 
 
-def test_any_packet_on_the_bus_feeds_the_watchdog_of_all():
+def test_any_packet_on_the_bus_feeds_every_watchdog():
     bus = Bus(1, 2, bus_watchdog=10)
     bus.write(1, TORQUE, b"\x01")
     for _ in range(10):
@@ -353,7 +353,7 @@ def test_any_packet_on_the_bus_feeds_the_watchdog_of_all():
 # ---- protocol 1.0 -----------------------------------------------------------------------------------
 
 
-def test_protocol_1():
+def test_protocol_1_of_the_fake():
     bus = Bus(protocol_type=1)
     assert bus.ask(1, PING) == []
     assert bus.send(encode1(1, PING)) == bytes.fromhex("FF FF 01 02 00 FC")
@@ -362,7 +362,7 @@ def test_protocol_1():
     assert bus.send(encode1(1, 0x77))[4] == 0x40
     assert bus.send(encode1(BROADCAST, Instruction.SYNC_WRITE, b"\x41\x01\x01\x01")) == b""
     assert bus.send(encode1(BROADCAST, Instruction.BULK_READ, b"\x00\x01\x01\x41"))[5] == 1
-    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than an answer can be"
+    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than an answer may be"
     raw = bytearray(encode1(1, PING))
     raw[-1] ^= 1
     assert bus.send(bytes(raw))[4] == 0x10
@@ -371,7 +371,7 @@ def test_protocol_1():
 # ---- faults -----------------------------------------------------------------------------------------
 
 
-def test_a_dead_servo_stops_a_group():
+def test_dead_servo_ends_a_group_read():
     bus = Bus(1, 2, 3)
     bus.chain.faults.apply(["dead@2=true"])
     assert bus.ask(2, PING) == []
@@ -384,15 +384,17 @@ def test_lost_and_corrupt_replies():
     bus = Bus(1, 2, 3)
     bus.chain.faults.apply(["lose@2=1"])
     assert bus.write(2, LED, b"\x01") is None
-    assert bus.chain.servos[1].table["led"] == 1, "it was done"
-    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1, 3], "the others heard it"
+    assert bus.chain.servos[1].table["led"] == 1, "the write was executed"
+    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1, 3], (
+        "the other servos received the request"
+    )
     assert len(bus.send(sync_read(1, 2, 3, fast=True))) == 16
     bus.chain.faults.apply(["lose@2=0", "corrupt@1=1"])
     good, bad = encode(1, 0x55, b"\x00\xfc\x03\x34"), bus.send(encode(1, PING))
     assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
 
 
-def test_late_foreign_and_senseless_answers():
+def test_delayed_foreign_and_nonsense_answers():
     bus = Bus(1)
     bus.chain.faults.apply(["delay=0.5"])
     assert bus.chain.receive(encode(1, PING), 5.0)[0].at > 5.5
@@ -405,7 +407,7 @@ def test_late_foreign_and_senseless_answers():
     assert len(bus.send(encode(1, PING))) > 14
 
 
-def test_overload_trips_and_the_alert_bit_tells():
+def test_overload_trips_and_sets_the_alert_bit():
     bus = Bus(1, 2)
     bus.write(1, TORQUE, b"\x01")
     bus.chain.faults.apply(["overload@1=true"])
@@ -420,7 +422,7 @@ def test_overload_trips_and_the_alert_bit_tells():
     assert bus.ask(1, PING)[0][1] == 0
 
 
-def test_a_broken_gear_moves_nothing_and_says_nothing():
+def test_stuck_servo_does_not_move_and_reports_no_error():
     bus = Bus()
     bus.chain.faults.apply(["stuck=true"])
     bus.write(1, TORQUE, b"\x01")
@@ -430,7 +432,7 @@ def test_a_broken_gear_moves_nothing_and_says_nothing():
     assert bus.read(1, HARDWARE, 1) == b"\x00"
 
 
-def test_faults_keep_to_the_servo_when_its_id_changes():
+def test_faults_stay_with_the_servo_when_its_id_changes():
     bus = Bus()
     bus.chain.faults.apply(["dead@1=true"])
     bus.chain.servos[0].table.put("id", 5)
@@ -449,7 +451,7 @@ pieces = st.one_of(
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(pieces, st.floats(0.0, 0.3)), max_size=8), st.sampled_from([1, 2]))
-def test_nothing_on_the_wire_breaks_it(pieces, protocol):
+def test_any_bytes_on_the_bus_are_survived(pieces, protocol):
     bus = Bus(1, 2, protocol_type=protocol, return_delay_time=0, secondary_id=100)
     for piece, pause in pieces:
         bus.wait(pause)
@@ -458,5 +460,5 @@ def test_nothing_on_the_wire_breaks_it(pieces, protocol):
     servo = bus.chain.servos[0]
     servo.table.put("status_return_level", 2)
     ping = encode(servo.id, PING) if servo.protocol == 2 else encode1(servo.id, PING)
-    assert bus.send(ping), "the next packet is heard"
+    assert bus.send(ping), "the next packet is answered"
     assert all(len(codec._buffer) <= 1024 for codec in bus.chain._codecs.values())

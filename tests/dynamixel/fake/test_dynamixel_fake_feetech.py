@@ -1,4 +1,4 @@
-"""Feetech's SDK, unchanged, against the simulated STS3215, and what such a servo refuses or forgets."""
+"""Feetech's SDK, unchanged, against the simulated STS3215; refused writes and volatile settings."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def desk() -> Desk:
     return Desk()
 
 
-def test_a_session_of_the_vendors_client():
+def test_session_of_the_vendor_client():
     desk = Desk(3)
     client, port = desk.client, desk.port
     assert client.ping(2) == (777, sdk.COMM_SUCCESS, 0)
@@ -92,7 +92,7 @@ def test_wheel_mode_turns_with_its_ramp(desk):
 
 
 @pytest.mark.parametrize("value", [0, 1, -1, 2047, -2047, 5000, -5000])
-def test_signs_beside_magnitudes(value):
+def test_sign_and_magnitude_encoding(value):
     assert signed(magnitude(value, 1 << 11), 1 << 11) == max(-2047, min(2047, value))
 
 
@@ -117,21 +117,21 @@ def test_damaged_and_unknown_instructions_are_not_answered(desk):
         (9, (1,), "min_position_limit"),
     ],
 )
-def test_what_it_refuses_changes_nothing_and_only_a_read_shows_it(desk, address, data, register):
+def test_refused_write_changes_nothing_and_is_answered_as_success(desk, address, data, register):
     before = desk.servo.table[register]
     assert desk.write(address, *data) == (0, 0)
     assert desk.servo.table[register] == before
 
 
-def test_without_answers_to_writes_it_still_answers_reads(desk):
-    assert desk.write(LEVEL, 0) == (0, 0), "answered as before"
+def test_reads_are_answered_without_answers_to_writes(desk):
+    assert desk.write(LEVEL, 0) == (0, 0), "this write is still answered"
     assert desk.write(TORQUE, 1)[0] == sdk.COMM_RX_TIMEOUT
     assert desk.client.read1ByteTxRx(1, TORQUE) == (1, 0, 0)
 
 
-def test_a_locked_servo_forgets_its_eeprom_without_power(desk):
+def test_locked_servo_loses_its_eeprom_without_power(desk):
     desk.write(OFFSET, 100, 0)
-    assert desk.client.ReadPos(1)[0] == 1948, "followed at once"
+    assert desk.client.ReadPos(1)[0] == 1948, "the offset applies at once"
     desk.servo.reboot()
     desk.port.wait(0.2)
     assert desk.client.read2ByteTxRx(1, OFFSET) == (0, 0, 0)
@@ -143,7 +143,7 @@ def test_a_locked_servo_forgets_its_eeprom_without_power(desk):
     assert desk.client.read1ByteTxRx(1, LOCK) == (1, 0, 0)
 
 
-def test_the_torque_switch_makes_the_present_position_the_middle(desk):
+def test_torque_switch_128_centres_the_present_position(desk):
     desk.client.WritePosEx(1, 1000, 0, 0)
     desk.port.wait(2.0)
     assert desk.write(TORQUE, 128) == (0, 0)
@@ -151,13 +151,13 @@ def test_the_torque_switch_makes_the_present_position_the_middle(desk):
     assert signed(desk.servo.table["homing_offset"], 1 << 11) == 1000 - 2048
 
 
-def test_an_overload_leaves_a_fifth_of_the_torque_until_it_is_switched_on_again(desk):
+def test_overload_reduces_the_torque_until_switched_on_again(desk):
     desk.client.WritePosEx(1, 3000, 0, 0)
     desk.port.chain.faults.apply(["overload=true"])
     desk.port.wait(1.9)
     assert desk.client.read1ByteTxRx(1, TORQUE) == (1, 0, 0)
     desk.port.wait(0.3)
-    assert desk.client.read1ByteTxRx(1, TORQUE) == (1, 0, 0x20), "the status is in every answer"
+    assert desk.client.read1ByteTxRx(1, TORQUE) == (1, 0, 0x20), "every answer contains the status"
     desk.port.wait(0.1)
     strength = desk.servo.model.strength
     assert desk.servo.motion.motor.current == pytest.approx(0.2 * strength.stall_current, rel=0.05)
@@ -169,7 +169,7 @@ def test_an_overload_leaves_a_fifth_of_the_torque_until_it_is_switched_on_again(
     assert desk.client.ping(1) == (777, 0, 0)
 
 
-def test_heat_switches_the_torque_off_and_goals_do_not_switch_it_on(desk):
+def test_heat_switches_the_torque_off_and_goals_do_not_restore_it(desk):
     desk.write(TORQUE, 1)
     desk.port.chain.faults.apply(["hot=true"])
     desk.port.wait(6.0)
@@ -178,20 +178,20 @@ def test_heat_switches_the_torque_off_and_goals_do_not_switch_it_on(desk):
     assert desk.servo.table["torque_enable"] == 0
     desk.write(TORQUE, 1)
     desk.port.wait(0.1)
-    assert desk.servo.table["torque_enable"] == 0, "it is still hot"
+    assert desk.servo.table["torque_enable"] == 0, "the servo is still hot"
 
 
 @pytest.mark.parametrize(
     ("fault", "bit", "torque"), [("sag=5", 0x01, 1), ("encoder=true", 0x02, 1)], ids=["voltage", "encoder"]
 )
-def test_other_errors_are_in_its_status_only(desk, fault, bit, torque):
+def test_other_errors_appear_in_the_status_only(desk, fault, bit, torque):
     desk.write(TORQUE, 1)
     desk.port.chain.faults.apply([fault])
     desk.port.wait(0.5)
     assert desk.client.read1ByteTxRx(1, TORQUE) == (torque, 0, bit)
 
 
-def test_too_much_current_switches_the_torque_off(desk):
+def test_over_current_switches_the_torque_off(desk):
     for address, value in ((28, 200), (38, 10)):
         desk.servo.table.put({28: "protection_current", 38: "over_current_time"}[address], value)
     desk.port.chain.faults.apply(["overload=true"])
@@ -201,7 +201,7 @@ def test_too_much_current_switches_the_torque_off(desk):
 
 
 @pytest.mark.parametrize("model", ["STS3215", "XM430-W350", "AX-12A"])
-def test_a_dip_of_the_supply_restarts_any_servo_once(model):
+def test_supply_dip_restarts_the_servo_once(model):
     servo = make_servo(model_named(model))
     chain = ServoChain([servo])
     servo.table.put("torque_enable", 1)

@@ -1,4 +1,4 @@
-"""How the fake's servos move, heat and protect themselves, on given time."""
+"""Motion, heat and protection of the fake's servos, on the time of the test."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Bench:
         return int.from_bytes(raw, "little", signed=item.signed)
 
     def wait(self, seconds: float, *, listening: bool = True) -> Bench:
-        """Let time pass; `listening` says whether the bus is alive meanwhile."""
+        """Advance the time; `listening` says whether there is traffic on the bus."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.now = min(end, self.now + 0.02)
@@ -60,7 +60,7 @@ speeds = st.floats(1.0, 1e5)
 
 
 @given(places, st.floats(-1e4, 1e4), places, speeds, speeds)
-def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest, acceleration):
+def test_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest, acceleration):
     profile = MotionProfile(start, speed, goal, fastest, acceleration)
     assert profile.at(profile.duration + 1.0) == (goal, 0.0)
     most, before, last = max(fastest, abs(speed)), speed, 0.0
@@ -70,7 +70,7 @@ def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastes
         assert abs(now) <= most * 1.001 + 1e-6
         assert abs(now - before) <= acceleration * (time - last) * 1.001 + most * 1e-6 + 1e-6
         before, last = now, time
-    # Continuous at the end: it does not jump to the goal.
+    # Continuous at the end: no jump to the goal.
     place, now = profile.at(max(0.0, profile.duration * (1 - 1e-9)))
     assert place == pytest.approx(
         goal, abs=1e-3 + 1e-6 * abs(goal - start) + 1e-6 * speed * speed / acceleration
@@ -78,7 +78,7 @@ def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastes
 
 
 @given(places, places, st.floats(0.01, 30.0), st.floats(0.0, 30.0))
-def test_a_timed_profile_takes_its_time(start, goal, total, rising):
+def test_timed_profile_takes_its_time(start, goal, total, rising):
     assume(abs(goal - start) > 1.0)
     profile = MotionProfile(start, 0.0, goal, *timed(goal - start, total, rising))
     assert profile.duration == pytest.approx(total, rel=1e-6)
@@ -95,7 +95,7 @@ def test_kinds_of_profiles():
 
 
 @pytest.mark.parametrize("model", sorted(name for name, model in MODELS.items() if model.protocol == 2))
-def test_every_model_goes_where_it_is_told_and_stays(model):
+def test_every_model_reaches_its_goal_and_rests(model):
     bench = Bench(model, torque_enable=1, goal_position=3000).wait(4.0)
     assert abs(bench["present_position"] - 3000) <= 1
     assert (bench["moving"], bench["present_velocity"], bench["hardware_error_status"]) == (0, 0, 0)
@@ -103,7 +103,7 @@ def test_every_model_goes_where_it_is_told_and_stays(model):
     assert bench.servo.motion.resting
 
 
-def test_a_trapezoid_in_time():
+def test_trapezoidal_profile_over_time():
     bench = Bench(torque_enable=1, profile_velocity=100, profile_acceleration=20, goal_position=3000)
     speed, acceleration = 100 * VELOCITY_UNIT * COUNTS, 20 * ACCELERATION_UNIT * COUNTS
     length = (3000 - 2048) / speed + speed / acceleration
@@ -119,7 +119,7 @@ def test_a_trapezoid_in_time():
     assert (bench["present_position"], bench["moving"]) == (3000, 0)
 
 
-def test_a_profile_by_time():
+def test_time_based_profile():
     bench = Bench(drive_mode=4, torque_enable=1, profile_velocity=2000, profile_acceleration=500)
     bench["goal_position"] = 3000
     assert bench.wait(1.0)["present_position"] == pytest.approx(2524, abs=5), "half way at half time"
@@ -127,7 +127,7 @@ def test_a_profile_by_time():
     assert bench.wait(0.2)["moving"] == 0
 
 
-def test_velocity_with_a_ramp_and_several_turns():
+def test_velocity_mode_with_ramp_over_several_turns():
     bench = Bench(operating_mode=1, torque_enable=1, profile_acceleration=10, goal_velocity=100)
     half = 100 * VELOCITY_UNIT / (10 * ACCELERATION_UNIT) / 2
     assert bench.wait(half)["present_velocity"] == pytest.approx(50, abs=3)
@@ -137,7 +137,7 @@ def test_velocity_with_a_ramp_and_several_turns():
     assert bench.wait(3.0)["present_velocity"] == pytest.approx(-100, abs=1)
 
 
-def test_extended_position_turns_and_position_mode_forgets_them():
+def test_extended_position_counts_turns_and_position_mode_drops_them():
     bench = Bench(operating_mode=4, torque_enable=1, goal_position=10_000).wait(4.0)
     assert bench["present_position"] == 10_000
     bench["torque_enable"] = 0
@@ -145,7 +145,7 @@ def test_extended_position_turns_and_position_mode_forgets_them():
     assert bench["present_position"] == 10_000 % 4096
 
 
-def test_current_mode_gives_torque_and_pwm_mode_a_share_of_the_supply():
+def test_current_mode_and_pwm_mode():
     bench = Bench(operating_mode=0, torque_enable=1, goal_current=50).wait(0.04)
     assert bench["present_current"] == pytest.approx(50, abs=2)
     bench = Bench(operating_mode=16, torque_enable=1, goal_pwm=-442).wait(2.0)
@@ -153,17 +153,17 @@ def test_current_mode_gives_torque_and_pwm_mode_a_share_of_the_supply():
     assert bench["present_pwm"] == pytest.approx(-442, abs=10)
 
 
-def test_current_based_position_holds_with_the_current_it_may_use():
+def test_current_based_position_holds_with_its_goal_current():
     bench = Bench(operating_mode=5, torque_enable=1, goal_current=100)
     bench.servo.motion.motor.blocked = True
     bench["goal_position"] = 4000
     bench.wait(3.0)
     assert bench["present_current"] == pytest.approx(100, abs=1)
-    assert bench["hardware_error_status"] == 0, "a gentle grip is no overload"
+    assert bench["hardware_error_status"] == 0, "a limited grip is no overload"
     assert bench["moving_status"] & 0x09 == 0x08
 
 
-def test_it_stops_at_an_obstacle_pushes_and_may_go_back():
+def test_servo_stops_at_an_obstacle_and_can_return():
     servo = Bench(operating_mode=5)
     servo["torque_enable"], servo["goal_current"] = 1, 100
     servo.servo.motion.motor.meet(math.pi + 0.3)
@@ -189,7 +189,7 @@ def test_reverse_and_homing_offset():
     assert bench["present_position"] == 2048, "position mode ignores offsets beyond 1024"
 
 
-def test_torque_holds_where_it_is_and_lets_go():
+def test_torque_on_resets_the_goal_to_the_present_position():
     bench = Bench(torque_enable=1, goal_position=3000).wait(3.0)
     bench["torque_enable"] = 0
     bench["goal_position"] = 1000
@@ -198,7 +198,7 @@ def test_torque_holds_where_it_is_and_lets_go():
     assert bench["goal_position"] == 3000
 
 
-def test_torque_comes_on_by_a_goal_if_drive_mode_says_so():
+def test_goal_switches_the_torque_on_in_its_drive_mode():
     bench = Bench(drive_mode=8, goal_position=2500)
     assert bench["torque_enable"] == 1
     assert bench.wait(2.0)["present_position"] == 2500
@@ -210,7 +210,7 @@ def test_torque_comes_on_by_a_goal_if_drive_mode_says_so():
 # ---- protection -------------------------------------------------------------------------------------
 
 
-def test_overload_shuts_it_down_until_it_is_rebooted():
+def test_overload_shuts_down_until_reboot():
     bench = Bench(torque_enable=1)
     motor = bench.servo.motion.motor
     motor.blocked, motor.load, bench.servo.motion.resting = True, 6.0, False
@@ -236,7 +236,7 @@ def test_overload_shuts_it_down_until_it_is_rebooted():
         (lambda servo: setattr(servo, "encoder_fault", True), 0x08),
     ],
 )
-def test_what_is_wrong_is_told_and_shutdown_says_what_it_means(spoil, bit):
+def test_error_is_reported_and_shutdown_selects_torque_off(spoil, bit):
     for shutdown in (0, bit):
         bench = Bench(shutdown=shutdown, torque_enable=1)
         spoil(bench.servo)
@@ -245,7 +245,7 @@ def test_what_is_wrong_is_told_and_shutdown_says_what_it_means(spoil, bit):
         assert bench["torque_enable"] == (0 if shutdown else 1)
 
 
-def test_load_heats_and_lowers_the_voltage():
+def test_load_heats_the_servo_and_lowers_the_voltage():
     bench = Bench(operating_mode=16, torque_enable=1)
     cold, idle = bench["present_temperature"], bench["present_input_voltage"]
     assert (cold, idle) == (30, 120)
@@ -256,9 +256,9 @@ def test_load_heats_and_lowers_the_voltage():
     assert bench["present_input_voltage"] < idle
 
 
-def test_the_bus_watchdog_stops_it_and_keeps_goals_read_only():
+def test_bus_watchdog_stops_the_servo_and_locks_goals():
     bench = Bench(operating_mode=1, torque_enable=1, bus_watchdog=10, goal_velocity=100)
-    assert bench.wait(1.0)["present_velocity"] > 90, "as long as there is traffic"
+    assert bench.wait(1.0)["present_velocity"] > 90, "with traffic on the bus"
     assert bench.wait(0.18, listening=False)["bus_watchdog"] == 10
     bench.wait(0.5, listening=False)
     assert (bench["bus_watchdog"], bench["present_velocity"], bench["torque_enable"]) == (255, 0, 1)
@@ -270,18 +270,18 @@ def test_the_bus_watchdog_stops_it_and_keeps_goals_read_only():
     assert bench.wait(0.5)["present_velocity"] == pytest.approx(50, abs=1)
 
 
-def test_the_watchdog_sleeps_while_torque_is_off():
+def test_watchdog_is_inactive_while_torque_is_off():
     bench = Bench(bus_watchdog=1)
     assert bench.wait(1.0, listening=False)["bus_watchdog"] == 1
 
 
-def test_the_tick_counts_milliseconds_and_wraps():
+def test_realtime_tick_counts_milliseconds_and_wraps():
     bench = Bench()
     assert bench.wait(2.0)["realtime_tick"] == pytest.approx(2000, abs=2)
     assert bench.wait(32.0)["realtime_tick"] == pytest.approx(34_000 - 32_768, abs=3)
 
 
-def test_startup_configuration_lets_it_hold_after_a_reboot():
+def test_startup_configuration_restores_the_torque_after_reboot():
     bench = Bench(startup_configuration=1)
     bench.servo.reboot()
     assert not bench.servo.awake
@@ -292,9 +292,9 @@ def test_startup_configuration_lets_it_hold_after_a_reboot():
 # ---- AX ---------------------------------------------------------------------------------------------
 
 
-def test_an_ax_turns_by_a_goal_at_its_speed_and_tells_no_more():
+def test_ax_goal_switches_the_torque_on_and_moves_at_its_speed():
     bench = Bench("AX-12A", moving_speed=100, goal_position=800)
-    assert bench["torque_enable"] == 1, "a goal switches it on"
+    assert bench["torque_enable"] == 1, "a goal switches the torque on"
     bench.wait(1.0)
     assert (bench["moving"], bench["present_speed"]) == (1, pytest.approx(100, abs=2))
     assert bench.wait(2.0)["present_position"] == 800
@@ -303,20 +303,20 @@ def test_an_ax_turns_by_a_goal_at_its_speed_and_tells_no_more():
     assert bench.wait(0.5)["present_speed"] == pytest.approx(1024 + 100, abs=2), "clockwise"
 
 
-def test_an_ax_as_a_wheel():
+def test_ax_wheel_mode():
     bench = Bench("AX-12A", ccw_angle_limit=0, torque_enable=1, moving_speed=1024 + 512).wait(1.0)
     assert bench["present_speed"] == pytest.approx(1024 + 512 * 59 / 0.111 / 1023, rel=0.05)
     assert bench.wait(3.0)["moving"] == 1
 
 
-def test_an_ax_refuses_goals_beyond_its_angles_and_locks():
+def test_ax_refuses_goals_beyond_its_angles_and_locked_registers():
     bench = Bench("AX-12A", cw_angle_limit=300, lock=1)
     for name, value, reason in (("goal_position", 200, "LIMIT"), ("id", 5, "ACCESS"), ("lock", 0, "RANGE")):
         with pytest.raises(InstructionRefused, match=reason):
             bench[name] = value
 
 
-def test_an_overloaded_ax_lets_go_and_comes_back_with_its_torque_limit():
+def test_overloaded_ax_is_restored_by_its_torque_limit():
     bench = Bench("AX-12A", torque_enable=1)
     motor = bench.servo.motion.motor
     motor.blocked, motor.load, bench.servo.motion.resting = True, 3.0, False
@@ -333,7 +333,7 @@ def test_an_overloaded_ax_lets_go_and_comes_back_with_its_torque_limit():
     st.sampled_from(["XM430-W350", "AX-12A"]),
     st.lists(st.tuples(st.integers(0, 200), st.integers(-(1 << 31), 1 << 31)), max_size=12),
 )
-def test_whatever_is_written_nothing_breaks(model, writes):
+def test_any_write_is_survived(model, writes):
     bench = Bench(model)
     names = sorted(bench.servo.model.items)
     for number, value in writes:

@@ -1,4 +1,4 @@
-"""The fake's packets against the examples of the manual, the vendor's code, and arbitrary bytes."""
+"""The fake's packets compared with the manual's examples, the vendor's code, and arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lfield_sim.dynamixel.packets import (
     unstuff,
 )
 
-#: Examples of https://emanual.robotis.com/docs/en/dxl/protocol2/: instruction packets, and what they are.
+#: Examples of https://emanual.robotis.com/docs/en/dxl/protocol2/: packet, id, instruction, parameters.
 MANUAL = [
     ("FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E", 1, 0x04, "68 00 C8 00 00 00"),
     ("FF FF FD 00 01 03 00 05 02 CE", 1, 0x05, ""),
@@ -27,12 +27,12 @@ MANUAL = [
     ("FF FF FD 00 01 03 00 08 2F 4E", 1, 0x08, ""),
     ("FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA", 0xFE, 0x82, "84 00 04 00 01 02"),
 ]
-#: Bytes in which headers are likely.
+#: Bytes with many headers.
 mostly_headers = st.lists(st.sampled_from([0xFF, 0xFF, 0xFD, 0xFD, 0x00, 0x01, 0x55])).map(bytes)
 
 
 @pytest.mark.parametrize(("raw", "id", "instruction", "parameters"), MANUAL)
-def test_examples_of_the_manual(raw, id, instruction, parameters):
+def test_instruction_equals_the_example_of_the_manual(raw, id, instruction, parameters):
     packet = bytes.fromhex(raw)
     assert encode(id, instruction, bytes.fromhex(parameters)) == packet
     (read,) = Codec2().feed(packet)
@@ -45,13 +45,13 @@ def test_examples_of_the_manual(raw, id, instruction, parameters):
     assert read.size == len(packet)
 
 
-def test_a_status_of_the_manual():
+def test_status_equals_the_example_of_the_manual():
     assert Codec2().status(2, 0, bytes.fromhex("1F 08 00 00")) == bytes.fromhex(
         "FF FF FD 00 02 08 00 55 00 1F 08 00 00 BA BE"
     )
 
 
-def test_protocol_1_of_the_manual():
+def test_protocol_1_equals_the_example_of_the_manual():
     # https://emanual.robotis.com/docs/en/dxl/protocol1/: read the present position's address 0x2B of id 1.
     packet = bytes.fromhex("FF FF 01 04 02 2B 01 CC")
     assert encode1(1, 2, b"\x2b\x01") == packet
@@ -60,18 +60,18 @@ def test_protocol_1_of_the_manual():
 
 
 @given(st.binary(max_size=100))
-def test_the_check_sum_is_the_vendors(data):
+def test_checksum_equals_that_of_the_vendor(data):
     assert crc16(data) == Protocol2PacketHandler().updateCRC(0, data, len(data))
 
 
 @given(mostly_headers)
-def test_stuffing_comes_back(data):
+def test_fake_stuffing_is_reversible(data):
     assert unstuff(stuff(data)) == data
     assert b"\xff\xff\xfd\x00" not in stuff(data)
 
 
 @given(st.integers(0, 252), st.integers(1, 255), mostly_headers | st.binary(max_size=300), st.integers(1, 40))
-def test_packets_come_back_however_they_are_cut(id, instruction, parameters, cut):
+def test_packets_are_read_however_they_are_cut(id, instruction, parameters, cut):
     for codec, make in ((Codec2(), encode), (Codec1(), encode1)):
         parameters = parameters[:200]
         raw = make(id, instruction, parameters)
@@ -88,19 +88,19 @@ def test_noise_is_skipped_and_the_next_packet_is_found(pieces):
         codec.feed(piece)
         assert len(codec._buffer) <= MAX_PACKET
     packet = encode(7, 2, b"\x84\x00\x04\x00")
-    # A broken length may hide one packet; the header of the next ends it.
+    # A damaged length may swallow one packet; the header of the next one ends it.
     found = codec.feed(packet) + codec.feed(packet)
     assert [p.id for p in found if p.is_valid][-1:] == [7]
 
 
 @given(st.integers(7, 12), st.integers(1, 255))
-def test_a_wrong_byte_is_noticed(place, change):
+def test_damaged_byte_is_detected(place, change):
     raw = bytearray(encode(1, 2, b"\x84\x00\x04\x00"))
     raw[place] ^= change
     assert [p.is_valid for p in Codec2().feed(bytes(raw))] == [False]
 
 
-def test_a_shared_status_ends_every_block_with_the_sum_of_all_before():
+def test_fast_status_has_a_cumulative_checksum_per_block():
     packet = fast_status(16, [(3, 0, b"\xa6\x00\x00\x00"), (7, 0, b"\x1f\x08\x00\x00")])
     assert packet[:8] == bytes.fromhex("FF FF FD 00 FE 11 00 55")
     assert crc16(packet[:14]) == int.from_bytes(packet[14:16], "little")

@@ -1,4 +1,4 @@
-"""The vendor's SDK, unchanged, against the fake: on given time in this process, and through a terminal."""
+"""The vendor's SDK, unchanged, against the fake: on virtual time in this process, and through a terminal."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def packets() -> sdk.Protocol2PacketHandler:
     return sdk.Protocol2PacketHandler()
 
 
-def test_pings(packets):
+def test_sdk_pings(packets):
     port = virtual(*IDS)
     assert packets.ping(port, 3) == (1020, sdk.COMM_SUCCESS, 0)
     assert packets.broadcastPing(port) == ({id: [1020, 52] for id in IDS}, sdk.COMM_SUCCESS)
     assert packets.ping(port, 77)[1] == sdk.COMM_RX_TIMEOUT
 
 
-def test_reads_and_writes_of_every_size(packets):
+def test_sdk_reads_and_writes_of_every_size(packets):
     port = virtual(1)
     assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
     assert packets.read1ByteTxRx(port, 1, LED) == (1, 0, 0)
@@ -65,7 +65,7 @@ def test_reads_and_writes_of_every_size(packets):
     assert packets.write1ByteTxRx(port, 1, LED, 9) == (0, 4)
 
 
-def test_registered_writes(packets):
+def test_sdk_registered_writes(packets):
     port = virtual(1, 2)
     for id in (1, 2):
         assert packets.regWriteTxRx(port, id, LED, 1, [1]) == (0, 0)
@@ -74,7 +74,7 @@ def test_registered_writes(packets):
     assert [packets.read1ByteTxRx(port, id, LED)[0] for id in (1, 2)] == [1, 1]
 
 
-def test_group_reads(packets):
+def test_sdk_group_reads(packets):
     port = virtual(*IDS)
     group = sdk.GroupSyncRead(port, packets, POSITION, 4)
     for id in IDS:
@@ -90,7 +90,7 @@ def test_group_reads(packets):
         assert (bulk.getData(1, VOLTS, 2), bulk.getData(2, TEMPERATURE, 1)) == (120, 30)
 
 
-def test_a_missing_servo_voids_the_sdks_group_read(packets):
+def test_sdk_group_read_fails_with_a_missing_servo(packets):
     port = virtual(1, 2, 3)
     port.chain.faults.apply(["dead@2=true"])
     group = sdk.GroupSyncRead(port, packets, POSITION, 4)
@@ -101,7 +101,7 @@ def test_a_missing_servo_voids_the_sdks_group_read(packets):
     assert group.fastSyncRead() == sdk.COMM_RX_CORRUPT
 
 
-def test_group_writes(packets):
+def test_sdk_group_writes(packets):
     port = virtual(1, 2)
     sync = sdk.GroupSyncWrite(port, packets, GOAL, 4)
     assert sync.addParam(1, [0xE8, 3, 0, 0])
@@ -116,7 +116,7 @@ def test_group_writes(packets):
     assert packets.read4ByteTxRx(port, 2, GOAL)[0] == 1
 
 
-def test_reboot_clear_and_factory_reset(packets):
+def test_sdk_reboot_clear_and_factory_reset(packets):
     port = virtual(7, operating_mode=4)
     packets.write1ByteTxRx(port, 7, LED, 1)
     assert packets.reboot(port, 7) == (0, 0)
@@ -133,14 +133,14 @@ def test_reboot_clear_and_factory_reset(packets):
     assert packets.ping(port, 1)[1] == 0
 
 
-def test_protocol_1():
+def test_sdk_with_protocol_1():
     port, packets = virtual(1, protocol_type=1), sdk.Protocol1PacketHandler()
     assert packets.ping(port, 1) == (1020, 0, 0)
     assert packets.write4ByteTxRx(port, 1, GOAL, 1000) == (0, 0)
     assert packets.read4ByteTxRx(port, 1, GOAL) == (1000, 0, 0)
 
 
-def test_an_ax():
+def test_sdk_with_an_ax_servo():
     servo = make_servo(model_named("AX-12A"))
     servo.start_with(5, 57_600, 1, 0.0)
     port, packets = VirtualPort(ServoChain([servo])), sdk.Protocol1PacketHandler()
@@ -154,7 +154,7 @@ def test_an_ax():
     port.chain.faults.apply(["overload=true"])
     packets.write1ByteTxRx(port, 5, 24, 1)
     port.wait(2.0)
-    assert packets.read1ByteTxRx(port, 5, 24) == (0, 0, 0x20), "every answer says what is wrong"
+    assert packets.read1ByteTxRx(port, 5, 24) == (0, 0, 0x20), "every answer contains the error"
 
 
 # ---- through a terminal -----------------------------------------------------------------------------
@@ -168,12 +168,12 @@ def running(*options: str) -> Iterator[tuple[RunningFake, str]]:
         assert kind == "serial"
         yield fake, path
     assert fake.process.returncode == 0
-    assert not os.path.lexists(path), "it leaves nothing behind"
+    assert not os.path.lexists(path), "the link must be removed"
 
 
 @pytest.fixture
-def patient(monkeypatch) -> None:
-    """The SDK gives up after 34 ms, which on a busy machine is too soon."""
+def long_sdk_timeout(monkeypatch) -> None:
+    """The SDK's timeout of 34 ms is too short for a loaded computer."""
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 250)
 
 
@@ -185,7 +185,7 @@ def opened(path: str, baud: int) -> sdk.PortHandler:
 
 
 @pytest.mark.process
-def test_a_session_through_a_terminal(packets, patient):
+def test_sdk_session_through_a_terminal(packets, long_sdk_timeout):
     servos = [f"--servo={id}:XL330-M288:arm.joint{id}" for id in IDS]
     with running("--baud", "1000000", *servos) as (fake, path):
         port = opened(path, 1_000_000)
@@ -208,13 +208,13 @@ def test_a_session_through_a_terminal(packets, patient):
 
 
 @pytest.mark.process
-def test_the_wrong_baud_rate_is_not_heard_and_one_without_a_name_is(packets, patient):
+def test_wrong_baud_rate_gets_no_answer_and_a_nonstandard_rate_works(packets, long_sdk_timeout):
     with running("--servo", "1:XM430-W350", "--baud", "3000000") as (_, path):
         port = opened(path, 57_600)
         assert packets.ping(port, 1)[1] == sdk.COMM_RX_TIMEOUT
         assert port.setBaudRate(3_000_000)
         assert packets.ping(port, 1)[1] == 0
-        assert packets.write1ByteTxRx(port, 1, 8, 7) == (0, 0), "answered at the old speed"
+        assert packets.write1ByteTxRx(port, 1, 8, 7) == (0, 0), "answered at the old baud rate"
         assert packets.ping(port, 1)[1] == sdk.COMM_RX_TIMEOUT
         port.ser.baudrate = 4_500_000
         assert packets.ping(port, 1)[1] == 0
@@ -222,7 +222,7 @@ def test_the_wrong_baud_rate_is_not_heard_and_one_without_a_name_is(packets, pat
 
 
 @pytest.mark.process
-def test_a_pulled_plug(packets, patient, tmp_path):
+def test_unplugged_terminal_fails_and_returns(packets, long_sdk_timeout, tmp_path):
     path = str(tmp_path / "ttyDXL")
     with running("--listen", path) as (fake, where):
         assert where == path
@@ -241,7 +241,7 @@ def test_a_pulled_plug(packets, patient, tmp_path):
 
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_it(number):
+def test_signal_ends_the_servo_fake(number):
     with running() as (fake, _):
         fake.process.send_signal(number)
         assert fake.process.wait(60) == 0
@@ -261,7 +261,7 @@ def test_signals_end_it(number):
         (["--listen", "/nowhere/at/all/tty"], "cannot use /nowhere/at/all/tty: No such file or directory"),
     ],
 )
-def test_options_that_make_no_sense(capsys, options, words):
+def test_invalid_option_of_the_servo_fake_is_refused(capsys, options, words):
     assert run_sim(["lfield_sim.dynamixel:SIM", *options]) in (64, 69)
     assert words in capsys.readouterr().err
 
@@ -271,7 +271,7 @@ def binding(field: str, type: str, **options: object) -> DeviceBinding:
     return DeviceBinding(field=field, type=type, options=options, **where)
 
 
-def test_bindings_of_protocol_1_make_servos_that_speak_it():
+def test_protocol_1_bindings_make_ax_servos():
     assert SIM.arguments([binding("neck", "Dynamixel", id=3, protocol=1)])[2:] == [
         "--servo",
         "3:AX-12A:a.neck",
@@ -280,7 +280,7 @@ def test_bindings_of_protocol_1_make_servos_that_speak_it():
     assert options[-2:] == ["--protocol", "1.0"]
 
 
-def test_bindings_make_their_chain():
+def test_simulated_chain_is_made_from_bindings():
     devices = [
         binding("gripper", "Dynamixel", id=7, model="XL330-M288"),
         binding("arm", "DynamixelGroup", ids=[1, 2, 7], model=""),

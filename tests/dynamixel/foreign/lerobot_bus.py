@@ -24,7 +24,7 @@ GOALS = (30.0, -20.0, 40.0, 10.0, -45.0, 80.0)
 
 
 class _Empty(types.ModuleType):
-    """A module with any name, which is an empty class."""
+    """A module in which every name is an empty class."""
 
     def __getattr__(self, name: str) -> type:
         if name.startswith("__"):
@@ -52,7 +52,7 @@ def bus_of(kind: str, port: str, file: str) -> Any:
 
 
 def configure(bus: Any) -> bool:
-    """What SOFollower.configure does, which writes EEPROM; returns whether the torque is on afterwards."""
+    """The steps of SOFollower.configure, which write EEPROM; returns whether the torque is on afterwards."""
     with bus.torque_disabled():
         bus.configure_motors()
         if hasattr(bus, "protocol_version") and bus.protocol_version == 0:
@@ -84,7 +84,7 @@ def centres(bus: Any) -> bool:
 
 
 def restores(bus: Any, joints: dict[str, Any]) -> bool:
-    """The calibration is written, and read as it was."""
+    """Write the calibration and read it back."""
     bus.write_calibration(joints)
     return bool(bus.is_calibrated)
 

@@ -1,6 +1,6 @@
-"""Programs that only calculate: a few expressions on every pair of strange values, each result kept.
+"""Programs that only calculate: a few expressions on every pair of edge values, with all results stored.
 
-What other programs overwrite before anybody looks is seen here, and what happens at the ends of numbers.
+This detects results that other programs overwrite before the comparison, and errors at the limits of numbers.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from engine_fuzzer.value_literals import edge
 
 #: The types of results, which are kept.
 _TYPES = ("int", "real", "boolean", "string")
-#: What is calculated: a built-in function more often than an operator.
+#: The operations: a built-in function more often than an operator.
 _FORMS = [
     (kind, row) for kind in _TYPES for row in FORMS[kind] for _ in range(3 if re.search(r"\w\(", row) else 1)
 ]
-#: How many values of each type are paired, and how many results of each pair there are.
+#: Number of paired values of each type, and of results of each pair.
 _SIZES = ((6, 16), (8, 9), (12, 4), (16, 2))
 #: The values of a pair by type, and objects that are there, or not.
 _PAIR: dict[str, tuple[str, ...]] = {
@@ -56,7 +56,7 @@ boolean p = i < j; int at = i * {values} + j;
 
 
 def random_calculation(rng: random.Random) -> ProgramPiece:
-    """A program by what the dice say."""
+    """A program drawn from the random generator."""
     expressions = ExpressionGenerator(rng, _PAIR, {})
     values, count = rng.choice(_SIZES)
     forms = [_kept(expressions, *rng.choice(_FORMS), number, count) for number in range(count)]
@@ -65,7 +65,7 @@ def random_calculation(rng: random.Random) -> ProgramPiece:
 
 
 def _given(rng: random.Random, values: int) -> list[ProgramPiece]:
-    """Both zeros are always there: functions of two numbers tell them apart only together."""
+    """Both zeros are always present: functions of two numbers distinguish them only together."""
     names = {"v": "int", "w": "real", "texts": "string"}
     zeros = {"w[0]": "0.0", "w[1]": "(-0.0)"}
     return [

@@ -1,8 +1,8 @@
-"""Try random programs on two engines: python tests/fuzz/fuzz.py --count 1000 --seed 1
+"""Run random programs on two engines: python tests/fuzz/fuzz.py --count 1000 --seed 1
 
-Each program of L is tried as it is, and changed a little more each time (`--mutants`). A difference is
-printed with the command that finds it again, and once more when it was made smaller, which may take minutes:
-Ctrl-C shows how small it is by then.
+Each program of L is run unchanged, and with a few more changes each time (`--mutants`). A difference is
+printed with the command that reproduces it, and again after it was reduced, which may take minutes:
+Ctrl-C prints the present reduction.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _EVERY = 20.0
 
 @dataclass
 class FuzzTally:
-    """What was done."""
+    """Counts of trials."""
 
     programs: int = 0
     instructions: int = 0
@@ -54,16 +54,16 @@ class FuzzTally:
 
 
 class EngineFuzzer:
-    """Tries the programs of seeds on one engine."""
+    """Runs the programs of seeds on one engine."""
 
     def __init__(self, engines: Engines, mutants: int) -> None:
         self._engines, self._mutants = engines, mutants
         self.tally = FuzzTally()
 
     def seed(self, seed: int) -> Iterator[str]:
-        """Try one program and its mutants; of a difference a report at once, and one when it is smaller.
+        """Run one program and its mutants; reports a difference at once, and again when it is reduced.
 
-        A KeyboardInterrupt meanwhile is raised behind the second report, of what was left then.
+        A KeyboardInterrupt meanwhile is raised after the second report, with the reduction of that moment.
         """
         piece = random_program(random.Random(seed))
         text = piece.text()
@@ -133,7 +133,7 @@ class SmallestFailure:
         return differences != ()
 
     def after(self, work: Callable[[], object]) -> Iterator[str]:
-        """The report once the work is done, or as it is when a KeyboardInterrupt ends that."""
+        """The report when the reduction is done, or its present state after a KeyboardInterrupt."""
         try:
             work()
         except KeyboardInterrupt:
@@ -183,7 +183,7 @@ def main(argv: list[str]) -> int:
 
 
 def _try(fuzz: EngineFuzzer, args: argparse.Namespace, started: float) -> None:
-    """One seed after another, until it is enough."""
+    """One seed after another, until the count or time is reached."""
     seed, said = args.seed, started
     while fuzz.tally.programs < args.count and fuzz.tally.found < args.most:
         for report in fuzz.seed(seed):

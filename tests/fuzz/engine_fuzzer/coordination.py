@@ -1,6 +1,6 @@
-"""Random statements of coordinators only: time limits, reservations, calls that are under way together.
+"""Random statements of coordinators only: time limits, reservations, calls that run concurrently.
 
-On one host there are no hops, no restarts and no leases that end; whatever else these statements do is here.
+On one host there are no hops, restarts and expired leases; all other effects of these statements occur here.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class Coordination:
         return [self._expressions.form("", form, 1) for form in chosen]
 
     def _within(self, depth: int) -> ProgramPiece:
-        """What is given up after some time, which passes in sleeps only."""
+        """A body with a time limit, which expires in sleeps only."""
         seconds = self._rng.choice(("0.1", "0.6", "x"))
         return written("", f"within ({seconds}) {{ # }}", [*self._block(depth - 1, 2), self._wait()])
 
     def _reserve(self, depth: int) -> ProgramPiece:
-        """What is taken may be somebody else's, or not be there."""
+        """The resource may be reserved by another agent, or be absent."""
         taken = self._expressions.form("", self._rng.choice(("#|Store", "#|Store!", "all|")), 1)
         return written("", "reserve (#) { # }", taken, [*self._block(depth - 1, 2), self._wait()])
 

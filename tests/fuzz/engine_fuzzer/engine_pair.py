@@ -1,8 +1,8 @@
-"""An engine that is two: both do every slice, and all that can be seen of it must be the same.
+"""A pair of engines: both execute every slice, and all observable results must be the same.
 
-It stands where an engine stands in a machine, so whatever runs on a machine can be run on both: exits, what
-is left of the budget, and the bytes of the block are compared at the end of every slice. Slices are cut at
-random besides, since between any two instructions one engine may take over from another.
+It replaces an engine in a machine, so any program can be run on both: exits, the remaining
+budget, and the bytes of the block are compared at the end of every slice. Slices are also cut at
+random, since between any two instructions one engine may take over from another.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from lfield.vm.reference import ReferenceEngine as Reference
 
 
 class TrialOver(Exception):
-    """So many instructions were done, or a difference was found: the trial is over."""
+    """The number of instructions was reached, or a difference was found: the trial ends."""
 
 
 class EnginePair(EngineWrapper):
-    """The engine that is tried, and the reference engine on a copy of each block.
+    """The tested engine, and the reference engine on a copy of each block.
 
     `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and
     ends the trial.

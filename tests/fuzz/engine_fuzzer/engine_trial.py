@@ -1,4 +1,4 @@
-"""One program on two engines, on one host in memory, until it ends or has had enough."""
+"""One program on two engines, on one host in memory, until it ends or reaches its limits."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What came of a trial: what differed, how many instructions both did, and in how many slices."""
+    """The result of a trial: differences, the number of instructions of both, and the number of slices."""
 
     differences: tuple[str, ...]
     instructions: int

@@ -1,4 +1,4 @@
-"""Random expressions of L, by type: what engines calculate, compare, read and make."""
+"""Random expressions of L, by type: calculations, comparisons, reads and allocations of engines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Programs that no compiler makes: compiled ones, changed here and there as far as the verifier accepts it.
+"""Programs that no compiler produces: compiled ones with random changes that the verifier accepts.
 
 Jumps go anywhere in a method, so loops have several entries; constants have any bits; handlers and calls are
 in places where L has none.

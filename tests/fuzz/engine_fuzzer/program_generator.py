@@ -1,6 +1,6 @@
-"""Random programs of L: a class with objects that hang together, a resource, and coordinators that call it.
+"""Random programs of L: a class with linked objects, a resource, and coordinators that call it.
 
-A program has its types right and ends by itself mostly; what does not is stopped by the trial.
+A program is correctly typed and mostly ends by itself; the trial stops others.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A program that still shows a difference, with as little in it as can be found quickly."""
+"""Reduces a program that shows a difference as far as possible in a short time."""
 
 from __future__ import annotations
 

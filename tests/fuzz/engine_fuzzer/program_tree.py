@@ -1,4 +1,4 @@
-"""A program as a tree of text, so that what is not needed for a difference can be taken out of it."""
+"""A program as a tree of text, so that parts that are not needed for a difference can be removed."""
 
 from __future__ import annotations
 

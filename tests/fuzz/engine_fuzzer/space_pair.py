@@ -1,4 +1,4 @@
-"""The space of the engine that is tried: what it does with heaps is done in Python too, and compared."""
+"""The space of the tested engine: its heap operations are repeated in Python, and compared."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random statements of L: loops, exceptions, calls, and whatever else engines must do alike."""
+"""Random statements of L: loops, exceptions, calls, and all else that engines must execute alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values as L has them: usual ones, and those at the edges of what a type can hold or a function does."""
+"""Values of L: usual ones, and those at the limits of a type or a function."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of a poor radio: of a direction, of a shared channel, and the cells that are measured."""
+"""Parameters of a poor radio: of a direction, of a shared channel, and the measured cells."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Cell:
     channel: Channel = field(default_factory=Channel)
 
     def as_json(self) -> dict[str, object]:
-        """Its fields, as they travel to the router."""
+        """Its fields, as sent to the router."""
         return asdict(self)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""A half-duplex channel that several senders share: who sends when. It has no clock of its own."""
+"""A half-duplex channel that several senders share: the order of transmissions. It has no clock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Transmission(NamedTuple, Generic[T]):
-    """What a sender sends, and in which time, in s."""
+    """The packet of a sender, and its transmission time in s."""
 
     sender: int
     item: T
@@ -41,7 +41,7 @@ class SharedChannel(Generic[T]):
 
     @property
     def next_event(self) -> float | None:
-        """When the next transmission can begin; None when nothing waits."""
+        """When the next transmission can begin; None when nothing is queued."""
         return self._free_at if any(self._queues) else None
 
     def offer(self, now: float, sender: int, item: T, size: int) -> bool:
@@ -63,7 +63,7 @@ class SharedChannel(Generic[T]):
             yield Transmission(sender, queued.item, begin, self._free_at)
 
     def _next_sender(self) -> int | None:
-        """The one that waits and comes first after the last sender."""
+        """The queued packet that comes first after the last sender."""
         count = len(self._queues)
         order = ((self._last + 1 + step) % count for step in range(count))
         return next((sender for sender in order if self._queues[sender]), None)

@@ -1,4 +1,4 @@
-"""What is read from an IP packet: where it goes, the service it belongs to, and its sizes."""
+"""The fields of an IP packet: destination, service and sizes."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class Flow(NamedTuple):
 
 
 class Count(NamedTuple):
-    """What robots have sent, what was lost of it included; bytes with their IP headers."""
+    """Packets that robots have sent, including lost ones; bytes with their IP headers."""
 
     packets: int = 0
     bytes: int = 0
@@ -72,16 +72,16 @@ class Robot:
 
     @property
     def pid(self) -> int:
-        """A process that is in the namespace."""
+        """A process in the namespace."""
         return self._holder.pid
 
     @property
     def addresses(self) -> list[str]:
-        """Those that it has now."""
+        """Its present addresses."""
         return [self.address, *filter(None, [self.address_v6])]
 
     def line(self, command: Sequence[object]) -> list[str]:
-        """The command line that runs a command in there; the process that is started becomes the command."""
+        """The command line that runs a command in the namespace; the started process becomes the command."""
         return ["nsenter", f"--net=/proc/{self.pid}/ns/net", *map(str, command)]
 
     def start(self, command: Sequence[object], **options: Any) -> subprocess.Popen[Any]:
@@ -187,7 +187,7 @@ class Radio:
         self.ask("reset")
 
     def ask(self, order: str, **words: object) -> Any:
-        """Have the router do something; returns its answer."""
+        """Send a request to the router; returns its answer."""
         assert self._router.stdin is not None
         assert self._router.stdout is not None
         self._router.stdin.write(json.dumps({"do": order, **words}) + "\n")
@@ -201,7 +201,7 @@ class Radio:
         self._open.callback(_end, process)
 
     def close(self) -> None:
-        """End what was started, the youngest first."""
+        """End all started processes, the youngest first."""
         self._open.close()
 
     def _start_router(self, seed: int) -> subprocess.Popen[str]:

@@ -30,7 +30,7 @@ class _Sent(NamedTuple):
 
 
 class _Fades:
-    """The times in which a pair loses everything. It must be asked in the order of time."""
+    """The times in which a pair loses everything. It must be queried in the order of time."""
 
     def __init__(self, link: Link, start: float, rng: random.Random) -> None:
         self._rng, self._until, self._faded = rng, start, True
@@ -100,13 +100,13 @@ class Air:
         self._serve_channel(now)
 
     def advance(self, now: float) -> Iterator[Delivery]:
-        """What has arrived by now, in the order of time."""
+        """Packets that have arrived by now, in the order of time."""
         self._serve_channel(now)
         while self._under_way and self._under_way[0][0] <= now:
             yield heapq.heappop(self._under_way)[2]
 
     def next_event(self) -> float | None:
-        """When something arrives or the next queued packet is sent; None when nothing is under way."""
+        """Time of the next arrival or transmission; None when nothing is pending."""
         times = [self._under_way[0][0]] if self._under_way else []
         if self._channel is not None and (free := self._channel.next_event) is not None:
             times.append(free)

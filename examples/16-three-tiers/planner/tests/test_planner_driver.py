@@ -48,7 +48,7 @@ def length(start, sites, tour):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_no_other_route_is_better(seed):
+def test_planned_route_is_optimal(seed):
     rng = random.Random(seed)
     sites = [(rng.uniform(-40, 40), rng.uniform(-40, 40)) for _ in range(rng.randint(0, 5))]
     worth = [rng.choice((1.0, 3.0)) for _ in sites]
@@ -67,7 +67,7 @@ def test_no_other_route_is_better(seed):
     assert (sum(worth[site] for site in found), -length(start, sites, found)) == pytest.approx(best)
 
 
-def test_a_vehicle_that_cannot_return_is_reported():
+def test_vehicle_that_cannot_return_is_reported():
     assert answer('{"sites": [], "worth": [], "start": [30, 40], "reach": 49}') == (
         '{"error": "ValueError: there is no way home of 49.0 m"}'
     )
@@ -75,9 +75,9 @@ def test_a_vehicle_that_cannot_return_is_reported():
 
 
 def planner(*command):
-    """A bench with a planner in a process: ours, or another program.
+    """A bench with a planner in a process: the driver's own, or another program.
 
-    A process of Python may take seconds to start on a busy computer: the patience is far longer.
+    A Python process may take seconds to start on a loaded computer: the timeout is far longer.
     """
     binding = bind(PLUGIN, "Planner", field="planner", endpoint="process:", options={"patience": 120.0})
     make = partial(PlannerDriver, command=command) if command else None
@@ -85,7 +85,7 @@ def planner(*command):
 
 
 @pytest.mark.process
-def test_it_plans_in_a_process_of_its_own():
+def test_planner_runs_in_its_own_process():
     bench = planner()
 
     async def story(device):
@@ -113,7 +113,7 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
         ('{"tour": [0, 1]}', "its plan is invalid: it is 34 m long, more than 30 m"),
     ],
 )
-def test_a_planner_that_fails_or_answers_nonsense_is_rejected(said, problem, tmp_path):
+def test_failing_or_invalid_planner_answer_is_rejected(said, problem, tmp_path):
     bench = planner(sys.executable, "-c", STUB, said, str(tmp_path / "pid"))
 
     async def story(device):
@@ -126,8 +126,8 @@ def test_a_planner_that_fails_or_answers_nonsense_is_rejected(said, problem, tmp
 
 
 @contextmanager
-def little_patience(device):
-    """The device waits 0.5 s for an answer that never comes; otherwise it waits for slow starts."""
+def short_timeout(device):
+    """The device waits 0.5 s for an answer that never comes; otherwise its timeout allows slow starts."""
     before = device.binding
     device.binding = msgspec.structs.replace(before, options={**before.options, "patience": 0.5})
     yield
@@ -136,11 +136,11 @@ def little_patience(device):
 
 @pytest.mark.process
 @pytest.mark.parametrize("cancelled", [False, True])
-def test_a_planner_that_takes_for_ever_is_ended_and_the_next_one_asked(cancelled, tmp_path):
+def test_planner_without_an_answer_is_ended_and_replaced(cancelled, tmp_path):
     bench = planner(sys.executable, "-c", STUB, '{"tour": [0]}', str(tmp_path / "pid"))
 
     async def story(device):
-        # A new process of Python may take a while on a busy computer.
+        # A new process of Python may take a while on a loaded computer.
         await bench.until(lambda: (tmp_path / "pid").exists() and bool((tmp_path / "pid").read_text()))
         first = int((tmp_path / "pid").read_text())
         if cancelled:
@@ -151,7 +151,7 @@ def test_a_planner_that_takes_for_ever_is_ended_and_the_next_one_asked(cancelled
             with pytest.raises(asyncio.CancelledError):
                 await thinking
         else:
-            with little_patience(device), pytest.raises(DeviceError) as ended:
+            with short_timeout(device), pytest.raises(DeviceError) as ended:
                 await device.execute("tour", (*SITES, 13.0))
             assert "no plan within 0.5 s; the request was cancelled" in str(ended.value)
         await bench.until(lambda: not alive(first))
@@ -178,7 +178,7 @@ def alive(number):
     ([1.0, math.nan], [1.0], [0.0, 0.0], 9.0),
     ([1.0] * 26, [1.0] * 13, [0.0, 0.0], 9.0),
 ])  # fmt: skip
-def test_what_is_no_question_is_not_asked(arguments, tmp_path):
+def test_invalid_request_is_not_sent_to_the_planner(arguments, tmp_path):
     bench = planner(sys.executable, "-c", STUB, "never", str(tmp_path / "pid"))
 
     async def story(device):
@@ -188,7 +188,7 @@ def test_what_is_no_question_is_not_asked(arguments, tmp_path):
     bench.run_real(story)
 
 
-def test_there_is_no_other_endpoint():
+def test_other_endpoint_is_refused():
     binding = bind(PLUGIN, "Planner", endpoint="thought:")
 
     async def story(device):
@@ -199,7 +199,7 @@ def test_there_is_no_other_endpoint():
 
 
 @pytest.mark.process
-def test_the_simulated_planner_has_the_faults_of_the_real_one():
+def test_simulated_planner_has_the_faults_of_the_real_one():
     with running_fake("planner") as fake:
         bench = DriverBench(
             PLUGIN, bind(PLUGIN, "Planner", endpoint=fake.endpoint, options={"patience": 120.0})
@@ -220,7 +220,7 @@ def test_the_simulated_planner_has_the_faults_of_the_real_one():
                 fake.fault("silent=false", "fails=", "nonsense=", "slow=0")
                 assert await device.execute("tour", (*SITES, 35.0)) == [0, 1]
             fake.fault("slow=1e6")
-            with little_patience(device), pytest.raises(DeviceError, match=r"no plan within 0.5 s"):
+            with short_timeout(device), pytest.raises(DeviceError, match=r"no plan within 0.5 s"):
                 await device.execute("tour", (*SITES, 30.0))
 
         bench.run_real(story)

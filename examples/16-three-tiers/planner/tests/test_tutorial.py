@@ -28,7 +28,7 @@ def stripped(text):
 
 
 @pytest.mark.parametrize(("language", "suffix"), [("python", "*.py"), ("yaml", "*.yaml")])
-def test_what_the_page_shows_stands_in_the_driver(language, suffix):
+def test_code_on_the_page_is_in_the_driver(language, suffix):
     sources = ["\n".join(stripped(path.read_text())) for path in HOME.glob(f"lfield_planner/{suffix}")]
     found = pieces(language)
     assert found
