@@ -22,7 +22,7 @@ from lfield_can.bus.frames import Frame, group_of
 from lfield_can.dbc import DbcError, DbcFile
 from lfield_can.drone_can.network import DroneCanNetwork
 from lfield_can.drone_can.node_device import DroneCanBattery, DroneCanDevice, DroneCanEsc
-from lfield_can.drone_can.servo import DroneCanServo
+from lfield_can.drone_can.servo import ACTUATOR, DroneCanServo
 from lfield_can.eds import EdsError, parse_eds
 from lfield_can.protocols.canopen_node import MAX_BYTES, read_eds
 from lfield_can.protocols.cia402_tables import EVERY
@@ -91,10 +91,9 @@ class CanDriver(Driver):
                 other = owners.setdefault(key, device)
                 if other is not device:
                     names = f"{device.binding.name} and {other.binding.name}"
-                    raise device.error(
-                        f"{names} have the same frames (id 0x{key & 0x1FFFFFFF:X}); give each device on the "
-                        "bus its own id"
-                    )
+                    frames = f"frames (id 0x{key & 0x1FFFFFFF:X})"
+                    what = frames if key < ACTUATOR else f"actuator 'index' ({key - ACTUATOR})"
+                    raise device.error(f"{names} have the same {what}; give each device on the bus its own")
         await self._bus.open()
         self._drone_can.start()
         for device in self._members:

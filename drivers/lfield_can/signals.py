@@ -53,6 +53,8 @@ class CanSignals(Device):
         self._malformed = 0
         #: Problems of frames by message, the last first. Each kind is logged once.
         self._problems: dict[str, list[str]] = {}
+        #: When the last frame of a message was not used, and why.
+        self._refused: dict[str, tuple[float, str]] = {}
         #: For J1939 messages with any sender: our sender and its time, and other logged senders.
         self._sources: dict[str, tuple[int, float]] = {}
         self._other_sources: set[tuple[str, int]] = set()
@@ -116,16 +118,16 @@ class CanSignals(Device):
         name, values = decoded
         if self._is_foreign(name, frame):
             return
-        if problem := self._file.problem(frame):
+        protection, now = self._protections.get(name), self.clock.monotonic()
+        refusal = protection.problem(frame.data) if protection is not None else ""
+        if problem := refusal or self._file.problem(frame):
             self._malformed += 1
             self._report_problem(name, problem)
-        protection = self._protections.get(name)
-        if protection is not None and (problem := protection.problem(frame.data)):
-            self._malformed += 1
-            self._report_problem(name, problem)
+        if refusal:
+            self._refused[name] = now, refusal
             return
         # Only a part of a multiplexed message has arrived; the other values remain, but age.
-        self._received[name] = (self.clock.monotonic(), values)
+        self._received[name] = (now, values)
         for signal in values:
             self._received[f"{name}.{signal}"] = self._received[name]
         self.heard()
@@ -213,6 +215,9 @@ class CanSignals(Device):
         patience: float = self.binding.option("connect")
         if not await self._changes.wait_for(lambda: bool(self._received), patience):
             if not self.binding.waives(NO_CONFIRMATION):
+                if self._refused:
+                    texts = "; ".join(f"{name}: {why}" for name, (_, why) in self._refused.items())
+                    raise self.error(f"its messages are not used ({texts}); check 'counters' and 'checksums'")
                 others = self._unknown_ids()
                 other_ids = (
                     f" (other ids were received: {others}; are those of the file right?)" if others else ""
@@ -304,7 +309,10 @@ class CanSignals(Device):
             return self._received.get(f"{message}.{name}", (-math.inf,))[0] >= oldest
 
         if not await self._changes.wait_for(fresh, self._patience):
+            refused_at, refusal = self._refused.get(message, (-math.inf, ""))
             cause = self._problems[message][0] if self._is_missing(message, name) else self._bus.trouble
+            if refused_at >= oldest:
+                cause = refusal
             why = f": {cause}" if cause else ""
             self.publish(online=self._silence() <= self._patience)
             raise self.error(f"{signal} was not received for over {self._patience:g} s{why}", timeout=True)

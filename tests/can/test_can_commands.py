@@ -127,21 +127,35 @@ def test_status_with_a_wrong_counter_or_checksum_is_dropped(bench, steering, bus
         return Frame(STATUS, bytes([Crc8GsmA.calc(number.to_bytes(2, "little") + rest)]) + rest)
 
     async def story(column):
-        frames = status(0), status(1), status(1), status(2, 0x2A8), status(15), status(4)
+        short = Frame(STATUS, b"\xff" * 6)
+        frames = status(0), status(1), status(1), status(2, 0x2A8), status(15), short, status(4)
         for frame in frames:
             bus.received(frame)
         await asyncio.sleep(0.2)
-        assert b.values["malformed"] == 3
-        reasons = "counter Counter stands still", "checksum Check is", "counter Counter is 15, beyond 14"
+        assert b.values["malformed"] == 4
+        assert await column.execute("read", ["SteeringStatus.Angle"]) == 0.0
+        reasons = (
+            *("counter Counter stands still", "checksum Check is", "counter Counter is 15, beyond 14"),
+            "6 of 8 bytes: its counter and checksum cannot be checked",
+        )
         for reason in reasons:
             assert any(f"message SteeringStatus invalid: {reason}" in note for note in b.notes)
+        await asyncio.sleep(0.4)
+        bus.received(status(5, 0x2A8))
+        await asyncio.sleep(0.2)
+        with pytest.raises(DeviceError, match=r"Angle was not received for over 0.5 s: checksum Check is 0x"):
+            await column.execute("read", ["SteeringStatus.Angle"])
 
-    async def first():
+    async def first(number=0x2A7):
         await asyncio.sleep(0.1)
-        bus.received(status(14))
+        bus.received(status(14, number))
 
     b = bench(steering(), bus=bus, fakes=[first])
     b.run(story)
+    with pytest.raises(
+        DeviceError, match=r"its messages are not used \(SteeringStatus: checksum Check is 0x"
+    ):
+        bench(steering(), bus=bus, fakes=[lambda: first(0x2A8)]).run(story)
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ class Protection:
         """
         counter, checksum = self._draft.counter, self._draft.checksum
         if len(data) < self._message.length:
-            return ""  # the caller reports short frames
+            return f"{len(data)} of {self._message.length} bytes: its counter and checksum cannot be checked"
         count = int(counter.extract(data)) if counter is not None else 0
         if checksum is not None:
             expected, found = self._sum(data, count), int(checksum.extract(data))

@@ -42,8 +42,8 @@ class NetworkNode(Protocol):
     def unique_id(self) -> bytes:
         """The unique id in its binding; b'' for a node with a fixed id."""
 
-    def on_transfer(self, data_type: int, data: bytes) -> None:
-        """A message of its node."""
+    def on_transfer(self, data_type: int, number: int, data: bytes) -> None:
+        """A message of its node, with the number of its transfer."""
 
     def on_node_info(self, info: NodeInfo) -> None:
         """Its node has answered who it is."""
@@ -151,7 +151,7 @@ class DroneCanNetwork:
             if self._allocator is not None:
                 self._allocator.on_node(transfer.source)
             for member in self._members.get(transfer.source, ()):
-                member.on_transfer(kind.type_id, transfer.data)
+                member.on_transfer(kind.type_id, transfer.number, transfer.data)
 
     def _on_service(self, transfer: Transfer) -> None:
         kind = transfer.kind

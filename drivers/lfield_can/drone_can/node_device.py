@@ -30,7 +30,8 @@ from lfield_can.timing import ChangeNotifier
 WATCH_INTERVAL, ASK_INTERVAL = 0.1, 0.3
 #: Bytes of a unique id.
 UNIQUE_ID = 16
-#: Restarts within this many seconds that are two nodes with one id: their uptimes alternate.
+#: Restarts or repeated transfers within this many seconds that are two nodes with one id: their uptimes
+#: alternate, or they count their transfers alike because they were switched on together.
 CONFLICT_TIME, CONFLICT_COUNT = 5.0, 3
 
 
@@ -56,7 +57,7 @@ class DroneCanDevice(Device):
         self.values: Values = {}
         self._last_contact = -math.inf
         self._info: NodeInfo | None = None
-        self._uptime = -1.0
+        self._uptime, self._status_number = -1.0, -1
         self._restarts: list[float] = []
         self._lost = self._opened = False
 
@@ -90,10 +91,10 @@ class DroneCanDevice(Device):
 
     # -- messages of the node -------------------------------------------------------------------------
 
-    def on_transfer(self, data_type: int, data: bytes) -> None:
+    def on_transfer(self, data_type: int, number: int, data: bytes) -> None:
         """A message of its node: its status, or measured values of this function."""
         if data_type == NODE_STATUS.id and (decoded := decode(NODE_STATUS, data)):
-            self._on_status(decoded[0])
+            self._on_status(decoded[0], number)
             return
         if data_type != self.reported.id or (decoded := decode(self.reported, data)) is None:
             return
@@ -114,15 +115,15 @@ class DroneCanDevice(Device):
         """Its telemetry; unknown values (NaN) are absent."""
         raise NotImplementedError
 
-    def _on_status(self, values: Values) -> None:
+    def _on_status(self, values: Values, number: int) -> None:
         now, uptime = self.clock.monotonic(), values["uptime"]
-        if uptime < self._uptime:
+        if uptime < self._uptime or number == self._status_number:
             self._restarts = [at for at in self._restarts if now - at <= CONFLICT_TIME] + [now]
-            if len(self._restarts) < CONFLICT_COUNT:
+            if self.has_conflict:
+                self.breach(f"two nodes have id {self.node}: both send their status; give each its own")
+            elif uptime < self._uptime:
                 self.note(log_messages.NODE_RESTARTED.line(node=self.node))
-            elif self.has_conflict:
-                self.breach(f"two nodes have id {self.node}: their statuses alternate; give each its own")
-        self._uptime = uptime
+        self._uptime, self._status_number = uptime, number
         mode = "" if values["mode"] == OPERATIONAL else f", mode {values['mode']:.0f}"
         self.publish(health=f"{HEALTH[int(values['health'])]}{mode}")
 
@@ -141,12 +142,17 @@ class DroneCanDevice(Device):
                 continue
             silent = self.silence > self.patience
             self.publish(online=not silent)
-            if silent == self._lost:
-                continue
-            self._lost = silent
-            self.note((log_messages.SILENT if silent else log_messages.RESPONDING).line())
-            if not silent:
+            if silent:
+                self._on_loss()
+            elif self._lost:
+                self._lost = False
+                self.note(log_messages.RESPONDING.line())
                 await self.on_recovery()
+
+    def _on_loss(self) -> None:
+        if not self._lost:
+            self._lost = True
+            self.note(log_messages.SILENT.line())
 
     async def on_recovery(self) -> None:
         """It is received again."""
@@ -165,7 +171,8 @@ class DroneCanDevice(Device):
         return self.clock.monotonic() - self._last_contact
 
     def contact_error(self) -> DeviceError:
-        """Its messages are missing."""
+        """Its messages are missing. A failed motion ends with its recovery, however short the loss is."""
+        self._on_loss()
         cause = self.network.trouble
         why = f" ({cause})" if cause else ""
         return self.error(f"no message for {self.silence:.1f} s{why}", timeout=True)

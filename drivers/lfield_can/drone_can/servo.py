@@ -13,6 +13,8 @@ from lfield_can.drone_can.messages import ACTUATOR_COMMAND, ACTUATOR_STATUS, POS
 from lfield_can.drone_can.node_device import DroneCanDevice
 from lfield_can.timing import PeriodicTask
 
+#: Keys from here on are actuators, not frames.
+ACTUATOR = 1 << 33
 #: Seconds until a safe state has failed, and for a servo to stop.
 SAFE_TIMEOUT, HALT_TIMEOUT = 5.0, 5.0
 #: Seconds without progress after which a move has failed, and the least progress in rad.
@@ -36,7 +38,7 @@ class DroneCanServo(DroneCanDevice):
 
     def commands(self) -> frozenset[int]:
         """The actuator, which every node with this index would follow."""
-        return frozenset({self.binding.option("index") | 1 << 33})
+        return frozenset({self.binding.option("index") | ACTUATOR})
 
     def quiet(self, on: bool) -> None:
         """Stops the stream of positions, which would keep the servo from its own failsafe."""
@@ -67,10 +69,11 @@ class DroneCanServo(DroneCanDevice):
 
     async def _make_safe(self, state: str) -> None:
         start = self.clock.monotonic()
-        goal: float | None = self.binding.option("rest") if state == "rest" else self.values.get("position")
-        if goal is None:
-            raise self.error("its position is unknown")
-        self._command(goal, math.inf)
+        if state == "rest":
+            goal: float = self.binding.option("rest")
+            self._command(goal, math.inf)
+        else:
+            goal = self._hold()
         if not await self.changes.wait_for(
             lambda: self._is_there(goal) and self.clock.monotonic() - start > self.silence, SAFE_TIMEOUT
         ):
@@ -110,11 +113,12 @@ class DroneCanServo(DroneCanDevice):
         best, best_at = math.inf, self.clock.monotonic()
         while not self._is_there(position):
             if self.silence > self.patience:
-                raise self.contact_error()
+                self._hold()  # raises DeviceError
             left = abs(position - self.values.get("position", math.inf))
             if left < best - MIN_PROGRESS:
                 best, best_at = left, self.clock.monotonic()
             if self.clock.monotonic() - best_at > STUCK_TIME:
+                self._hold()  # it would go on when nothing is in the way any more
                 raise self.error(
                     f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
                 )
@@ -122,9 +126,7 @@ class DroneCanServo(DroneCanDevice):
 
     async def do_halt(self) -> None:
         """Holds its present position; done at rest."""
-        if (position := self.values.get("position")) is None or self.silence > self.patience:
-            raise self.contact_error()
-        self._command(position, math.inf)
+        self._hold()
         await asyncio.sleep(0.0)
         if not await self.changes.wait_for(lambda: self._is_still, HALT_TIMEOUT):
             raise self.error(f"halt: it is still moving after {HALT_TIMEOUT:g} s ({self._state_text()})")
@@ -137,6 +139,20 @@ class DroneCanServo(DroneCanDevice):
             raise self.contact_error()
         if self.has_conflict:
             raise self.error(f"{instruction} refused: two nodes have id {self.node}; give each its own")
+
+    def _hold(self) -> float:
+        """Commands its present position, and returns it.
+
+        An older position would move it back. Then nothing more is sent, so that its own failsafe acts, and
+        DeviceError is raised.
+        """
+        position = self.values.get("position")
+        if position is None or self.silence > self.patience:
+            self._stream.stop()
+            self._goal = None
+            raise self.contact_error() if position is not None else self.error("its position is unknown")
+        self._command(position, math.inf)
+        return position
 
     def _command(self, goal: float, lasts: float) -> None:
         """Sends a position now and every period, for `lasts` seconds."""

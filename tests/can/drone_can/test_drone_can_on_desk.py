@@ -104,6 +104,10 @@ def test_servo_fault_fails_its_motion(node, fault, words):
         with pytest.raises(DeviceError, match=words):
             await servo.call("moveTo", 1.0)
         fake.fault(fault.replace("true", "false"))
+        await asyncio.sleep(0.3)
+        at = servo.query("position")
+        await asyncio.sleep(2.0)
+        assert servo.query("position") == pytest.approx(at, abs=0.02), "it does not go on"
 
     play(story, node("DroneCanServo", node=42))
 
@@ -117,7 +121,7 @@ def test_servo_fault_fails_its_motion(node, fault, words):
         ([{}, {"node": 43, "index": 1, "master": 99}], "two node ids"),
         ([{}, {"index": 1, "unique_id": UNIQUE_ID}], "one node id or one unique id"),
         ([{"unique_id": UNIQUE_ID}, {"node": 43, "index": 1, "unique_id": UNIQUE_ID}], "one unique id"),
-        ([{}, {"node": 43}], "have the same frames"),
+        ([{}, {"node": 43, "index": 1}, {"node": 44, "index": 1}], r"the same actuator 'index' \(1\)"),
     ],
 )
 def test_conflicting_dronecan_bindings_are_refused(bench, node, bindings, words):
