@@ -349,6 +349,7 @@ class CanAxis(Device):
             if left < best - MIN_PROGRESS:
                 best, best_at = left, now
             if now - best_at > STUCK_TIME:
+                await self.do_halt()  # Without it the motion continues when the obstacle is gone.
                 raise self.error(
                     f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
                 )

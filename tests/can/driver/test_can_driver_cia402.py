@@ -235,13 +235,16 @@ async def test_fault_is_described_and_reset(b, axis, /):
 
 
 @on_bench("rig")
-async def test_blocked_motion_fails(b, axis, /, monkeypatch):
+async def test_blocked_motion_fails_and_does_not_continue_later(b, axis, /, monkeypatch):
     monkeypatch.setattr("lfield_can.axis.STUCK_TIME", 0.4)
 
     await axis.execute("enable", [])
     b.drive.stuck = True
     with pytest.raises(DeviceError, match=r"moveTo failed: no progress for 0.4 s, 3.000 rad from its goal"):
         await axis.execute("moveTo", [3.0, 5.0])
+    b.drive.stuck = False
+    await asyncio.sleep(1.0)
+    assert abs(b.values["position"]) < 0.1
 
 
 @on_bench("rig", waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
