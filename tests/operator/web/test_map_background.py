@@ -164,6 +164,7 @@ def test_an_address_is_requested_by_browsers():
         ),
         *("https://me:secret@a/{z}/{x}/{y}", "https://a;script-src */{z}/{x}/{y}", "https:///{z}/{x}/{y}"),
         *("https://[::1/{z}/{x}/{y}", "https://a 'unsafe'/{z}/{x}/{y}", "https://*/{z}/{x}/{y}"),
+        "https://a:99999/{z}/{x}/{y}",
     ],
 )
 def test_an_address_that_is_none_of_tiles_is_refused(address):
