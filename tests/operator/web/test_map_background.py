@@ -164,6 +164,7 @@ def test_tiles_of_an_address_are_requested_by_browsers():
         ),
         *("https://me:secret@a/{z}/{x}/{y}", "https://a;script-src */{z}/{x}/{y}", "https:///{z}/{x}/{y}"),
         *("https://[::1/{z}/{x}/{y}", "https://a 'unsafe'/{z}/{x}/{y}", "https://*/{z}/{x}/{y}"),
+        "https://a:99999/{z}/{x}/{y}",
     ],
 )
 def test_an_invalid_tile_address_is_refused(address):

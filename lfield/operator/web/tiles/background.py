@@ -34,6 +34,7 @@ class TileAddress:
         """Raises UsageError for an address that is none of a tile server."""
         try:
             parts = urlsplit(address)
+            _ = parts.port  # raises for one above 65535, which browsers ignore
         except ValueError as error:
             raise _wrong(address, str(error)) from None
         if parts.scheme not in ("http", "https"):
