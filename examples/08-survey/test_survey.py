@@ -11,6 +11,8 @@ from survey_times import deployment, uncovered
 
 #: A field of 28 by 36 m, metres east and north of the start: two strips.
 SMALL = [(-14.0, 12.0), (14.0, 12.0), (14.0, 48.0), (-14.0, 48.0)]
+#: One strip.
+NARROW = [(-7.0, 12.0), (7.0, 12.0), (7.0, 48.0), (-7.0, 48.0)]
 
 
 def flown(team):
@@ -40,11 +42,11 @@ def first_on_a_strip(team):
     return victim, next(who for who in chosen if who != victim)
 
 
-def finish(team, path, victim, other):
+def finish(team, path, victim, other, strips=2):
     """Runs it to its end: the other one has flown everything, and no point is without a picture."""
     team.run(until_done=True, at_most=survey_times.AT_MOST)
     assert team.ended == {"survey": "done"}
-    assert flown(team) == {0: other, 1: other}
+    assert flown(team) == dict.fromkeys(range(strips), other)
     assert team.said(f"{victim} is out, strip ") == 1
     assert uncovered(team, path.with_name("field.kml")) == []
 
@@ -66,6 +68,15 @@ def test_other_vehicles_fly_the_strip_of_a_failed_one(lfield_mission, tmp_path, 
     victim, other = first_on_a_strip(team)
     team.fake(f"{victim}.fc").set(f"{fault}=true")
     finish(team, path, victim, other)
+
+
+@pytest.mark.few(0)
+def test_waiting_vehicle_flies_the_only_strip_of_a_failed_one(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 2, NARROW)
+    team = lfield_mission(path)
+    victim, other = first_on_a_strip(team)
+    team.fake(f"{victim}.fc").set("motor_failure=true")
+    finish(team, path, victim, other, strips=1)
 
 
 @pytest.mark.few(0)
