@@ -22,7 +22,7 @@ def test_silent_device_is_lost_after_the_silence_limit(installed, device_type):
         type=device_type,
         driver=installed.plugin.name,
         endpoint="nowhere",
-        safe_state=installed.manifests[device_type].device.safe_states[0],
+        safe_state=next(iter(installed.manifests[device_type].device.safe_states), ""),
     )
     snapshots = Snapshots(installed, [binding], clock)
     assert snapshots.silent_since("a.thing") is None

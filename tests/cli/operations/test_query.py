@@ -121,7 +121,7 @@ def test_an_id_asks_for_all_capabilities_below_it(ask):
     status, out, _ = ask("skill.material_handling")
     assert status == 0
     heads = [line.partition(" (")[0] for line in out if line.endswith(")") and " (skill." in line]
-    assert heads == ["Grip", "Haul", "Lift", "Reel", "Release", "Retrieve"]
+    assert heads == ["Grip", "Haul", "Lift", "PickAndPlace", "Reel", "Release", "Retrieve"]
     assert ask("skill.lifting")[1][2] == "Lift (skill.material_handling.lifting)"
 
 
