@@ -26,6 +26,7 @@ SETUP = "writes to a vehicle, after a yes: tests/cli/device/test_setup_command.p
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
 FORMATION = LONG + "examples/20-formation/test_formation.py flies the same on virtual time"
+ARM = LONG + "examples/07-so101-arm/test_so101_arm.py runs it on virtual time"
 SURVEY = LONG + "examples/08-survey/test_survey.py does the same on virtual time"
 RESCUE = LONG + "examples/06-search-and-rescue/test_search_and_rescue.py does the same on virtual time"
 ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
@@ -168,6 +169,10 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/05-two-carry-one/mission.dL --all --sim --until-done": EXAMPLES,
         "lfield test examples/05-two-carry-one": SUITE,
         "bravo | beam: ada+bob take the beam (composed: two-carry-one of Haul (ada), Haul (bob))": EXAMPLES,
+    },
+    "examples/07-so101-arm/README.md": {
+        "lfield up --deploy examples/07-so101-arm/dynamixel.dL --all --sim --until-done": ARM,
+        "lfield test examples/07-so101-arm": SUITE,
     },
     "examples/08-survey/README.md": {
         "lfield up --deploy examples/08-survey/mission.dL --all --sim --until-done": SURVEY,
