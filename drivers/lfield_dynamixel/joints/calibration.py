@@ -7,6 +7,8 @@ Feetech joint; in a DYNAMIXEL servo it is bit 0 of the drive mode register, whic
 
 from __future__ import annotations
 
+import codecs
+import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,6 +47,7 @@ def read(path: str) -> dict[str, JointCalibration]:
 
 def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
     """The joints in the bytes of a file. Raises DeviceError with everything that is wrong."""
+    data = data.removeprefix(codecs.BOM_UTF8)
     try:
         joints = msgspec.json.decode(data, type=dict[str, JointCalibration])
     except msgspec.DecodeError as error:
@@ -53,9 +56,21 @@ def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
     found = [f"joint {joint!r}: {why}" for joint, entry in joints.items() if (why := _mistake(joint, entry))]
     twice = [id for id, count in Counter(entry.id for entry in joints.values()).items() if count > 1]
     found += [f"two joints have the servo id {id}" for id in twice]
+    found += [f"'{key}' is written twice" for key in _repeated_keys(data)]
     if found or not joints:
         raise DeviceError(OPTION, f"{name}: {'; '.join(found) or 'it has no joints'}")
     return joints
+
+
+def _repeated_keys(data: bytes) -> list[str]:
+    """The keys that an object of a JSON text has more than once; decoders silently use the last one."""
+    found: list[str] = []
+
+    def check(pairs: list[tuple[str, object]]) -> None:
+        found.extend(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+
+    json.loads(data, object_pairs_hook=check)
+    return found
 
 
 def mistakes_in(option: str, file: str) -> tuple[()]:

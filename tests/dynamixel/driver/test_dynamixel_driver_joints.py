@@ -85,6 +85,13 @@ def test_all_errors_of_a_calibration_are_reported_at_once():
     assert caught.value.reason.count(";") == 4
 
 
+def test_repeated_joint_is_refused_and_a_byte_order_mark_is_accepted():
+    entry = b'{"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 1, "range_max": 9}'
+    assert set(parsed("arm.json", b'\xef\xbb\xbf{"pan": ' + entry + b"}")) == {"pan"}
+    with pytest.raises(DeviceError, match="'pan' is written twice"):
+        parsed("arm.json", b'{"pan": ' + entry + b', "pan": ' + entry.replace(b"1,", b"2,", 1) + b"}")
+
+
 @given(st.binary() | st.text().map(str.encode))
 def test_any_bytes_are_a_calibration_or_an_error(data):
     try:
