@@ -43,7 +43,7 @@ os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
 os.environ["LFIELD_RUNS"] = "here"
 #: They do not reach the hosts in the inventory of this computer.
 os.environ["LFIELD_INVENTORY"] = ""
-#: Python caches compiled modules, whatever the environment says: a run starts a thousand interpreters.
+#: Python caches compiled modules in any environment: a run starts a thousand interpreters.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 #: A shell that runs the tests in the background may ignore Ctrl-C; processes of the tests would inherit that.

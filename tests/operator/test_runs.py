@@ -321,7 +321,7 @@ def of_others(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
 def test_the_owner_of_a_run_is_that_of_its_file_and_not_of_its_manifest(of_others):
-    """Claims of another user come last, whatever start time they name."""
+    """Claims of another user come last, even with an earlier start time."""
     of_others(started=1.0)
     with begun():
         own, other = runs_here()

@@ -118,7 +118,7 @@ class DroneCanServo(DroneCanDevice):
             if left < best - MIN_PROGRESS:
                 best, best_at = left, self.clock.monotonic()
             if self.clock.monotonic() - best_at > STUCK_TIME:
-                self._hold()  # it would go on when nothing is in the way any more
+                self._hold()  # Without it the motion continues when the obstacle is gone.
                 raise self.error(
                     f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
                 )

@@ -1,4 +1,4 @@
-"""The published schema and the reader: the schema accepts whatever the reader accepts."""
+"""The published schema and the reader: the schema accepts every file that the reader accepts."""
 
 from __future__ import annotations
 

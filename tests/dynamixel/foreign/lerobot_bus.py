@@ -66,7 +66,7 @@ def moves(bus: Any) -> bool:
     """A goal for all, as in teleoperation."""
     goals = dict(zip(bus.motors, GOALS, strict=True))
     bus.sync_write("Goal_Position", goals)
-    time.sleep(3.0)
+    time.sleep(3.0)  # The simulated servos run in real time.
     there = bus.sync_read("Present_Position")
     return all(math.isclose(there[name], goal, abs_tol=1.0) for name, goal in goals.items())
 

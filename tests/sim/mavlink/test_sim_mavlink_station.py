@@ -7,7 +7,7 @@ from mavlink_client import ACCEPTED, ARM, FAILED, GUIDED, MODE, REJECTED, Client
 
 
 def without_station(kind="copter", flavour="ardupilot", **parameters):
-    """A client whose vehicle stands in GUIDED without heartbeats for 12 seconds."""
+    """A client whose vehicle is in GUIDED mode without heartbeats for 12 seconds."""
     c = Client(kind, flavour=flavour)
     c.autopilot.parameters.update(parameters)
     c.heartbeat()

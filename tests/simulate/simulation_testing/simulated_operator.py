@@ -1,7 +1,7 @@
 """An operator at a computer beside a simulated team, who gives the orders of the commands.
 
 Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over separate
-links. A hold (a stop, a pause) is lifted after a while, and at the end whatever the hosts still hold.
+links. A hold (a stop, a pause) is lifted after a while. At the end all remaining holds are lifted.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ YAW_RANGE = (math.radians(-170.0), math.radians(170.0))
 #: A station: system and component.
 Sender = tuple[int, int]
 NO_SENDER: Sender = (0, 0)
-#: Values of DO_GIMBAL_MANAGER_CONFIGURE: unchanged, the sender, nobody.
+#: Values of DO_GIMBAL_MANAGER_CONFIGURE: no change, the sender, no station.
 UNCHANGED, MYSELF, RELEASED = -1, -2, -3
 
 
