@@ -39,15 +39,16 @@ class FindingKind:
 
 
 class FindingTable(dict[str, FindingKind]):
-    """Messages by code, in the order of the codes; codes that start with `warnings` are warnings."""
+    """Messages by code; all codes start with one of `codes`, those of warnings with `warnings`."""
 
-    def __init__(self, warnings: str) -> None:
+    def __init__(self, *codes: str, warnings: str) -> None:
         super().__init__()
-        self._warnings = warnings
+        self._codes, self._warnings = codes, warnings
 
     def message(self, code: str, sentence: str, hint: str = "") -> FindingKind:
         """Add a kind of finding."""
         assert code not in self, code
+        assert code.startswith(self._codes), code
         severity = "warning" if code.startswith(self._warnings) else "error"
         self[code] = FindingKind(code, sentence, hint, severity)
         return self[code]

@@ -84,7 +84,7 @@ def test_long_text_is_truncated() -> None:
 
 def test_finding_is_bounded_and_escaped() -> None:
     source = Source("a\x1bb.L", "x" * 7000)
-    found = FindingTable("L9").message("L301", "no '{name}' here", "declare {name}")
+    found = FindingTable("L3", warnings="L9").message("L301", "no '{name}' here", "declare {name}")
     drawn = found.at(Span(source, 0, 7000), name="x" * 7000).render()
     assert max(map(len, drawn.splitlines())) <= 260
     assert Diagnostic("L1", "an \x1b[31mid", Span(source, 0, 1), "say \a").render().splitlines() == [

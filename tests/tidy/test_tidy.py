@@ -25,8 +25,6 @@ NAMESAKES = ("conftest.py", "run.py")
 
 #: Longer than others for a reason: tables that are read by lookup.
 TABLES: dict[str, str] = {
-    "lfield/lang/messages.py": "what the front end can say, by its codes",
-    "lfield/text/log_messages.py": "the log lines of hosts and guards, by their codes",
     "lfield/errors.py": "the exceptions of all packages, one tree",
     "lfield/bytecode/opcodes.py": "the instructions, by their codes",
     "lfield/lang/syntax.py": "the nodes of the raw syntax tree, all of which name one another",

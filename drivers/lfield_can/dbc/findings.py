@@ -8,7 +8,7 @@ from __future__ import annotations
 from lfield.driver import FindingTable
 
 #: Every message by its code, ordered by code.
-TABLE = FindingTable(warnings="DBC9")
+TABLE = FindingTable("DBC", warnings="DBC9")
 _message = TABLE.message
 
 # --- DBC1xx: the file is not used -----------------------------------------------------------------------

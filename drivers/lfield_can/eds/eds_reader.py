@@ -19,7 +19,7 @@ from lfield_can.text_files import decode_text
 
 # EDS1xx are errors: the file is not used. EDS9xx are warnings: a part is ignored. Every message by its code,
 # ordered by code.
-TABLE = FindingTable(warnings="EDS9")
+TABLE = FindingTable("EDS", warnings="EDS9")
 _message = TABLE.message
 
 NO_OBJECTS = _message(

@@ -11,7 +11,7 @@ from __future__ import annotations
 from lfield.text.message_tables import FindingTable
 
 #: Every message by its code, in the order of the codes.
-TABLE = FindingTable(warnings="C19")
+TABLE = FindingTable("C", warnings="C19")
 _message = TABLE.message
 
 

@@ -53,7 +53,8 @@ def check_wait_place(body: BodyContext, keyword: Span) -> None:
     method, unit = body.method, body.unit
     if unit.usage != "resource" or not method.synchronized:
         name = "init" if method.kind == "init" else f"the {method.kind} '{method.name}'"
-        body.report(messages.WAIT_PLACE, keyword, method=name, viewer=describe(unit))
+        place = describe(unit) if unit.function else f"{name} of {describe(unit)}"
+        body.report(messages.WAIT_PLACE, keyword, place=place)
 
 
 def _seconds(body: BodyContext, raw: syntax.Expr, rule: FindingKind) -> Expr:
