@@ -109,6 +109,11 @@ class FieldRecord(msgspec.Struct, frozen=True, array_like=True):
     name: str
     type: int
 
+    @property
+    def is_hidden(self) -> bool:
+        """Whether no name of a program leads to it: a field of a loop, or for suppressed exceptions."""
+        return not self.name.isidentifier()
+
 
 class DeviceField(msgspec.Struct, frozen=True, array_like=True):
     """A device of a resource: the field's name and the device type's name."""

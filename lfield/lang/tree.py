@@ -122,10 +122,7 @@ class Unit:
         self.library_methods.append(made)
 
     def add_hidden_field(self, name: str, kind: Type, span: Span) -> Field:
-        """Add a field that no name of the program leads to; its own name is not in use."""
-        known = {field.name for field in self.fields}
-        while name in known:
-            name += "_"
+        """Add a field that no name of the program leads to: its name is not one of L."""
         made = Field(name, kind, len(self.fields), public=False, span=span)
         self.fields.append(made)
         return made

@@ -56,6 +56,8 @@ _FACT_TYPES = (
 )
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
+#: The field of a loop of a resource: no name of a program leads to it.
+_LOOP_FIELD = re.compile(r"[A-Za-z_]\w*\.(running|engaged|overruns)", re.ASCII)
 #: The name of a class of maps or futures is its type.
 _LIBRARY_NAME = re.compile(r"(map|future)<[\w<>, \[\]]+>")
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
@@ -132,7 +134,7 @@ def _check_suppressed(record: ClassRecord) -> None:
 
 def _check_fields(record: ClassRecord, table: TypeTable, fields: Sequence[FieldRecord]) -> None:
     for field in fields:
-        if not field.name.isidentifier():
+        if not (field.name.isidentifier() or _LOOP_FIELD.fullmatch(field.name)):
             raise ProgramFileError(f"a field of {record.name} has the name {field.name!r}")
         special = table.has(field.type) and (field.type == DEVICE or _may_hold_ticket(record, table, field))
         if not table.has(field.type) or not (special or table.is_value(field.type)):

@@ -75,7 +75,9 @@ class StatementTable:
         """The names of all variables and fields."""
         program = self.program
         slots = (name for info in program.debug.methods for _, name in info.names)
-        fields = (field.name for record in program.core.classes for field in record.fields)
+        fields = (
+            field.name for record in program.core.classes for field in record.fields if not field.is_hidden
+        )
         return frozenset([*slots, *fields, "this"])
 
     @cached_property

@@ -17,7 +17,6 @@ from lfield.bytecode.program import (
     REAL,
     REFERENCES,
     STRING,
-    SUPPRESSED_FIELD,
     TICKET,
     VOID,
     Program,
@@ -134,7 +133,7 @@ class ValueReader:
         return [
             self.variable(field.name, field.type, w[place + 1 + number])
             for number, field in enumerate(fields)
-            if field.name != SUPPRESSED_FIELD
+            if not field.is_hidden
         ]
 
     def _text(self, kind: int, word: int) -> str:

@@ -16,7 +16,6 @@ from lfield.bytecode.program import (
     REFERENCES,
     RESERVED,
     STRING,
-    SUPPRESSED_FIELD,
     TICKET,
     MethodRecord,
     Program,
@@ -114,7 +113,7 @@ def value_text(block: Block, program: Program, kind: int, word: int, members: Se
 def _field_types(program: Program, place: int, block: Block) -> list[int]:
     """Types of an object's fields, except those added by the machine."""
     fields = program.core.classes[block.w[place] >> 8 & 0xFFFFFF].fields
-    return [field.type for field in fields if field.name != SUPPRESSED_FIELD]
+    return [field.type for field in fields if not field.is_hidden]
 
 
 # --- maps ---------------------------------------------------------------------------------------------

@@ -11,7 +11,10 @@ from lfield.cli.debugging.command_line import DebuggerCommands
 from lfield.cli.debugging.search_watch import interruptible
 from lfield.errors import UsageError
 from lfield.replay.debugger import host_timeline
+from lfield.replay.debugger.debugger import Debugger
 from lfield.replay.debugger.host_timeline import SearchCancelled
+from lfield.replay.debugger.team_timeline import TeamTimeline
+from lfield.testing.recorded_run import record_mission
 
 
 @pytest.fixture
@@ -117,3 +120,26 @@ def test_an_interrupt_ends_a_search_but_not_the_debugger(debugger, monkeypatch):
     assert any("searching" in text for text in shown)
     assert shown[-1] == ""
     assert debugger.search(debugger.portal_target())
+
+
+LOOPS = """
+resource Post {
+    int ticks;
+    init(string[] arg) { }
+    loop blink at 2.0 {
+        ticks += 1;
+        emitted(ticks);
+    }
+    private void emitted(int n) { print(i2s(n)); }
+}
+coordinator Boss { init(string[] arg) { sleep(3.0); } }
+"""
+
+
+def test_the_fields_of_loops_are_not_shown(tmp_path):
+    (tmp_path / "mission.L").write_text(LOOPS)
+    (tmp_path / "mission.dL").write_text("//Post:post@alpha\n//Boss:boss@alpha\n")
+    commands = DebuggerCommands(Debugger(TeamTimeline(*record_mission(tmp_path / "mission.dL", 10.0))))
+    _run(commands, "break mission.L:7", "c")
+    assert any(line.endswith("{1}") for line in _run(commands, "vars"))
+    assert _run(commands, "print this")[1:] == ["  int ticks = 1"]

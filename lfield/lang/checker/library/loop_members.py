@@ -21,7 +21,7 @@ def add_loop(unit: tree.Unit, body: tree.Method, head: syntax.LoopHead) -> None:
     name, span = body.name, body.span
     ticks = tree.Method(name, "ticks", unit, [], VOID, False, False, span, span)
     fields = [
-        unit.add_hidden_field(f"{name}_{field}", kind, span)
+        unit.add_hidden_field(f"{name}.{field}", kind, span)
         for field, kind in (("running", BOOLEAN), ("engaged", BOOLEAN), ("overruns", INT))
     ]
     unit.add_loop(tree.ResourceLoop(body, ticks, head.priority, *fields))
