@@ -27,6 +27,7 @@ _UNITS = ("resource", "coordinator", "class", "include", "const", "enum")
 #: The text of the line before the position, in an include of a driver's file.
 _INCLUDE = re.compile(r"\binclude\s*<[\w./-]*$")
 _NAME_END = re.compile(r"\w*$")
+_NEW = re.compile(r"\bnew$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def completions(model: ProgramModel, path: Path, offset: int) -> list[Completion
         return [CompletionProposal(one, "file") for one in model.environment.include_paths]
     if "//" in line.replace('"//', ""):
         return []
-    found = _NAME_END.search(before)
+    found = _NAME_END.search(line)
     typed = found.group() if found else ""
     cursor = cursor_at(model, path, offset - len(typed))
     if cursor is None:
@@ -78,7 +79,7 @@ def _proposals(symbols: TextSymbols, cursor: Cursor, before: str) -> Iterator[Co
         if cursor.text(-1) != ".":
             return
         yield from map(_proposal, symbols.members(cursor))
-    elif re.search(r"\bnew$", text):
+    elif _NEW.search(text[-4:]):
         yield from _types(symbols, classes_only=True)
     elif cursor.unit is None and cursor.method is None:
         yield from (CompletionProposal(keyword, "keyword") for keyword in _UNITS)

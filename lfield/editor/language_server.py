@@ -12,6 +12,7 @@ from lsprotocol import types
 from pygls import uris
 from pygls.exceptions import JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
+from pygls.protocol import default_converter
 
 from lfield import __version__
 from lfield.editor.outline import OutlineEntry
@@ -57,23 +58,36 @@ _OUTLINE_KINDS = {
     "agent": types.SymbolKind.Object,
     "witness": types.SymbolKind.Object,
 }
-#: Checks between two collections of garbage: one takes as long as several answers.
+#: Checks between two collections of garbage.
 _CHECKS_PER_COLLECTION = 50
+_JsonObject = dict[str, object]
+
+
+class _Symbols(list[_JsonObject]):
+    """An outline as JSON: the conversion of thousands of symbols takes longer than their outline."""
+
+
+def _converter() -> Any:
+    """The converter of pygls, except for outlines."""
+    made: Any = default_converter()  # type: ignore[no-untyped-call]
+    made.register_unstructure_hook(_Symbols, lambda symbols: symbols)
+    return made
 
 
 class LfieldServer:
     """The handlers of one server with one workspace.
 
-    It collects old objects itself: started by allocations, that would be in the middle of an answer.
+    It collects garbage itself, between answers. What is left then is exempt from later collections: otherwise
+    each of them would go through the syntax trees of all texts, and delay an answer by a second.
     """
 
     def __init__(self, workspace: Workspace) -> None:
-        self.server = LanguageServer("lfield", __version__)
+        self.server = LanguageServer("lfield", __version__, converter_factory=_converter)
         self._workspace = workspace
         self._checking: asyncio.Task[None] | None = None
         self._index: tuple[str, LineIndex] | None = None
         self._checks = 0
-        gc.set_threshold(*gc.get_threshold()[:2], 1_000_000)
+        gc.disable()
         handlers: dict[str, Callable[[Any], Any]] = {
             types.TEXT_DOCUMENT_DID_OPEN: self.on_open,
             types.TEXT_DOCUMENT_DID_CHANGE: self.on_change,
@@ -130,9 +144,10 @@ class LfieldServer:
         while (changed := self._workspace.step()) is not None:
             self._publish(changed)
             await asyncio.sleep(0)
-        self._checks += 1
         if self._checks % _CHECKS_PER_COLLECTION == 0:
             gc.collect()
+            gc.freeze()
+        self._checks += 1
 
     def _publish(self, changed: Mapping[Path, list[Diagnostic]]) -> None:
         for path, findings in changed.items():
@@ -228,11 +243,11 @@ class LfieldServer:
             return []
         return [types.TextEdit(_range(self._line_index(path), 0, len(before)), after)]
 
-    def document_symbols(self, params: types.DocumentSymbolParams) -> list[types.DocumentSymbol]:
+    def document_symbols(self, params: types.DocumentSymbolParams) -> _Symbols:
         """The outline of a text."""
         path = _path(params.text_document.uri)
         index = self._line_index(path)
-        return [_document_symbol(one, index) for one in self._workspace.outline(path)]
+        return _Symbols(_document_symbol(one, index) for one in self._workspace.outline(path))
 
 
 def _function(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -267,12 +282,17 @@ def _diagnostic(finding: Diagnostic, index: LineIndex) -> types.Diagnostic:
     )
 
 
-def _document_symbol(entry: OutlineEntry, index: LineIndex) -> types.DocumentSymbol:
-    return types.DocumentSymbol(
-        entry.name,
-        _OUTLINE_KINDS.get(entry.kind, types.SymbolKind.Method),
-        _range(index, entry.start, entry.end),
-        _range(index, entry.name_start, entry.name_end),
-        detail=entry.detail,
-        children=[_document_symbol(one, index) for one in entry.children],
-    )
+def _document_symbol(entry: OutlineEntry, index: LineIndex) -> _JsonObject:
+    return {
+        "name": entry.name,
+        "detail": entry.detail,
+        "kind": _OUTLINE_KINDS.get(entry.kind, types.SymbolKind.Method).value,
+        "range": _json_range(index, entry.start, entry.end),
+        "selectionRange": _json_range(index, entry.name_start, entry.name_end),
+        "children": [_document_symbol(one, index) for one in entry.children],
+    }
+
+
+def _json_range(index: LineIndex, start: int, end: int) -> _JsonObject:
+    (line, column), (last, after) = index.position(start), index.position(end)
+    return {"start": {"line": line, "character": column}, "end": {"line": last, "character": after}}

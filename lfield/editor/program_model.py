@@ -81,7 +81,6 @@ class ProgramModel:
         is_changed, is_incomplete = self._read_files()
         if not is_changed and self._declarations is not None:
             return
-        self._program = None
         self._declare(is_incomplete=is_incomplete)
         if self._generate():
             self._declare(is_incomplete=is_incomplete)
@@ -147,6 +146,7 @@ class ProgramModel:
 
     def _declare(self, *, is_incomplete: bool) -> None:
         """Read all declarations of the parts as they are now."""
+        self.dismantle()
         self.symbols = self._new_symbols(is_incomplete=is_incomplete)
         parts = [*self._generated.parts, *self.parts()]
         owners = {part.source: part for part in parts}
@@ -162,6 +162,15 @@ class ProgramModel:
         )
         if declarations != self._declarations:
             self._declarations, self._version = declarations, self._version + 1
+
+    def dismantle(self) -> None:
+        """Free the declarations at once, since the server does not collect garbage among them."""
+        complete = self._program.units if self._program is not None else ()
+        for unit in (*self.symbols.units.values(), *complete):
+            unit.dismantle()
+        for _, function in self._functions:
+            function.head.body.clear()
+        self._program = None
 
     def _generate(self) -> bool:
         """Create the classes of the capabilities that the program names; whether they are other ones."""

@@ -140,6 +140,13 @@ class Unit:
         """The loop of that name."""
         return next((loop for loop in self.loops if loop.body.name == name), None)
 
+    def dismantle(self) -> None:
+        """Remove the methods of a unit that is not used any longer: its memory has no cycles then."""
+        for method in (*self.methods, *self.library_methods):
+            method.body.clear()
+        for methods in (self.methods, self.library_methods, self.loops, self._methods):
+            methods.clear()
+
     def mark_thrown(self) -> None:
         """Objects of this class become exceptions."""
         self.thrown = True

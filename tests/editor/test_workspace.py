@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,7 @@ from lfield.editor.installed import InstalledEnvironment
 from lfield.editor.text_places import LineIndex
 from lfield.editor.workspace import Workspace
 from lfield.errors import ProgramError, UsageError
+from lfield.lang import tree
 from lfield.lang.frontend import check_text
 
 MISSION, SHARED_FILE = FOLDER / "mission.L", FOLDER / "shared.L"
@@ -95,6 +98,26 @@ def test_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.dL") == [(1, "L702")]
     workspace.put(DEPLOYED, DEPLOYMENT.replace("?eye", ""))
     assert findings_of(workspace, "mission.dL") == [(2, "L716")]
+
+
+@pytest.fixture
+def units() -> Iterator[Callable[[], int]]:
+    """Counts the declared units, where no collector of garbage runs."""
+    gc.disable()
+    yield lambda: sum(isinstance(one, tree.Unit) for one in gc.get_objects())
+    gc.enable()
+
+
+def test_edit_frees_the_declarations_before_it(workspace: Workspace, units: Callable[[], int]) -> None:
+    """The language server collects no garbage among them."""
+    workspace.put(DEPLOYED, DEPLOYMENT)
+    assert list(iter_steps(workspace))
+    before = units()
+    for edited in (PROGRAM.replace("real value", "int value"), SHARED, PROGRAM):
+        workspace.put(MISSION, edited)
+        workspace.complete(MISSION, offset(PROGRAM, "first.ri|se(3)"))
+        assert list(iter_steps(workspace))
+    assert units() == before
 
 
 GOLDEN = sorted((Path(__file__).parents[1] / "lang/golden/errors").glob("*.L"))
