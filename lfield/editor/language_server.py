@@ -87,6 +87,8 @@ class LfieldServer:
         self._checking: asyncio.Task[None] | None = None
         self._index: tuple[str, LineIndex] | None = None
         self._checks = 0
+        #: What editors call their open texts: a text without a file has no other URI.
+        self._uris: dict[Path, str] = {}
         gc.disable()
         handlers: dict[str, Callable[[Any], Any]] = {
             types.TEXT_DOCUMENT_DID_OPEN: self.on_open,
@@ -118,20 +120,23 @@ class LfieldServer:
 
     def on_close(self, params: types.DidCloseTextDocumentParams) -> None:
         """A text was closed."""
-        self._workspace.close(_path(params.text_document.uri))
+        path = _path(params.text_document.uri)
+        self._publish(self._workspace.close(path))
+        self._uris.pop(path, None)
+        self._check_later()
 
     def on_files_changed(
         self, params: types.DidSaveTextDocumentParams | types.DidChangeWatchedFilesParams
     ) -> None:
-        """A file was saved, or changed on the disk. A program or deployment that is open is known already."""
-        if isinstance(params, types.DidSaveTextDocumentParams):
-            return
-        if any(not change.uri.endswith((".L", ".dL")) for change in params.changes):
-            self._workspace.reload()
-        self._check_later()
+        """A file was saved, or changed on the disk."""
+        if isinstance(params, types.DidChangeWatchedFilesParams):
+            self._workspace.reload(_path(change.uri) for change in params.changes)
+            self._check_later()
 
     def _put(self, uri: str) -> None:
-        self._workspace.put(_path(uri), self.server.workspace.get_text_document(uri).source)
+        path = _path(uri)
+        self._uris[path] = uri
+        self._workspace.put(path, self.server.workspace.get_text_document(uri).source)
         self._check_later()
 
     def _check_later(self) -> None:
@@ -152,7 +157,7 @@ class LfieldServer:
     def _publish(self, changed: Mapping[Path, list[Diagnostic]]) -> None:
         for path, findings in changed.items():
             index = self._line_index(path)
-            uri = _uri(path)
+            uri = self._uri(path)
             document = self.server.workspace.text_documents.get(uri)
             self.server.text_document_publish_diagnostics(
                 types.PublishDiagnosticsParams(
@@ -161,6 +166,9 @@ class LfieldServer:
                     version=None if document is None else document.version,
                 )
             )
+
+    def _uri(self, path: Path) -> str:
+        return self._uris.get(path) or uris.from_fs_path(str(path)) or str(path)
 
     # --- places -----------------------------------------------------------------------------------------
 
@@ -177,7 +185,9 @@ class LfieldServer:
 
     def _locations(self, places: Iterable[TextPlace]) -> list[types.Location]:
         return [
-            types.Location(_uri(place.path), _range(self._line_index(place.path), place.start, place.end))
+            types.Location(
+                self._uri(place.path), _range(self._line_index(place.path), place.start, place.end)
+            )
             for place in places
         ]
 
@@ -228,7 +238,7 @@ class LfieldServer:
         for edit in edits:
             place = edit.place
             where = _range(self._line_index(place.path), place.start, place.end)
-            changes.setdefault(_uri(place.path), []).append(types.TextEdit(where, edit.text))
+            changes.setdefault(self._uri(place.path), []).append(types.TextEdit(where, edit.text))
         return types.WorkspaceEdit(changes=changes)
 
     def formatting(self, params: types.DocumentFormattingParams) -> list[types.TextEdit]:
@@ -261,10 +271,6 @@ def _function(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def _path(uri: str) -> Path:
     return Path(uris.to_fs_path(uri) or uri)
-
-
-def _uri(path: Path) -> str:
-    return uris.from_fs_path(str(path)) or str(path)
 
 
 def _range(index: LineIndex, start: int, end: int) -> types.Range:

@@ -6,7 +6,7 @@ It reads no files itself (`FileReader`), and has no thread: the server calls `st
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -74,17 +74,38 @@ class Workspace:
                 if deployment.suffix == DEPLOYMENT and deployment.with_suffix(PROGRAM) == root:
                     self._mark(deployment, deployment)
 
-    def reload(self) -> None:
-        """Files on the disk have changed: read programs and registries again."""
-        self._models.clear()
+    def reload(self, changed: Iterable[Path]) -> None:
+        """Files on the disk have changed; an open text counts in place of its file."""
+        unknown = [path for path in changed if path not in self._texts]
+        if any(path.suffix not in (PROGRAM, DEPLOYMENT) for path in unknown):
+            self._forget(self._models)
+        if unknown:
+            self._check_again()
+
+    def close(self, path: Path) -> Mapping[Path, list[Diagnostic]]:
+        """An editor has closed a text; its file counts again.
+
+        Returns no findings for the files that had some and belong to no open text any longer.
+        """
+        self._texts.pop(path, None)
+        self._stale.clear()
+        self._check_again()
+        needed = {self._root(one) if one.suffix != DEPLOYMENT else _program(one) for one in self._texts}
+        self._forget([root for root in self._models if root not in needed])
+        shown = {*self._texts, *(one for model in self._models.values() for one in model.files)}
+        obsolete = [one for one in self._published if one not in shown]
+        for one in obsolete:
+            del self._published[one]
+        return {one: [] for one in obsolete}
+
+    def _forget(self, roots: Iterable[Path]) -> None:
+        for root in list(roots):
+            self._models.pop(root).dismantle()
+
+    def _check_again(self) -> None:
         self._roots.clear()
         for path in self._texts:
             self._mark(path if path.suffix == DEPLOYMENT else self._root(path), path)
-
-    def close(self, path: Path) -> None:
-        """An editor has closed a text; the file counts again."""
-        self._texts.pop(path, None)
-        self._stale.pop(path, None)
 
     def text(self, path: Path) -> str:
         """The text of a file, '' if there is none."""
@@ -102,6 +123,9 @@ class Workspace:
         """The first file of the program that a file belongs to: one with a deployment, or one that includes
         the file."""
         if path not in self._roots:
+            if path.suffix not in (PROGRAM, ""):
+                # A devices file, for example: that of a program beside it.
+                return path.with_name(path.name.partition(".")[0] + PROGRAM)
             names = self._files.names(path.parent)
             includes = re.compile(rf'^\s*include\s*"(\./)?{re.escape(path.name)}"', re.MULTILINE)
             owner = path
@@ -121,7 +145,7 @@ class Workspace:
         return model
 
     def _program_of(self, deployment: Path) -> ProgramModel | None:
-        program = deployment.with_suffix(PROGRAM)
+        program = _program(deployment)
         return None if self._read(program) is None else self.model(program)
 
     # --- findings ---------------------------------------------------------------------------------------
@@ -174,7 +198,7 @@ class Workspace:
             name = deployment_text.name_at(self.text(path), offset)
             symbol = self._type_in_deployment(path, name)
             if symbol is not None:
-                return self._hover_of(path.with_suffix(PROGRAM), symbol)
+                return self._hover_of(_program(path), symbol)
             return "" if name is None else deployment_text.hover_of_name(name, self.text(path))
         symbol = symbol_at(self.model(path), path, offset)
         return "" if symbol is None else self._hover_of(path, symbol)
@@ -259,7 +283,7 @@ class Workspace:
         if name is None:
             return []
         if (symbol := self._type_in_deployment(path, name)) is not None:
-            declared = self._declaration(self.model(path.with_suffix(PROGRAM)), symbol)
+            declared = self._declaration(self.model(_program(path)), symbol)
             return [] if declared is None else [declared]
         if name.kind == "id":
             devices = path.with_suffix(".devices.yaml")
@@ -310,3 +334,8 @@ class Workspace:
         """The formatted text. Raises ProgramError for syntax errors."""
         source = Source(str(path), self.text(path))
         return format_deployment(source) if path.suffix == DEPLOYMENT else format_program(source)
+
+
+def _program(deployment: Path) -> Path:
+    """The program of a deployment."""
+    return deployment.with_suffix(PROGRAM)

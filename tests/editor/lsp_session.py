@@ -124,9 +124,9 @@ class LspSession:
             },
         )
 
-    def await_diagnostics(self, name: str) -> list[dict[str, Any]]:
-        """The diagnostics of the present version of a text."""
-        while self._diagnostics.get(name, (0, []))[0] != self._versions[name]:
+    def await_diagnostics(self, name: str, version: int = 0) -> list[dict[str, Any]]:
+        """The diagnostics of the present version of a text, or of another one."""
+        while self._diagnostics.get(name, (0, []))[0] != (version or self._versions[name]):
             self._receive()
         return self._diagnostics[name][1]
 

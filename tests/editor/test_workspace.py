@@ -100,6 +100,34 @@ def test_deployment_is_checked_with_its_program(workspace: Workspace) -> None:
     assert findings_of(workspace, "mission.dL") == [(2, "L716")]
 
 
+def test_closed_text_counts_no_longer(workspace: Workspace) -> None:
+    workspace.put(SHARED_FILE, SHARED.replace("string text()", "string txt()"))
+    assert [code for _, code in findings_of(workspace, "mission.L")] == ["L305"]
+    assert workspace.close(SHARED_FILE) == {}
+    assert dict(iter_steps(workspace))[MISSION] == []
+    workspace.put(MISSION, PROGRAM + "}")
+    assert dict(iter_steps(workspace))[MISSION] != []
+    assert workspace.close(MISSION)[MISSION] == []
+    assert list(iter_steps(workspace)) == []
+
+
+def test_file_that_is_deleted_is_missing(environment: InstalledEnvironment) -> None:
+    files = MemoryFiles(FILES)
+    workspace = Workspace(files, environment)
+    workspace.put(MISSION, PROGRAM)
+    assert findings_of(workspace, "mission.L") == []
+    del files.files[SHARED_FILE]
+    workspace.reload([SHARED_FILE])
+    assert findings_of(workspace, "mission.L") == [(2, "L601")]
+
+
+def test_devices_file_is_no_program(workspace: Workspace) -> None:
+    assert findings_of(workspace, "mission.L") == []
+    workspace.put(BOUND, DEVICES)
+    assert [path for path, found in iter_steps(workspace) if found] == []
+    assert workspace.complete(BOUND, 0) == []
+
+
 @pytest.fixture
 def units() -> Iterator[Callable[[], int]]:
     """Counts the declared units, where no collector of garbage runs."""
