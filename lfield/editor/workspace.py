@@ -311,10 +311,19 @@ class Workspace:
             for suffix in _OTHER_FILES
             if (text := self._read(other := program.root.with_suffix(suffix))) is not None
         }
+        others |= self._other_programs(program)
         places = renamed_places(program, symbol, name, others)
         if isinstance(symbol.meaning, tree.Unit):
             places += self._agents(program.root, "type", symbol.name)
         return [TextEdit(place, name) for place in places]
+
+    def _other_programs(self, program: ProgramModel) -> dict[Path, str]:
+        """The programs in its folder that include a file of this program."""
+        folder = program.root.parent
+        paths = (folder / name for name in self._files.names(folder) if name.endswith(PROGRAM))
+        texts = {path: self.text(path) for path in paths if path not in program.files}
+        shared = re.compile("|".join(rf'"(?:\./)?{re.escape(path.name)}"' for path in program.files))
+        return {path: text for path, text in texts.items() if shared.search(text)}
 
     def _symbol(self, path: Path, offset: int) -> tuple[TextSymbol | None, ProgramModel | None]:
         if path.suffix == DEPLOYMENT:

@@ -383,6 +383,14 @@ def test_renaming_that_could_change_the_program_is_refused(
         workspace.rename(MISSION, offset(PROGRAM, marked), name)
 
 
+def test_renaming_in_a_file_of_two_programs_is_refused(environment: InstalledEnvironment) -> None:
+    other = 'include "shared.L";\nclass Log { public Note last; }\n'
+    workspace = Workspace(MemoryFiles({**FILES, "other.L": other}), environment)
+    with pytest.raises(UsageError, match=r"other\.L may name 'Note' too"):
+        workspace.rename(SHARED_FILE, offset(SHARED, "No|te {"), "Memo")
+    assert workspace.rename(MISSION, offset(PROGRAM, "Wat|cher {"), "Guard")
+
+
 def test_references_in_program_and_deployment(workspace: Workspace) -> None:
     found = workspace.references(MISSION, offset(PROGRAM, "resource Wat|cher"))
     assert [(one.path.name, FILES[one.path.name][one.start : one.end]) for one in found] == [
