@@ -15,6 +15,7 @@ function activate(context) {
     client = new LanguageClient("lfield", "lfield", server, {
         documentSelector: [
             { scheme: "file", language: "l" },
+            { scheme: "untitled", language: "l" },
             { scheme: "file", language: "l-deployment" },
         ],
         synchronize: { fileEvents: vscode.workspace.createFileSystemWatcher("**/*.{L,dL,yaml}") },
