@@ -142,7 +142,7 @@ class AssistantServer:
 
     async def _logged_result(self, caller: str, params: CallToolRequestParams) -> CallToolResult:
         arguments = params.arguments or {}
-        shown = truncate(json.dumps(arguments), MAX_LABEL)
+        shown = truncate(json.dumps(arguments, separators=(",", ":")), MAX_LABEL)
         name = truncate(params.name, MAX_LABEL)
         self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
         outcome, is_error = "cancelled", True

@@ -20,7 +20,8 @@ const done = arguments[arguments.length - 1];
 import("lfield-watch").then((m) => done((%s)(m, ...arguments)));
 """
 _BOXES = """
-return [...document.querySelectorAll("[data-testid^=label-], .map .grid text, .map .marker .dart")].map((each) => {
+const drawn = "[data-testid^=label-], .map .grid text, .map .marker .dart";
+return [...document.querySelectorAll(drawn)].map((each) => {
   const { left, right, top, bottom } = each.getBoundingClientRect();
   return [each.dataset.testid ?? "", left, right, top, bottom];
 });
@@ -80,7 +81,8 @@ def test_map_geometry_and_label_placement(browser, page_of):
         browser,
         """({labels: l}) => {
           const at = (left) => ({ left, right: left + 20, top: 0, bottom: 10 });
-          return l.separate([0, 15, 40, 70].map((left) => ({ left, box: at(left) })), [at(75)]).map((one) => one.left);
+          const labels = [0, 15, 40, 70].map((left) => ({ left, box: at(left) }));
+          return l.separate(labels, [at(75)]).map((one) => one.left);
         }""",
     )
     assert kept == [0, 40]
