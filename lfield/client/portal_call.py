@@ -171,7 +171,10 @@ class _Attempt:
                     raise
             except HandshakeError as error:
                 if TOO_MANY_OBSERVERS not in str(error):
-                    raise PortalCallRefused(portal, "not-permitted", str(error)) from None
+                    # An earlier attempt may have started it, before the rights of the person ended.
+                    kind = PortalCallRefused if self.number == 1 else CallOutcomeUnknown
+                    raise kind(portal, "not-permitted", str(error)) from None
+                self.number -= 1
             except AddressError as error:
                 if now() >= end:
                     raise CallOutcomeUnknown(portal, "unreachable", str(error)) from None
