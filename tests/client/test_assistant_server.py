@@ -14,7 +14,7 @@ from mcp.shared.exceptions import MCPError
 from lfield.client.assistants import assistant_server
 from lfield.client.assistants.assistant_server import AssistantServer
 from lfield.client.team_selection import TeamSelection
-from lfield.errors import NoMissionRunning
+from lfield.errors import NoMissionRunning, OutputFileError
 
 #: Where no mission runs.
 STATUS = ("status", {})
@@ -63,6 +63,21 @@ def test_an_error_of_lfield_and_a_bug_are_results_and_logged_with_their_codes(mo
     asyncio.run(log.run(story))
     (ended,) = log.of("assistant-answered")
     assert f"ended: {code}: " in ended
+
+
+def test_a_call_that_cannot_be_logged_is_not_executed(monkeypatch) -> None:
+    log = RecordedLog(monkeypatch, KeyError("executed"))
+
+    def fail(line) -> None:
+        raise OutputFileError("assistant.log", "No space left on device")
+
+    log.server = AssistantServer(TeamSelection(), "anna", fail)
+
+    async def story(session, _) -> None:
+        found = await session.call_tool(*STATUS)
+        assert json.loads(found.content[0].text)["code"] == OutputFileError.code
+
+    asyncio.run(log.run(story))
 
 
 def test_a_line_that_is_not_a_message_is_logged_and_the_next_one_is_answered(monkeypatch) -> None:

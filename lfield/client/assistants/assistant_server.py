@@ -10,6 +10,7 @@ import asyncio
 import json
 import signal
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -30,7 +31,7 @@ from lfield import __version__
 from lfield.client.assistants.assistant_tools import TOOLS, as_json, find_tool
 from lfield.client.team import CLOSE_TIMEOUT, connect
 from lfield.client.team_selection import TeamSelection
-from lfield.errors import LfieldError, ProgramError
+from lfield.errors import LfieldError, OutputFileError, ProgramError
 from lfield.event_loop import spawn
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
@@ -81,7 +82,9 @@ class AssistantServer:
         async with source, sink:
             async for item in source:
                 if isinstance(item, Exception):
-                    self._log(log_messages.ASSISTANT_LINE_SKIPPED.line(reason=truncate(str(item), MAX_LABEL)))
+                    self._note(
+                        log_messages.ASSISTANT_LINE_SKIPPED.line(reason=truncate(str(item), MAX_LABEL))
+                    )
                 else:
                     await sink.send(item)
 
@@ -91,7 +94,7 @@ class AssistantServer:
         except Exception as error:
             method, reason = truncate(ctx.method, MAX_LABEL), truncate(str(error), MAX_LABEL)
             caller = self._caller(ctx)
-            self._log(log_messages.ASSISTANT_REFUSED.line(method=method, caller=caller, reason=reason))
+            self._note(log_messages.ASSISTANT_REFUSED.line(method=method, caller=caller, reason=reason))
             raise
 
     async def _end_by(self, number: int) -> None:
@@ -135,6 +138,10 @@ class AssistantServer:
             raise
         return call.result()
 
+    def _note(self, line: LogLine) -> None:
+        with suppress(OutputFileError):
+            self._log(line)
+
     def _caller(self, context: Any) -> str:
         client = context.session.client_params
         program = f" ({client.client_info.name})" if client is not None else ""
@@ -144,9 +151,10 @@ class AssistantServer:
         arguments = params.arguments or {}
         shown = truncate(json.dumps(arguments, separators=(",", ":")), MAX_LABEL)
         name = truncate(params.name, MAX_LABEL)
-        self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
         outcome, is_error = "cancelled", True
         try:
+            # A call that cannot be logged is not executed.
+            self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
             text = as_json(await self._result(params.name, arguments))
             outcome, is_error = "answered", False
         except Exception as error:
@@ -154,7 +162,7 @@ class AssistantServer:
             text = as_json(data)
             outcome = truncate(f"{data['code']}: {data['error']}", MAX_LABEL)
         finally:
-            self._log(log_messages.ASSISTANT_ANSWERED.line(tool=name, caller=caller, outcome=outcome))
+            self._note(log_messages.ASSISTANT_ANSWERED.line(tool=name, caller=caller, outcome=outcome))
         return CallToolResult(content=[TextContent(text=text)], is_error=is_error)
 
     async def _result(self, name: str, arguments: Mapping[str, Any]) -> object:
