@@ -412,7 +412,7 @@ class PortalFailed(PortalCallError):
 
 
 class CallOutcomeUnknown(PortalCallError):
-    """It is not known whether a portal was executed: its host has restarted, or cannot be reached."""
+    """It is not known whether a portal was executed: its host has stopped or restarted, or is unreachable."""
 
     exit_status = exit_status.UNKNOWN_OUTCOME
     code, remedy = "portal-call-unknown", "check the state of the resource before calling again"

@@ -76,7 +76,7 @@ def run_session(args: argparse.Namespace, lines: Lines, plan: SessionPlan) -> in
 def _mission_of(args: argparse.Namespace, team: TargetTeam) -> Mission | None:
     """The mission from its files: the named ones, or those of a run of this user; None if they cannot be
     used."""
-    from lfield.operator.dashboard.team_watch import read_mission
+    from lfield.client.team_watch import read_mission
 
     path, deployment = named_mission(args), ""
     if path is None and team.runs and not team.user:

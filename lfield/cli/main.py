@@ -111,7 +111,7 @@ INTERRUPTIBLE = {
     "up": ("mission.bundle", "mission.build_cache", "operator.runs", "host.process.host_process"),
     "estop": ("operator.targets", "operator.safe_state_progress", "operator.runs"),
     "pause": ("operator.targets", "operator.safe_state_progress", "operator.runs"),
-    "watch": ("operator.targets", "operator.runs", "operator.dashboard.team_watch"),
+    "watch": ("operator.targets", "operator.runs", "client.team_watch"),
     "events": ("operator.targets", "operator.dashboard.event_feed", "operator.runs"),
     "logs": ("operator.targets", "operator.dashboard.event_feed", "operator.runs"),
     "doctor": ("operator.diagnostics", "mission.loader"),

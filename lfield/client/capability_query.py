@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from pathlib import Path
 
 from lfield.capability.condition_tree import MAX_TEAM
 from lfield.capability.matching.matcher import Matcher
 from lfield.client.query_json import KnownTeam, query_data
-from lfield.errors import AddressError, LfieldError, UsageError
+from lfield.client.team_connection import HostSnapshots
+from lfield.errors import AddressError, UsageError
 from lfield.mission.team import Team as MissionTeam
 from lfield.operator.client import unanswered
 from lfield.operator.query_parser import CapabilityQuery, parse_query
@@ -23,9 +23,6 @@ from lfield.operator.team_query import (
     roster_from_files,
     roster_from_hosts,
 )
-from lfield.wire.subscription_messages import EventBatch
-
-HostSnapshots = Mapping[str, EventBatch | LfieldError]
 
 
 class TeamQueries:

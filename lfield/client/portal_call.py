@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
 import msgspec
 
+from lfield.client.team_connection import TeamConnection
 from lfield.errors import (
     AddressError,
     CallOutcomeUnknown,
@@ -23,8 +24,7 @@ from lfield.errors import (
     PortalFailed,
     UsageError,
 )
-from lfield.net.transport import Transport
-from lfield.operator.observer_link import PresentedCrl, Request, ask_with_retries, send_request
+from lfield.operator.observer_link import Request, ask_with_retries, send_request
 from lfield.text.suggestions import did_you_mean
 from lfield.vm.person_calls.value_codec import UnsendableValue, decode_values, encode_values
 from lfield.wire.fields import Label, Name
@@ -37,7 +37,6 @@ from lfield.wire.person_calls.portal_call_messages import (
     PortalCallRequest,
     PortalCallResult,
 )
-from lfield.wire.subscription_messages import EventBatch
 
 #: Seconds after the time limit of a call until which its result is asked for, and between two attempts.
 EXTRA, RETRY_DELAY = 30.0, 0.2
@@ -56,28 +55,20 @@ class AgentPlace(NamedTuple):
     incarnation: int
 
 
-#: Returns the snapshots of all hosts.
-Snapshots = Callable[[], Awaitable[Mapping[str, EventBatch | LfieldError]]]
-
-
 class PortalCaller:
-    """Calls portals of a team; `locate` returns the address of a host. `spawn` runs a task in the background.
+    """Calls portals of a team; `spawn` runs a task in the background.
 
     `is_assistant`: the calls are those of an AI assistant.
     """
 
     def __init__(
         self,
-        transport: Transport,
-        locate: Callable[[str], Awaitable[str]],
-        snapshots: Snapshots,
-        crl: PresentedCrl | None,
+        connection: TeamConnection,
         spawn: Callable[[Coroutine[object, object, None]], None],
         *,
         is_assistant: bool = False,
     ) -> None:
-        self._transport, self._locate, self._snapshots = transport, locate, snapshots
-        self._crl, self._spawn, self._is_assistant = crl, spawn, is_assistant
+        self._connection, self._spawn, self._is_assistant = connection, spawn, is_assistant
         self._places: dict[str, AgentPlace] = {}
 
     async def call(self, agent: str, portal: str, arguments: Sequence[object], timeout: float) -> object:
@@ -99,7 +90,7 @@ class PortalCaller:
             place = self._places.get(agent) or await self._find(agent)
             id, by_assistant = secrets.token_bytes(ID_SIZE), self._is_assistant
             order = PortalCallRequest(id, place.incarnation, agent, portal, data, timeout, by_assistant)
-            attempt = _Attempt(self._transport, self._locate, place.host, order, self._crl)
+            attempt = _Attempt(self._connection, place.host, order)
             try:
                 result = await attempt.result()
             except asyncio.CancelledError:
@@ -114,7 +105,7 @@ class PortalCaller:
 
     async def _find(self, agent: str) -> AgentPlace:
         """Find an agent by the status of the hosts. Raises PortalCallRefused, or the error of a host."""
-        answers = await self._snapshots()
+        answers = await self._connection.snapshots()
         errors: list[LfieldError] = []
         for host, answer in answers.items():
             if isinstance(answer, LfieldError):
@@ -149,16 +140,9 @@ def _value(portal: str, result: PortalCallResult) -> object:
 class _Attempt:
     """The attempts of one call, which all have the same id."""
 
-    def __init__(
-        self,
-        transport: Transport,
-        locate: Callable[[str], Awaitable[str]],
-        host: str,
-        order: PortalCallRequest,
-        crl: PresentedCrl | None,
-    ) -> None:
-        self._transport, self._locate, self._host, self._crl = transport, locate, host, crl
-        self._order = order
+    def __init__(self, connection: TeamConnection, host: str, order: PortalCallRequest) -> None:
+        self._transport, self._locate, self._crl = connection.transport, connection.locate, connection.crl
+        self._host, self._order = host, order
         #: The number of attempts that may have reached the host.
         self.number = 0
 
@@ -187,7 +171,10 @@ class _Attempt:
                     raise
             except HandshakeError as error:
                 if TOO_MANY_OBSERVERS not in str(error):
-                    raise PortalCallRefused(portal, "not-permitted", str(error)) from None
+                    # An earlier attempt may have started it, before the rights of the person ended.
+                    kind = PortalCallRefused if self.number == 1 else CallOutcomeUnknown
+                    raise kind(portal, "not-permitted", str(error)) from None
+                self.number -= 1
             except AddressError as error:
                 if now() >= end:
                     raise CallOutcomeUnknown(portal, "unreachable", str(error)) from None

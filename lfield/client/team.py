@@ -21,35 +21,24 @@ from lfield.client.mission_stop import hosts_to_stop, stop_mission
 from lfield.client.portal_call import PortalCaller
 from lfield.client.service_desk import FleetDesk, open_service_desk
 from lfield.client.status_json import status_data
+from lfield.client.team_actions import stop_order
+from lfield.client.team_connection import open_connection
 from lfield.client.team_selection import TeamSelection
+from lfield.client.team_watch import read_mission
 from lfield.clock import SystemClock
 from lfield.errors import LfieldError, UsageError
 from lfield.mission.mission import Mission
-from lfield.operator.client import (
-    FULL_SNAPSHOT,
-    PATIENT_SNAPSHOT,
-    RETRIED_SNAPSHOT,
-    ask_all,
-    emergency_stop,
-    observer_transport,
-    order_sender,
-    own_keys,
-    pause,
-    presented_crl,
-)
+from lfield.operator.client import FULL_SNAPSHOT, PATIENT_SNAPSHOT, pause
 from lfield.operator.dashboard.event_feed import FeedNotice, open_feed
 from lfield.operator.dashboard.event_stream.background_task import background_tasks
-from lfield.operator.dashboard.event_stream.host_locator import HostLocator
-from lfield.operator.dashboard.team_watch import read_mission
 from lfield.operator.observer_link import Request
-from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.targets import TargetTeam, display_names, open_team, running_mission
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.mission_end import MissionEnd
 from lfield.wire.events import KINDS, TELEMETRY
 from lfield.wire.fields import MAX_COUNT
 from lfield.wire.observer_messages import EmergencyStopResult
-from lfield.wire.subscription_messages import MAX_RATE, EventBatch
+from lfield.wire.subscription_messages import MAX_RATE
 
 #: The default time limit of a portal call, in seconds.
 CALL_TIMEOUT = 60.0
@@ -67,24 +56,17 @@ class ConnectedTeam:
     def __init__(self, selection: TeamSelection, target: TargetTeam, *, is_assistant: bool = False) -> None:
         """Raises KeysError for keys that cannot be used."""
         self._selection, self._target, self._is_assistant = selection, target, is_assistant
-        self._locate = HostLocator(target, self._find)
-        keys = own_keys(target.addresses.values(), selection.keys)
-        self._sender = order_sender(keys, KnownHosts.read(keys.authority)) if keys is not None else None
-        known = self._sender.known if self._sender is not None else None
-        self._transport = observer_transport(keys, known, CONNECT_TIMEOUT)
-        self._crl = presented_crl(keys)
+        self._connection = open_connection(target, self._find, selection.keys, CONNECT_TIMEOUT)
         self._tasks: set[asyncio.Task[None]] = set()
         #: The event streams that a loop may have left before their end.
         self._streams: WeakSet[AsyncGenerator[dict[str, object], None]] = WeakSet()
         self._queries: TeamQueries | None = None
-        self._caller = PortalCaller(
-            self._transport, self._locate, self._snapshots, self._crl, self._spawn, is_assistant=is_assistant
-        )
+        self._caller = PortalCaller(self._connection, self._spawn, is_assistant=is_assistant)
 
     @property
     def hosts(self) -> Sequence[str]:
         """The names of the hosts."""
-        return self._locate.hosts
+        return self._connection.locate.hosts
 
     def _find(self) -> Sequence[TargetTeam]:
         return self._selection.teams(self._selection.runs())
@@ -104,16 +86,11 @@ class ConnectedTeam:
             for task in late:
                 task.cancel()
 
-    async def _snapshots(
-        self, request: Request[EventBatch] = RETRIED_SNAPSHOT
-    ) -> Mapping[str, EventBatch | LfieldError]:
-        return await ask_all(self._transport, dict(self._locate.addresses), request, self._crl)
-
     # --- questions ------------------------------------------------------------------------------------
 
     async def status(self) -> dict[str, object]:
         """The state of every host, or the error where it did not answer: as `lfield ps MISSION --json`."""
-        return status_data(host_states(await self._snapshots(FULL_SNAPSHOT)))
+        return status_data(host_states(await self._connection.snapshots(FULL_SNAPSHOT)))
 
     async def query(self, text: str, *, at: str = "", size: int | None = None) -> dict[str, object]:
         """The agents that provide a capability, and why others do not: as `lfield query --json`.
@@ -121,7 +98,7 @@ class ConnectedTeam:
         `at` ranks them as a coordinator on that host would, `size` adds the best teams of so many agents.
         Raises ProgramError for mistakes in the query.
         """
-        snapshots = await self._snapshots(PATIENT_SNAPSHOT)
+        snapshots = await self._connection.snapshots(PATIENT_SNAPSHOT)
         if self._queries is None:
             self._queries = await asyncio.to_thread(self._read_queries)
         return await self._queries.data(text, snapshots, at, size)
@@ -260,8 +237,7 @@ class ConnectedTeam:
 
     async def emergency_stop(self, reason: str = "") -> dict[str, object]:
         """Bring every device of every host into its safe state: by host and device, '' or why not."""
-        text = f"the emergency stop was pressed{': ' if reason else ''}{reason}"
-        return await self._order(emergency_stop(text))
+        return await self._order(stop_order(reason))
 
     async def pause(self) -> dict[str, object]:
         """Suspend all agents, and bring devices into their safe states; the result as of `emergency_stop`."""
@@ -272,9 +248,7 @@ class ConnectedTeam:
         return await self._order(pause(lift=True))
 
     async def _order(self, request: Request[EmergencyStopResult]) -> dict[str, object]:
-        answers = await ask_all(
-            self._transport, dict(self._locate.addresses), request, self._crl, self._sender
-        )
+        answers = await self._connection.order(request)
         return {
             host: answer.as_data() if isinstance(answer, LfieldError) else dict(answer.devices)
             for host, answer in answers.items()

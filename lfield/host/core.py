@@ -225,7 +225,7 @@ class HostCore:
     def stop_agents(self) -> None:
         """The host stops: no agent runs or is admitted any more. Transfers, events and status continue."""
         self.coordinators.suspend_all()
-        self.person_calls.abandon_waiting("its host is stopping")
+        self.person_calls.on_halted()
         self.startup.on_halted()
 
     @property

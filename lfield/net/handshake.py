@@ -77,7 +77,7 @@ class Handshake:
     def receive(self, message: Message) -> Hello:
         """The peer's accepted Hello. Raises HandshakeError, and WireError for any other message."""
         if isinstance(message, HandshakeRefused):
-            raise HandshakeError(f"{self._dialled or 'the peer'} refused this host: {message.reason}")
+            raise HandshakeError(f"{self._dialled or 'the peer'} refused the connection: {message.reason}")
         if isinstance(message, IncompatibleHello):
             self._refuse(
                 f"{self.own.host} uses protocol {PROTOCOL} and its peer protocol {message.protocol}; "

@@ -159,7 +159,7 @@ class Session:
             self._on_greeting(link, message)
             return
         if isinstance(message, HandshakeRefused):
-            raise HandshakeError(f"{self.hello.host} refused this host: {message.reason}")
+            raise HandshakeError(f"{self.hello.host} refused the connection: {message.reason}")
         self._handshake.admit(message)
         self._on_accepted(self.hello)
         self._owner.on_message(self, message)  # type: ignore[arg-type]  # admit lets only Control pass

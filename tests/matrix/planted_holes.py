@@ -162,6 +162,27 @@ HOLES = (
         "pass",
         "on_a_link",
     ),
+    Hole(
+        "a host treats the call of an assistant as that of the person",
+        "host/person_calls/person_calls.py",
+        "if order.is_assistant and (why",
+        "if False and (why",
+        "of_an_assistant",
+    ),
+    Hole(
+        "a service treats the start of an assistant as that of the person",
+        "service/bundle_receiver.py",
+        "if not command.is_assistant:",
+        "if True:",
+        "of_an_assistant",
+    ),
+    Hole(
+        "assistants of all persons may act when one is listed",
+        "mission/access/access_rules.py",
+        "if OTHERS in self.assistants or (person and person in self.assistants):",
+        "if self.assistants:",
+        "of_an_assistant",
+    ),
 )
 
 

@@ -8,6 +8,7 @@ changes: then the table must be updated.
 from __future__ import annotations
 
 import pytest
+from assistant_callers import Assistants
 from bundles_shown import Bundles
 from key_folders import Folders
 from network_callers import Network
@@ -44,6 +45,11 @@ def folders(tmp_path_factory):
 @pytest.fixture(scope="module")
 def portals(tmp_path_factory):
     return Portals(tmp_path_factory.mktemp("portals"))
+
+
+@pytest.fixture(scope="module")
+def assistants(tmp_path_factory):
+    return Assistants(tmp_path_factory.mktemp("assistants"))
 
 
 #: The access paths by name.
@@ -101,6 +107,11 @@ def test_resource_is_reserved_by_a_coordinator_that_may_call_it(portals, who):
     for resource in {cell.what.partition(".")[0] for cell in cells}:
         served = any(cell.done for cell in cells if cell.what.startswith(f"{resource}."))
         assert portals.reserved(who, resource) == served
+
+
+@pytest.mark.parametrize("cell", of("assistants"))
+def test_action_of_an_assistant(assistants, cell):
+    assert_as_marked(cell, assistants.tried(cell.who, cell.what))
 
 
 @pytest.mark.few(30)

@@ -261,7 +261,7 @@ def test_both_sides_report_the_reason_of_a_refusal(message, sentence):
     theirs = Handshake(host_hello("b"), host("a"), hosts=HOSTS, dialled="a")
     with pytest.raises(HandshakeError, match=sentence) as told:
         theirs.receive(machine.refusal)
-    assert str(told.value).startswith("a refused this host: ")
+    assert str(told.value).startswith("a refused the connection: ")
     assert theirs.refusal is None
 
 
@@ -340,7 +340,7 @@ def test_an_observer_accepts_any_host():
 
 
 def test_a_refusal_is_reported_also_from_an_unnamed_peer():
-    with pytest.raises(HandshakeError, match="the peer refused this host: no"):
+    with pytest.raises(HandshakeError, match="the peer refused the connection: no"):
         handshake().receive(HandshakeRefused("no"))
 
 

@@ -100,7 +100,14 @@ FINDERS = (
 #: Modules that plant bugs. In modules of functions each public function with a parameter `patch` is one.
 SOURCES = ("tests/**/planted_*.py", "tests/replication/lease/quorum_bugs.py")
 #: Folders whose modules the tests import by bare names.
-_IMPORTED = ("tests/fuzz", "tests/net", "tests/net/memory", "tests/simulate", "tests/vm")
+_IMPORTED = (
+    "tests/fuzz",
+    "tests/host/person_calls",
+    "tests/net",
+    "tests/net/memory",
+    "tests/simulate",
+    "tests/vm",
+)
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,10 @@ def run(args: argparse.Namespace) -> int:
         def log(line: LogLine) -> None:
             text = escape_line(f"{datetime.now().astimezone().isoformat(timespec='milliseconds')} {line}")
             for output in outputs:
-                print(text, file=output, flush=True)
+                try:
+                    print(text, file=output, flush=True)
+                except OSError as error:
+                    raise OutputFileError(output.name, error.strerror or str(error)) from None
 
         serve_assistant(selection, _own_name(args.keys), log)
     return exit_status.DONE

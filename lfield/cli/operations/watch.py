@@ -237,8 +237,8 @@ async def _serve_page(
     background: PageBackground,
     page_keys: WebKeys | None,
 ) -> None:
+    from lfield.client.team_watch import watch_team
     from lfield.clock import SystemClock
-    from lfield.operator.dashboard.team_watch import watch_team
     from lfield.operator.web.page_server import ServedPage, serve
 
     def found() -> Sequence[TargetTeam]:

@@ -15,11 +15,11 @@ from rich.live import Live
 
 from lfield.cli.views.console import PlainConsole
 from lfield.cli.views.team_state_view import table
+from lfield.client.team_watch import TeamWatch
 from lfield.clock import SystemClock
 from lfield.mission.mission import Mission
 from lfield.operator.client import observer_transport
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
-from lfield.operator.dashboard.team_watch import TeamWatch
 from lfield.operator.team_model.team_contents import team_contents
 from lfield.text.terminal_escape import unescaped_stream
 

@@ -7,12 +7,17 @@ errors are results, which the assistant reads; none ends the server.
 from __future__ import annotations
 
 import asyncio
+import json
 import signal
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
+import anyio
+from mcp.server.context import CallNext, HandlerResult
 from mcp.server.lowlevel.server import Server
 from mcp.server.stdio import stdio_server
+from mcp.shared.message import SessionMessage
 from mcp_types import (
     CallToolRequestParams,
     CallToolResult,
@@ -26,11 +31,14 @@ from lfield import __version__
 from lfield.client.assistants.assistant_tools import TOOLS, as_json, find_tool
 from lfield.client.team import CLOSE_TIMEOUT, connect
 from lfield.client.team_selection import TeamSelection
-from lfield.errors import LfieldError, ProgramError
+from lfield.errors import LfieldError, OutputFileError, ProgramError
 from lfield.event_loop import spawn
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.wire.fields import MAX_LABEL, truncate
+
+#: A message, or why a line is not one.
+Received = SessionMessage | Exception
 
 INSTRUCTIONS = (
     "A team of robots that runs a mission in the language L. Hosts refuse 'start' and 'call' unless the "
@@ -51,7 +59,7 @@ class AssistantServer:
             on_call_tool=self._call_tool,
         )
         # Nothing but answers leaves this process.
-        self._server.middleware.clear()
+        self._server.middleware[:] = [self._log_refusals]
         self._calls: set[asyncio.Task[CallToolResult]] = set()
 
     async def serve(self) -> None:
@@ -60,8 +68,34 @@ class AssistantServer:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, lambda at: spawn(self._end_by(at)), number)
         async with stdio_server() as (source, sink):
-            await self._server.run(source, sink, self._server.create_initialization_options())
+            await self.serve_streams(source, sink)
+
+    async def serve_streams(self, source: Any, sink: Any) -> None:
+        """Serve until the source ends; it yields an exception for a line that is not a message."""
+        forward, messages = anyio.create_memory_object_stream[Received]()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._forward(source, forward))
+            await self._server.run(messages, sink, self._server.create_initialization_options())
         await self._cancel_calls()
+
+    async def _forward(self, source: Any, sink: Any) -> None:
+        async with source, sink:
+            async for item in source:
+                if isinstance(item, Exception):
+                    self._note(
+                        log_messages.ASSISTANT_LINE_SKIPPED.line(reason=truncate(str(item), MAX_LABEL))
+                    )
+                else:
+                    await sink.send(item)
+
+    async def _log_refusals(self, ctx: Any, call_next: CallNext) -> HandlerResult:
+        try:
+            return await call_next(ctx)
+        except Exception as error:
+            method, reason = truncate(ctx.method, MAX_LABEL), truncate(str(error), MAX_LABEL)
+            caller = self._caller(ctx)
+            self._note(log_messages.ASSISTANT_REFUSED.line(method=method, caller=caller, reason=reason))
+            raise
 
     async def _end_by(self, number: int) -> None:
         await self._cancel_calls()
@@ -93,10 +127,7 @@ class AssistantServer:
         )
 
     async def _call_tool(self, context: Any, params: CallToolRequestParams) -> CallToolResult:
-        client = context.session.client_params
-        program = f" ({client.client_info.name})" if client is not None else ""
-        caller = truncate(f"assistant of {self._person}{program}", MAX_LABEL)
-        call = asyncio.create_task(self._logged_result(caller, params))
+        call = asyncio.create_task(self._logged_result(self._caller(context), params))
         self._calls.add(call)
         call.add_done_callback(self._calls.discard)
         try:
@@ -107,20 +138,31 @@ class AssistantServer:
             raise
         return call.result()
 
+    def _note(self, line: LogLine) -> None:
+        with suppress(OutputFileError):
+            self._log(line)
+
+    def _caller(self, context: Any) -> str:
+        client = context.session.client_params
+        program = f" ({client.client_info.name})" if client is not None else ""
+        return truncate(f"assistant of {self._person}{program}", MAX_LABEL)
+
     async def _logged_result(self, caller: str, params: CallToolRequestParams) -> CallToolResult:
         arguments = params.arguments or {}
-        shown = truncate(as_json(arguments), MAX_LABEL)
+        shown = truncate(json.dumps(arguments, separators=(",", ":")), MAX_LABEL)
         name = truncate(params.name, MAX_LABEL)
-        self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
-        outcome = "cancelled"
+        outcome, is_error = "cancelled", True
         try:
+            # A call that cannot be logged is not executed.
+            self._log(log_messages.ASSISTANT_CALLED.line(tool=name, caller=caller, arguments=shown))
             text = as_json(await self._result(params.name, arguments))
             outcome, is_error = "answered", False
-        except LfieldError as error:
-            text, is_error = as_json(_error_data(error)), True
-            outcome = truncate(f"{error.code}: {error}", MAX_LABEL)
+        except Exception as error:
+            data = _error_data(error)
+            text = as_json(data)
+            outcome = truncate(f"{data['code']}: {data['error']}", MAX_LABEL)
         finally:
-            self._log(log_messages.ASSISTANT_ANSWERED.line(tool=name, caller=caller, outcome=outcome))
+            self._note(log_messages.ASSISTANT_ANSWERED.line(tool=name, caller=caller, outcome=outcome))
         return CallToolResult(content=[TextContent(text=text)], is_error=is_error)
 
     async def _result(self, name: str, arguments: Mapping[str, Any]) -> object:
@@ -138,7 +180,9 @@ class AssistantServer:
             return await tool.run(team, given)
 
 
-def _error_data(error: LfieldError) -> Mapping[str, object]:
+def _error_data(error: Exception) -> Mapping[str, object]:
+    if not isinstance(error, LfieldError):
+        error = LfieldError(f"bug in lfield: {type(error).__name__}: {error}")
     found = error.as_data()
     if isinstance(error, ProgramError):
         found["error"] = "\n".join(each.render() for each in error.diagnostics)

@@ -18,6 +18,7 @@ from lfield.client.team import CALL_TIMEOUT, ConnectedTeam
 from lfield.errors import UsageError
 from lfield.text.suggestions import did_you_mean
 from lfield.vm.person_calls.l_object import LObject
+from lfield.wire.fields import MAX_LABEL, truncate
 from lfield.wire.person_calls.portal_call_messages import MAX_LIMIT
 
 #: The most events of one answer.
@@ -162,7 +163,7 @@ def find_tool(name: str) -> AssistantTool:
     """The tool of that name. Raises UsageError."""
     if name not in TOOLS:
         hint = did_you_mean(name, list(TOOLS)) or f"there are {', '.join(TOOLS)}"
-        raise UsageError(f"there is no tool '{name}': {hint}")
+        raise UsageError(f"there is no tool '{truncate(name, MAX_LABEL)}': {hint}")
     return TOOLS[name]
 
 

@@ -266,6 +266,13 @@ class PersonCalls(Part):
             if call.pending is None:
                 self._cancel(call, reason, RESTARTED)
 
+    def on_halted(self) -> None:
+        """The host stops: the portals that run are not continued."""
+        self.abandon_waiting("its host is stopping")
+        for call in list(self._active.values()):
+            self._end(call, "unknown", "stopped", "its host has stopped while the portal was running")
+        self._update_due()
+
     def _end(
         self, call: PersonCall, outcome: CallOutcome, kind: str = "", message: str = "", *, value: bytes = b""
     ) -> None:

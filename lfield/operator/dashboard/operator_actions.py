@@ -6,9 +6,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lfield.capability.model import Primitive
-from lfield.capability.offer import Offer, Rejection
 from lfield.errors import LfieldError
+from lfield.operator.team_query import PrimitiveAnswer
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.order_messages import OrderKind
 
@@ -32,30 +31,16 @@ class OrderOutcome:
 
 
 @dataclass(frozen=True, slots=True)
-class PrimitiveMatches:
-    """The offers of a primitive: the best ones, best first, and their number; and why other agents do not
-    match.
-
-    `units` are those of the attributes, by name.
-    """
-
-    primitive: Primitive
-    offers: Sequence[Offer]
-    count: int
-    refusals: Sequence[Rejection]
-    notes: Sequence[str]
-    units: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
 class QueryAnswer:
     """The answer to a query; `mistakes` are the errors in the query, marked with carets, '' for none.
-    `unanswered` are the hosts that did not answer, with the reasons."""
+    `unanswered` are the hosts that did not answer, with the reasons. `units` are those of the attributes, by
+    name."""
 
     question: str
-    found: tuple[PrimitiveMatches, ...] = ()
+    found: Sequence[PrimitiveAnswer] = ()
     unanswered: Mapping[str, str] = field(default_factory=dict)
     mistakes: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 class OperatorActions(Protocol):

@@ -9,8 +9,9 @@ import msgspec
 
 from lfield.capability.matching.explanation import no_provider_note, render_refusals
 from lfield.capability.offer import Offer
-from lfield.operator.dashboard.operator_actions import OrderOutcome, PrimitiveMatches, QueryAnswer
+from lfield.operator.dashboard.operator_actions import OrderOutcome, QueryAnswer
 from lfield.operator.registry.sheets import value_text
+from lfield.operator.team_query import PrimitiveAnswer
 
 #: Maximum number of attributes shown of an offer; `lfield query --json` has all.
 SHOWN = 6
@@ -23,19 +24,19 @@ def query_json(answer: QueryAnswer) -> bytes:
             "question": answer.question,
             "mistakes": answer.mistakes,
             "unreachable": answer.unanswered,
-            "found": [_found(found) for found in answer.found],
+            "found": [_found(found, answer.units) for found in answer.found],
         }
     )
 
 
-def _found(found: PrimitiveMatches) -> dict[str, Any]:
+def _found(found: PrimitiveAnswer, units: Mapping[str, str]) -> dict[str, Any]:
     name = found.primitive.name
     return {
         "primitive": name,
         "id": found.primitive.id,
         "count": found.count,
         "notes": list(found.notes),
-        "offers": [_offer(offer, found.units) for offer in found.offers],
+        "offers": [_offer(offer, units) for offer in found.offers],
         "refusals": render_refusals(found.refusals)
         if found.count or found.refusals
         else no_provider_note(name),

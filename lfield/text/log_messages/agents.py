@@ -74,6 +74,14 @@ PORTAL_CALL_REFUSED = _message(
 )
 ASSISTANT_CALLED = _message("assistant-called", "tool {tool} called by {caller}: {arguments}")
 ASSISTANT_ANSWERED = _message("assistant-answered", "tool {tool} called by {caller} ended: {outcome}")
+ASSISTANT_REFUSED = _message(
+    "assistant-request-refused", "request {method} of {caller} refused: {reason}", "warning"
+)
+ASSISTANT_LINE_SKIPPED = _message(
+    "assistant-line-skipped",
+    "a line of the assistant's program skipped: it is not a message: {reason}",
+    "warning",
+)
 AGENT_RESUMED = _message("agent-resumed", "{agent} resumed from the journal")
 AGENT_RESTARTED = _message(
     "agent-restarted",

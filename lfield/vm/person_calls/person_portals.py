@@ -56,7 +56,7 @@ class PersonPortals:
         for method in named:
             kinds = self._parameter_types(method)
             if len(kinds) != len(arguments):
-                mistakes.append(f"it has {len(kinds)} parameters, not {len(arguments)}")
+                mistakes.append(f"its number of parameters is {len(kinds)}, not {len(arguments)}")
                 continue
             try:
                 made = [

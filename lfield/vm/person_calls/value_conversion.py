@@ -52,7 +52,7 @@ class Mismatch(Exception):
 
     def __init__(self, expected: str, problem: str) -> None:
         self.expected, self.problem = expected, problem
-        super().__init__(f"{problem} is not a {expected}")
+        super().__init__(f"{problem} is not {'an' if expected[0] in 'aeiou' else 'a'} {expected}")
 
 
 # --- from a block ---------------------------------------------------------------------------------

@@ -9,10 +9,10 @@ from __future__ import annotations
 import asyncio
 import sys
 
+from lfield.client.team_watch import RATE, TeamWatch
 from lfield.clock import SystemClock
 from lfield.operator.client import observer_transport
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
-from lfield.operator.dashboard.team_watch import RATE, TeamWatch
 from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.vehicle_readings import Instruments
 from lfield.operator.web.page_server import ServedPage, serve

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from calling_person import CallingPerson, fleet_of, log_of
 
+from lfield.host.inputs import AgentsHalt
 from lfield.host.person_calls import person_calls
 from lfield.host.person_calls.call_limits import RUNNING_OF_ONE
 from lfield.vm.person_calls.l_object import LObject
@@ -200,6 +201,18 @@ def test_a_pause_ends_running_calls_and_refuses_new_ones(fleet) -> None:
     assert anna.results[-1].kind == "paused"
     fleet.run(5.0)
     assert anna.value("add", 10) == 11
+
+
+def test_a_host_that_stops_answers_running_calls_at_once(fleet) -> None:
+    anna = CallingPerson(fleet)
+    anna.call("wait", 100.0, limit=300.0)
+    fleet.run(1.0)
+    life = fleet.lives["alpha"]
+    life.process.loop.enter(lambda: life.host.dispatch(AgentsHalt()))
+    fleet.run(1.0)
+    (found,) = anna.results
+    assert (found.outcome, found.kind) == ("unknown", "stopped")
+    assert "post.wait() called by person anna ended: stopped" in log_of(fleet)
 
 
 def test_calls_are_limited_by_caller(tmp_path: Path) -> None:

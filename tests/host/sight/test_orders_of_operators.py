@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 from contextlib import asynccontextmanager
 
+from lfield.client.capability_query import TeamQueries
+from lfield.client.team_actions import TeamActions
+from lfield.client.team_connection import TeamConnection
+from lfield.client.team_watch import TeamWatch
 from lfield.errors import UsageError
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower
 from lfield.operator.dashboard.event_stream.host_locator import HostLocator
-from lfield.operator.dashboard.order_service import OperatorContext, OrderService
-from lfield.operator.dashboard.team_watch import TeamWatch
 from lfield.operator.targets import TargetTeam
 from lfield.operator.team_model.team_contents import team_contents
-from lfield.operator.team_query import read_context
 from lfield.simulate.jumping_loop import LoopClock
 
 PROGRAM = """
@@ -54,15 +55,15 @@ async def operated(fleet, mission, asked=None, dialled=None):
 
     def ask():
         if asked is None:
-            return read_context(fleet.folder / "mission.dL", mission.team)
+            return TeamQueries(fleet.folder / "mission.dL", mission.team)
         raise UsageError(asked)
 
     async def at_once(work, *args):
         return work(*args)
 
     follower = EventFollower(transport, reach.hosts, reach, shown, LoopClock())
-    shown.actions = OrderService(
-        transport, reach, shown, mission.team, ask, OperatorContext(standing=follower.order), at_once
+    shown.actions = TeamActions(
+        TeamConnection(transport, reach), shown, ask, standing=follower.order, run_in_thread=at_once
     )
     task = asyncio.create_task(follower.run())
     try:
@@ -150,6 +151,19 @@ def test_a_query_is_answered_and_a_wrong_one_is_marked(fleet) -> None:
         wrong = await shown.actions.query("Lift where paylod >= 2.0")
         assert (wrong.found, "^" in wrong.mistakes, "paylod" in wrong.mistakes) == ((), True, True)
         assert (await shown.actions.query("Lift where where where")).mistakes
+
+    operate(fleet, story)
+
+
+def test_a_query_without_any_running_host_is_answered_from_the_files_with_a_note(fleet) -> None:
+    async def story(fleet, shown, hosts) -> None:
+        for each in hosts:
+            await each.host.stop()
+        answer = await shown.actions.query("Lift where payload >= 2.0")
+        assert set(answer.unanswered) == {"alpha", "beta"}
+        (found,) = answer.found
+        assert [offer.agent for offer in found.offers] == ["arm1"]
+        assert "from the files" in found.notes[0]
 
     operate(fleet, story)
 

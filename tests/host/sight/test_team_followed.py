@@ -7,9 +7,9 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from lfield.client.team_watch import TeamWatch
 from lfield.operator.dashboard.event_feed import log_backlog
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
-from lfield.operator.dashboard.team_watch import TeamWatch
 from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
 from lfield.operator.team_model.team_contents import team_contents
 from lfield.simulate.jumping_loop import LoopClock

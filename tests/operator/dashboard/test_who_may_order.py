@@ -10,10 +10,11 @@ import pytest
 
 from lfield.authority.identity import Right
 from lfield.authority.key_material import Keys
+from lfield.client.team_actions import TeamActions
+from lfield.client.team_connection import TeamConnection
 from lfield.mission.access.access_rules import NO_RULES, Access, PersonRule
 from lfield.net.tcp_transport import TcpTransport
 from lfield.operator.dashboard.event_stream.host_locator import HostLocator
-from lfield.operator.dashboard.order_service import OperatorContext, OrderService
 from lfield.operator.targets import TargetTeam
 from lfield.testing.keyring import Keyring
 
@@ -21,15 +22,14 @@ from lfield.testing.keyring import Keyring
 def barred(
     addresses: Mapping[str, str], keys: Keys | None = None, access: Access = NO_RULES
 ) -> Mapping[str, str]:
-    orders = OrderService(
-        TcpTransport(1 << 20),
-        HostLocator(TargetTeam((), addresses), lambda: []),
-        None,  # type: ignore[arg-type]
+    reach = HostLocator(TargetTeam((), addresses), lambda: [])
+    actions = TeamActions(
+        TeamConnection(TcpTransport(1 << 20), reach, keys),
         None,  # type: ignore[arg-type]
         lambda: None,  # type: ignore[arg-type, return-value]
-        OperatorContext(keys=keys, access=access),
+        access,
     )
-    return orders.denied_orders
+    return actions.denied_orders
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from lfield.capability.offer import Fact, Offer
 from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
-from lfield.operator.dashboard.operator_actions import OrderKind, OrderOutcome, PrimitiveMatches, QueryAnswer
+from lfield.operator.dashboard.operator_actions import OrderKind, OrderOutcome, QueryAnswer
 from lfield.operator.team_model.command_log import CommandLog
 from lfield.operator.team_model.curve_history import CurveHistory
 from lfield.operator.team_model.team_state import (
@@ -39,6 +39,7 @@ from lfield.operator.team_model.team_state import (
     VehicleState,
 )
 from lfield.operator.team_model.vehicle_tracks import TeamTracks
+from lfield.operator.team_query import PrimitiveAnswer
 from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Degrees of latitude in a metre.
@@ -169,7 +170,7 @@ class Script:
                 for v in self.snapshot().vehicles.values()
             ]
             return QueryAnswer(
-                text, (PrimitiveMatches(read_registry().primitives["Lift"], offers, len(offers), (), ()),)
+                text, (PrimitiveAnswer(read_registry().primitives["Lift"], offers, len(offers), (), ()),)
             )
         return QueryAnswer(text, mistakes=f'error: nobody knows what "{text}" is')
 

@@ -7,7 +7,8 @@ import json
 from lfield.capability.model import Primitive
 from lfield.capability.offer import Fact, Offer, Rejection
 from lfield.capability.registry_reader.registry_files import read_registry
-from lfield.operator.dashboard.operator_actions import OrderOutcome, PrimitiveMatches, QueryAnswer
+from lfield.operator.dashboard.operator_actions import OrderOutcome, QueryAnswer
+from lfield.operator.team_query import PrimitiveAnswer
 from lfield.operator.web.answer_json import order_json, query_json
 
 
@@ -20,10 +21,9 @@ def test_offers_have_units_and_refusals_their_reasons():
         "Lift", "composed", "w", "arm1+lead", "alpha+bravo", 3.0, {}, {"w_grip": arm}, "grip-and-climb"
     )
     refused = Rejection("rover", ("payload 0.2 < 2.0",))
-    found = PrimitiveMatches(
-        primitive(), (copter, both), 2, (refused,), ("only the best",), {"payload": "kg"}
-    )
-    told = json.loads(query_json(QueryAnswer("Lift", (found,), {"charlie": "nobody listens"})))
+    found = PrimitiveAnswer(primitive(), (copter, both), 2, (refused,), ("only the best",))
+    answer = QueryAnswer("Lift", (found,), {"charlie": "nobody listens"}, units={"payload": "kg"})
+    told = json.loads(query_json(answer))
     (lift,) = told["found"]
     first, second = lift["offers"]
     assert first["facts"] == ["payload 0.5 kg", "tools winch"]

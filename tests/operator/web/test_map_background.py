@@ -181,5 +181,5 @@ def test_a_folder_as_background_is_refused(tmp_path):
     "make", [no_file, text, empty, other_database, no_rows, vectors, words_for_numbers, lambda f: f]
 )
 def test_an_invalid_background_file_is_refused_with_a_sentence(tmp_path, make):
-    with pytest.raises(InputFileError, match=r"(no such file|not a file|not an MBTiles file)"):
+    with pytest.raises(InputFileError, match=r"(no such file|not a file|neither a PMTiles)"):
         open_background(str(make(tmp_path)))

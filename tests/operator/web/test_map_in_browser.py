@@ -20,7 +20,8 @@ const done = arguments[arguments.length - 1];
 import("lfield-watch").then((m) => done((%s)(m, ...arguments)));
 """
 _BOXES = """
-return [...document.querySelectorAll("[data-testid^=label-], .map .marker .dart")].map((each) => {
+const drawn = "[data-testid^=label-], .map .grid text, .map .marker .dart";
+return [...document.querySelectorAll(drawn)].map((each) => {
   const { left, right, top, bottom } = each.getBoundingClientRect();
   return [each.dataset.testid ?? "", left, right, top, bottom];
 });
@@ -75,6 +76,16 @@ def test_map_geometry_and_label_placement(browser, page_of):
     # A label stays in a free slot, but not in a far one while a near one is free.
     assert (again["v0"]["slot"], again["v1"]["slot"] < 8) == (1, True)
     assert 0 < len(near) < 12, "numbers of items are omitted rather than distant"
+    # Of labels with fixed places, those under an obstacle or an earlier label are left out.
+    kept = run(
+        browser,
+        """({labels: l}) => {
+          const at = (left) => ({ left, right: left + 20, top: 0, bottom: 10 });
+          const labels = [0, 15, 40, 70].map((left) => ({ left, box: at(left) }));
+          return l.separate(labels, [at(75)]).map((one) => one.left);
+        }""",
+    )
+    assert kept == [0, 40]
 
 
 @pytest.mark.few(0)
@@ -87,9 +98,11 @@ def test_five_robots_close_together_have_five_separate_labels(browser, page_of):
         lambda: len(browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid^=label-copter]")) == 5
     )
     boxes = browser.evaluate(lambda: browser.driver.execute_script(_BOXES))
-    labels = [box for box in boxes if box[0]]
+    labels = [box for box in boxes if box[0].startswith("label-")]
+    grid = [box for box in boxes if box[0].startswith("degrees-")]
+    assert grid
+    assert not [pair for pair in combinations([*labels, *grid], 2) if overlap(*pair)]
     assert {box[0] for box in labels} == {"label-pilot", *(f"label-copter{n + 1}" for n in range(5))}
-    assert not [pair for pair in combinations(labels, 2) if overlap(*pair)]
     assert browser.errors == []
 
 

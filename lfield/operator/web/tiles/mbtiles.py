@@ -80,4 +80,4 @@ class MbtilesSource:
 
 
 def _none(path: Path, why: str) -> InputFileError:
-    return InputFileError(str(path), f"not an MBTiles file with pictures for a map: {why}")
+    return InputFileError(str(path), f"neither a PMTiles nor an MBTiles file with pictures for a map: {why}")

@@ -14,6 +14,12 @@ function overlaps(a, b) {
   return a.left < b.right + GAP && b.left < a.right + GAP && a.top < b.bottom + GAP && b.top < a.bottom + GAP;
 }
 
+// The labels with a `box` that no earlier one and no obstacle hides, in order of importance.
+export function separate(labels, obstacles) {
+  const taken = [...obstacles];
+  return labels.filter(({ box }) => !taken.some((other) => overlaps(box, other)) && taken.push(box));
+}
+
 export function boxAround({ x, y, radius }) {
   return { left: x - radius, right: x + radius, top: y - radius, bottom: y + radius };
 }

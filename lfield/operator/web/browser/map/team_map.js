@@ -4,7 +4,7 @@ import { leaflet as L } from "nicegui-leaflet";
 import { colourOf } from "../colours.js";
 import * as words from "../words.js";
 import { arc, distinct, line, metresPerPixel, multiples, roundStep } from "./geometry.js";
-import { boxAround, placedLabels } from "./labels.js";
+import { boxAround, placedLabels, separate } from "./labels.js";
 import Legend from "./legend.js";
 
 // A hop is drawn for this time (s), and fades.
@@ -41,7 +41,7 @@ export default {
             <path d="M0 0 L8 4 L0 8 z" class="tip"/>
           </marker>
         </defs>
-        <g v-if="grid" class="grid"><path :d="grid.path"/><path class="axes" :d="grid.axes"/><text v-for="label in grid.labels" :key="label.text" :x="label.x" :y="label.y">{{ label.text }}</text></g>
+        <g v-if="grid" class="grid"><path :d="grid.path"/><path class="axes" :d="grid.axes"/><text v-for="label in grid.labels" :key="label.text" :data-testid="'degrees-' + label.text" :x="label.x" :y="label.y">{{ label.text }}</text></g>
         <path v-for="(shape, n) in shapes" :key="n" class="shape" :class="shape.kind" :d="shape.path" :data-testid="'shape-' + shape.kind"/>
         <circle v-for="c in circles" :key="c.key" class="shape" :class="c.kind" :cx="c.x" :cy="c.y" :r="c.r" :data-testid="'shape-' + c.kind"/>
         <circle v-for="item in items" :key="item.key" class="item" :class="item.kind" :cx="item.x" :cy="item.y" r="3"/>
@@ -120,6 +120,14 @@ export default {
       };
       return [...around("limit", (v) => v.radius), ...around("edge", (v) => v.fence)];
     },
+    // The boxes of all signs and of the buttons, which no label hides.
+    obstacles() {
+      if (this.moved < 0 || !this.map) return [];
+      const size = this.map.getSize();
+      const signs = (points, radius) => points.map(({ x, y }) => boxAround({ x, y, radius }));
+      const buttons = [{ left: 0, top: 0, right: 48, bottom: 80 }, { left: size.x - 64, top: 0, right: size.x, bottom: 44 }, { left: size.x - 130, top: size.y - 30, right: size.x, bottom: size.y }];
+      return [...buttons, ...signs(this.placed, DART - 2), ...signs([...this.minds, ...this.docks], DIAMOND), ...signs(this.homes, HOME)];
+    },
     // What is drawn, for the legend.
     shown() {
       return {
@@ -140,7 +148,8 @@ export default {
       const docks = this.docks.map((dock) => small(`d ${dock.host}`, `label-${dock.host}`, { old: !dock.linked }, dock, dock.host, DIAMOND));
       const numbers = this.items.slice(0, MOST_NUMBERS).map((item) => small(`n ${item.key}`, null, { numbers: true }, item, String(item.number), ITEM, true));
       const wanted = [...vehicles, ...minds, ...docks, ...numbers];
-      const found = placedLabels(wanted, this.obstacles(), this.map.getSize(), this.slots);
+      const obstacles = [...this.obstacles, ...this.grid.labels.map(({ box }) => box)];
+      const found = placedLabels(wanted, obstacles, this.map.getSize(), this.slots);
       this.slots = Object.fromEntries(Object.entries(found).map(([key, { slot }]) => [key, slot]));
       return wanted.filter((label) => label.key in found).map((label) => ({ ...label, ...found[label.key] }));
     },
@@ -199,11 +208,10 @@ export default {
       const path = rows.map(across).join("") + columns.map(up).join("");
       if (!this.earth) return { path, axes: across(0) + up(0), labels: [] };
       const places = Math.max(0, -Math.floor(Math.log10(step)));
-      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: RIGHT_OF_ZOOM, y: this.pixel([n, low.lng]).y - 3 });
-      const east = (e) => ({ text: words.degrees(e, places, "E", "W"), x: this.pixel([low.lat, e]).x + 3, y: size.y - 4 });
-      // The scale is in that corner.
-      const labels = [...rows.map(north), ...columns.map(east).filter((label) => label.x < size.x - 160)];
-      return { path, axes: "", labels };
+      const label = (text, x, y) => ({ text, x, y, box: { left: x, right: x + width(text, 5.8), top: y - 10, bottom: y + 2 } });
+      const north = (n) => label(words.degrees(n, places, "N", "S"), RIGHT_OF_ZOOM, this.pixel([n, low.lng]).y - 3);
+      const east = (e) => label(words.degrees(e, places, "E", "W"), this.pixel([low.lat, e]).x + 3, size.y - 4);
+      return { path, axes: "", labels: separate([...columns.map(east), ...rows.map(north)].filter(({ box }) => box.top >= 0), this.obstacles) };
     },
   },
   watch: {
@@ -227,13 +235,6 @@ export default {
       // Leaflet's latLngToContainerPoint rounds to whole pixels, which makes small circles ragged.
       const point = this.map.layerPointToContainerPoint(this.map.project(at).subtract(this.map.getPixelOrigin()));
       return { x: Math.round(point.x * 10) / 10, y: Math.round(point.y * 10) / 10 };
-    },
-    // The boxes of all signs and of the buttons, which no label hides.
-    obstacles() {
-      const size = this.map.getSize();
-      const signs = (points, radius) => points.map(({ x, y }) => boxAround({ x, y, radius }));
-      const buttons = [{ left: 0, top: 0, right: 48, bottom: 80 }, { left: size.x - 64, top: 0, right: size.x, bottom: 44 }, { left: size.x - 130, top: size.y - 30, right: size.x, bottom: size.y }];
-      return [...buttons, ...signs(this.placed, DART - 2), ...signs([...this.minds, ...this.docks], DIAMOND), ...signs(this.homes, HOME)];
     },
     // The height in pixels of the coordinators drawn below a host.
     below(host) {

@@ -5,39 +5,28 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property, partial
 
 from lfield.authority.identity import Identity
-from lfield.authority.key_material import Keys
 from lfield.authority.peer_verification import AdmissionDecision
 from lfield.authority.rights import missing_permission
-from lfield.capability.matching.matcher import Matcher
+from lfield.client.capability_query import TeamQueries
+from lfield.client.team_connection import HostSnapshots, TeamConnection
 from lfield.errors import LfieldError, ProgramError
 from lfield.mission.access.access_rules import NO_RULES, Access
-from lfield.mission.team import Team
 from lfield.net.peer_credentials import own_process_identity
-from lfield.net.transport import UNIX, Transport
+from lfield.net.transport import UNIX
 from lfield.operator.client import (
     PATIENT_SNAPSHOT,
     OrderOnOpenLink,
     ask_all,
     emergency_stop,
     pause,
+    unanswered,
 )
-from lfield.operator.dashboard.event_stream.host_locator import HostLocator
-from lfield.operator.dashboard.operator_actions import (
-    OrderObserver,
-    OrderOutcome,
-    PrimitiveMatches,
-    QueryAnswer,
-)
-from lfield.operator.observer_link import PresentedCrl, Request, input_line
-from lfield.operator.orders.order_sender import OrderSender
-from lfield.operator.query_parser import parse_query
-from lfield.operator.team_model.host_model import host_states
-from lfield.operator.team_model.team_state import HostState
-from lfield.operator.team_query import QueryContext, directory_views, primitive_answer, roster_from_hosts
+from lfield.operator.dashboard.operator_actions import OrderObserver, OrderOutcome, QueryAnswer
+from lfield.operator.observer_link import Request, input_line
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, Pause
 from lfield.wire.order_messages import ID_SIZE, OrderKind
 
@@ -51,53 +40,36 @@ _MESSAGES: Mapping[OrderKind, EmergencyStop | Pause] = {
 }
 
 RunInThread = Callable[
-    [Callable[[str, Mapping[str, HostState]], QueryAnswer], str, Mapping[str, HostState]],
-    Awaitable[QueryAnswer],
+    [Callable[[str, HostSnapshots], QueryAnswer], str, HostSnapshots], Awaitable[QueryAnswer]
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class OperatorContext:
-    """The operator and the transports of the orders.
-
-    `keys`: those of this person, None for none. `crl`: a revocation list for hosts with an older one.
-    `access`: the mission's restrictions of this person's rights, as far as this computer has them. `sender`:
-    sends orders as signed datagrams. `standing`: sends them over open connections.
-    """
-
-    keys: Keys | None = None
-    crl: PresentedCrl | None = None
-    access: Access = NO_RULES
-    sender: OrderSender | None = None
-    standing: OrderOnOpenLink | None = None
+def stop_order(reason: str) -> Request[EmergencyStopResult]:
+    """The emergency stop of a person."""
+    return emergency_stop(f"the emergency stop was pressed{': ' if reason else ''}{reason}")
 
 
-NO_OPERATOR = OperatorContext()
-
-
-class OrderService:
+class TeamActions:
     """Implements `OperatorActions` for the hosts of a team; `observer` gets each answer when it arrives.
 
-    `read_context` reads what queries need, at the first query; its error is the answer when that fails.
-    `run_in_thread` runs a long computation outside the event loop.
+    `read_queries` reads what queries need, at the first query; its error is the answer when that fails.
+    `access`: the mission's restrictions of this person's rights, as far as this computer has them.
+    `standing` sends orders over open connections. `run_in_thread` runs a long computation outside the event
+    loop.
     """
 
     def __init__(
         self,
-        transport: Transport,
-        locate: HostLocator,
+        connection: TeamConnection,
         observer: OrderObserver,
-        team: Team,
-        read_context: Callable[[], QueryContext],
-        operator: OperatorContext = NO_OPERATOR,
+        read_queries: Callable[[], TeamQueries],
+        access: Access = NO_RULES,
+        standing: OrderOnOpenLink | None = None,
         run_in_thread: RunInThread = asyncio.to_thread,
     ) -> None:
-        self._run_in_thread = run_in_thread
-        self._transport, self._locate, self._observer = transport, locate, observer
-        self._team, self._read_context = team, read_context
-        self._keys, self._crl, self._access = operator.keys, operator.crl, operator.access
-        self._sender, self._standing = operator.sender, operator.standing
-        self._context: QueryContext | None = None
+        self._connection, self._observer, self._read_queries = connection, observer, read_queries
+        self._access, self._standing, self._run_in_thread = access, standing, run_in_thread
+        self._queries: TeamQueries | None = None
 
     # --- permissions ----------------------------------------------------------------------------------
 
@@ -105,7 +77,7 @@ class OrderService:
     def denied_orders(self) -> Mapping[OrderKind, str]:
         """The orders that every host would refuse from this person, each with a reason."""
         found: dict[OrderKind, str] = {}
-        who = [self._identity_at(address) for address in self._locate.addresses.values()]
+        who = [self._identity_at(address) for address in self._connection.locate.addresses.values()]
         for order, message in _MESSAGES.items():
             reasons = [self._missing_right(identity, message) for identity in who if identity is not None]
             if reasons and all(reasons):
@@ -129,18 +101,18 @@ class OrderService:
     @cached_property
     def _own_identity(self) -> Identity | None:
         """The identity in the own certificate. Hosts decide whether it is valid now."""
-        if self._keys is None:
+        keys = self._connection.keys
+        if keys is None:
             return None
         from lfield.authority.certificate_reader import identity_in
 
-        return identity_in(self._keys.certificate, self._keys.authority)
+        return identity_in(keys.certificate, keys.authority)
 
     # --- orders ---------------------------------------------------------------------------------------
 
     async def stop(self, reason: str = "") -> OrderOutcome:
         """See `OperatorActions.stop`."""
-        text = f"the emergency stop was pressed{': ' if reason else ''}{reason}"
-        return await self._order("stop", emergency_stop(text))
+        return await self._order("stop", stop_order(reason))
 
     async def lift(self) -> OrderOutcome:
         """See `OperatorActions.lift`."""
@@ -159,17 +131,9 @@ class OrderService:
         unconfirmed: dict[str, str] = {}
         unreached: dict[str, str] = {}
         troubles: dict[str, str] = {}
-        addresses = dict(self._locate.addresses)
-        number = self._observer.on_order(order, addresses)
-        answers = await ask_all(
-            self._transport,
-            addresses,
-            request,
-            self._crl,
-            self._sender,
-            self._standing,
-            partial(self._observer.on_answer, number),
-        )
+        number = self._observer.on_order(order, self._connection.locate.hosts)
+        on_answer = partial(self._observer.on_answer, number)
+        answers = await self._connection.order(request, self._standing, on_answer)
         for host, answer in answers.items():
             if isinstance(answer, LfieldError):
                 unreached[host] = str(answer)
@@ -182,10 +146,11 @@ class OrderService:
 
     async def enter(self, host: str, text: str) -> str:
         """See `OperatorActions.enter`."""
-        addresses = dict(self._locate.addresses)
-        if host not in addresses:
+        at = self._connection
+        address = at.locate.addresses.get(host)
+        if address is None:
             return f"there is no host {host}"
-        answers = await ask_all(self._transport, {host: addresses[host]}, input_line(text), self._crl)
+        answers = await ask_all(at.transport, {host: address}, input_line(text), at.crl)
         answer = answers[host]
         return str(answer) if isinstance(answer, LfieldError) else answer.trouble
 
@@ -193,26 +158,20 @@ class OrderService:
 
     async def query(self, text: str) -> QueryAnswer:
         """See `OperatorActions.query`: as `lfield query --explain`, from the running hosts."""
-        answers = await ask_all(self._transport, self._locate.addresses, PATIENT_SNAPSHOT, self._crl)
-        return await self._run_in_thread(self._match, text, host_states(answers))
+        snapshots = await self._connection.snapshots(PATIENT_SNAPSHOT)
+        return await self._run_in_thread(self._match, text, snapshots)
 
-    def _match(self, text: str, hosts: Mapping[str, HostState]) -> QueryAnswer:
+    def _match(self, text: str, snapshots: HostSnapshots) -> QueryAnswer:
         try:
-            asked = self._context = self._context or self._read_context()
-            question = parse_query(text, asked.registry)
+            queries = self._queries = self._queries or self._read_queries()
+            question, known = queries.parse(text), queries.known_team(snapshots)
+            answers = queries.answers(question, known)
         except ProgramError as error:
             return QueryAnswer(text, mistakes="\n".join(found.render() for found in error.diagnostics))
         except LfieldError as error:
             return QueryAnswer(text, mistakes=str(error))
-        unreachable = {name: host.trouble for name, host in hosts.items() if not host.linked}
-        team = roster_from_hosts(
-            asked.registry, self._team.deployed, directory_views(hosts), unreachable.keys()
-        )
-        matcher = Matcher(asked.registry, team, asked.ways)
-        units = {name: attribute.unit for name, attribute in asked.registry.attributes.items()}
-        answers = [primitive_answer(matcher, primitive, question) for primitive in question.primitives]
-        found = [
-            PrimitiveMatches(each.primitive, each.offers, each.count, each.refusals, each.notes, units)
-            for each in answers
-        ]
-        return QueryAnswer(text, tuple(found), unreachable)
+        if not known.is_running:
+            answers = [replace(each, notes=[str(known), *each.notes]) for each in answers]
+        silent = {host: str(error) for host, error in unanswered(snapshots).items()}
+        units = {name: attribute.unit for name, attribute in queries.context.registry.attributes.items()}
+        return QueryAnswer(text, answers, silent, units=units)

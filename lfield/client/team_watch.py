@@ -11,6 +11,9 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequ
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+from lfield.client.capability_query import TeamQueries
+from lfield.client.team_actions import TeamActions
+from lfield.client.team_connection import open_connection
 from lfield.clock import Clock, SystemClock
 from lfield.errors import LfieldError
 from lfield.geodata.map_drawings import MapDrawing
@@ -19,21 +22,16 @@ from lfield.mission.access.access_rules import NO_RULES
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from lfield.mission.team import Team
-from lfield.operator.client import observer_transport, order_sender, own_keys, presented_crl
 from lfield.operator.dashboard.event_feed import log_backlog
 from lfield.operator.dashboard.event_stream.background_task import background_tasks
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
-from lfield.operator.dashboard.event_stream.host_locator import HostLocator
 from lfield.operator.dashboard.map_files import program_drawings
 from lfield.operator.dashboard.operator_actions import OperatorActions
-from lfield.operator.dashboard.order_service import OperatorContext, OrderService
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
-from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.targets import TargetTeam
 from lfield.operator.team_model.team_contents import TeamContents, team_contents
 from lfield.operator.team_model.team_state import Curve, TeamState, TrackUpdate
 from lfield.operator.team_model.team_view import TeamView
-from lfield.operator.team_query import QueryContext, read_context
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.order_messages import Epochs, OrderKind
 from lfield.wire.subscription_messages import EventBatch
@@ -132,39 +130,20 @@ async def watch_team(
     Raises KeysError for keys that cannot be used.
     """
     clock = SystemClock()
-    own = own_keys(targets.addresses.values(), keys)
-    desk = order_sender(own, KnownHosts.read(own.authority)) if own is not None else None
-    transport, brings = observer_transport(own, desk.known if desk is not None else None), presented_crl(own)
-    reach = HostLocator(targets, find)
+    connection = open_connection(targets, find, keys)
+    transport, reach, sender = connection.transport, connection.locate, connection.sender
     mission = await asyncio.to_thread(read_mission, path)
     drawings = program_drawings(mission.program) if mission is not None else []
     shown = TeamWatch(team_contents(path.stem, team, mission), clock, drawings)
+    options = FollowOptions(
+        telemetry=RATE,
+        crl=connection.crl,
+        hint=reach.hint,
+        learn=sender.learn if sender is not None else _ignore_epochs,
+    )
+    follower = EventFollower(transport, reach.hosts, reach, shown, clock, options)
     access = mission.access if mission is not None else NO_RULES
-
-    def asked() -> QueryContext:
-        return read_context(path, team)
-
-    follower = EventFollower(
-        transport,
-        reach.hosts,
-        reach,
-        shown,
-        clock,
-        FollowOptions(
-            telemetry=RATE,
-            crl=brings,
-            hint=reach.hint,
-            learn=desk.learn if desk is not None else _ignore_epochs,
-        ),
-    )
-    shown.actions = OrderService(
-        transport,
-        reach,
-        shown,
-        team,
-        asked,
-        OperatorContext(own, brings, access, sender=desk, standing=follower.order),
-    )
-    past = log_backlog(transport, reach.hosts, reach, clock, brings)
+    shown.actions = TeamActions(connection, shown, lambda: TeamQueries(path, team), access, follower.order)
+    past = log_backlog(transport, reach.hosts, reach, clock, connection.crl)
     async with background_tasks(shown.start_log(past), follower.run(), shown.tick()):
         yield shown
