@@ -192,11 +192,14 @@ class Gimbal:
             raise self._vehicle.error(f"{what} requires a finite position")
         if state.home is None or state.position is None or not state.knows_frames:
             raise self._vehicle.error(f"{what}: the position of the vehicle is unknown")
+        place = state.home.shifted(goal, state.radius)
+        if not abs(place.latitude) <= 90.0:
+            raise self._vehicle.error(f"{what} refused: the position is beyond a pole")
         manager = await self._found(what)
         await self._control(what, manager)
         await self._vehicle.command(
             what, dialect.MAV_CMD_DO_SET_ROI_LOCATION, float(manager.device),
-            place=state.home.shifted(goal, state.radius), component="gimbal", target=manager.component,
+            place=place, component="gimbal", target=manager.component,
         )  # fmt: skip
         await self._reach(what, manager, lambda: self._on_nose(direction(self._way(goal))))
 
