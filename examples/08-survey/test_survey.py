@@ -11,6 +11,8 @@ from survey_times import deployment, uncovered
 
 #: A field of 28 by 36 m, metres east and north of the start: two strips.
 SMALL = [(-14.0, 12.0), (14.0, 12.0), (14.0, 48.0), (-14.0, 48.0)]
+#: Two strips of 6 m.
+TINY = [(-14.0, 3.0), (14.0, 3.0), (14.0, 9.0), (-14.0, 9.0)]
 #: One strip.
 NARROW = [(-7.0, 12.0), (7.0, 12.0), (7.0, 48.0), (-7.0, 48.0)]
 
@@ -49,6 +51,25 @@ def finish(team, path, victim, other, strips=2):
     assert flown(team) == dict.fromkeys(range(strips), other)
     assert team.said(f"{victim} is out, strip ") == 1
     assert uncovered(team, path.with_name("field.kml")) == []
+
+
+def alone(path):
+    """Leaves the first copter only in the mission."""
+    path.write_text(re.sub(r"//Mapper:m[234].*\n", "", path.read_text()))
+    devices = path.with_name("mission.devices.yaml")
+    devices.write_text(devices.read_text().partition("  m2:")[0])
+
+
+def test_one_vehicle_flies_one_strip_after_the_other(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 1, TINY)
+    alone(path)
+    team = lfield_mission(path)
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert flown(team) == {0: "m1", 1: "m1"}
+    assert team.said("2 of 2 strips, 4 pictures") == 1
+    assert uncovered(team, path.with_name("field.kml")) == []
+    assert team.tracks["m1.fc"][-1].up < 0.2, "it has landed"
 
 
 @pytest.mark.few(0)
