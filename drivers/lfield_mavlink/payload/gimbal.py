@@ -2,7 +2,7 @@
 
 The gimbal manager is the autopilot, or a gimbal with a component id of its own. It obeys its primary
 controller: PX4 refuses every other station, ArduPilot obeys all. So each instruction takes control unless
-another station has it, or may have it: a manager that does not report its controller obeys acquireGimbal only.
+another station has it, or may have it: a manager that does not report it requires acquireGimbal.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, Sta
 
 #: Tolerance of an angle, and what counts as progress, in radians.
 TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
-#: Seconds between two checks of its attitude; PX4 reports who controls it once in 2 s, also without a request.
+#: Seconds between two checks of its attitude, and within which PX4 reports who controls it without a request.
 PAUSE, BROADCAST = 0.1, 2.5
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0

@@ -40,7 +40,9 @@ def found(data, **request):
     return [(finding.code, finding.item) for finding in report(data, **request).findings]
 
 
-@pytest.mark.parametrize(("height", "radius", "items"), [(0, 0, []), (30, 60, []), (31, 0, [3]), (0, 61, [2])])
+@pytest.mark.parametrize(
+    ("height", "radius", "items"), [(0, 0, []), (30, 60, []), (31, 0, [3]), (0, 61, [2])]
+)
 def test_stated_return_height_and_circle_radius_are_checked(height, radius, items):
     turns = simple(dialect.MAV_CMD_NAV_LOITER_TURNS, 40, 0, 20.0, p=(1.0, 0.0, 0.0, None))
     options = {"return_height": float(height), "circle_radius": float(radius)}
