@@ -118,6 +118,7 @@ class Gimbal:
         holder = await self._holder(manager)
         if holder == self._mine or (holder is None and self._has_control):
             return
+        self._vehicle.check_link()
         if holder != NO_STATION and not force:
             raise self._vehicle.error(f"{what} refused: {self._note_refusal(manager, holder)}")
         await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
