@@ -64,6 +64,10 @@ class Components:
         oldest = self._now() - GONE
         return [component for component in ids if self._beats.get(component, -math.inf) > oldest]
 
+    def known(self, ids: Sequence[int]) -> list[int]:
+        """Those of these ids whose heartbeats have ever arrived, in this order."""
+        return [component for component in ids if component in self._beats]
+
 
 class PayloadSources:
     """The addresses of cameras and gimbals on links of their own: `payload=` in the endpoint. Pure.

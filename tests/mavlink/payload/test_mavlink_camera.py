@@ -71,6 +71,21 @@ def test_the_address_of_a_camera_is_used_until_its_heartbeats_are_gone():
     assert (sources.accepts(one, ids, ACK, GONE + 0.1), sources.source(ids)) == (False, other)
 
 
+@on_bench("filmed")
+async def test_a_camera_that_is_gone_is_not_replaced_by_the_autopilot(b, fc, /):
+    camera = await present(b, fc)
+    deliver = b.filter
+    b.filter = lambda link, packet: None if packet[6] == CAMERA else deliver(link, packet)
+    await asyncio.sleep(GONE + 1.0)
+    for instruction in ("triggerCamera", "stopVideo"):
+        with pytest.raises(DeviceError, match=f"{instruction} refused: no heartbeat of camera 100"):
+            await fc.execute(instruction, [])
+    b.filter = deliver
+    await present(b, fc)
+    await fc.execute("triggerCamera", [])
+    assert camera.pictures == 1
+
+
 @on_bench("filmed", flavour="px4")
 async def test_a_picture_is_done_when_the_camera_has_stored_it(b, fc, /):
     camera = await present(b, fc)
