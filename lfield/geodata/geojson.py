@@ -33,7 +33,9 @@ def read_geojson(file: str, data: bytes) -> list[Shape]:
         raise MissionFileError(file, f"it is not GeoJSON: its type is none of {', '.join(TYPES)}")
     crs = tree.get("crs")
     if crs is not None and not _name(crs).endswith(_WGS84):
-        raise MissionFileError(file, f"its coordinate system is '{_name(crs)[:80]}'; lfield reads WGS 84 only")
+        raise MissionFileError(
+            file, f"its coordinate system is '{_name(crs)[:80]}'; lfield reads WGS 84 only"
+        )
     return list(_Reader(file).features(tree))
 
 

@@ -112,7 +112,8 @@ class GimbalService(VehicleService):
         secondary = (command.whole(3), command.whole(4)) if self._px4 else (-1, -1)
         gimbal = self.autopilot.payload.gimbal
         result = gimbal.configure(command.source, primary, secondary)
-        return result, ([] if gimbal.is_secret else [equipment_messages.gimbal_manager_status(self.autopilot)])
+        status = equipment_messages.gimbal_manager_status(self.autopilot)
+        return result, [] if gimbal.is_secret else [status]
 
     def _watch(self, command: MavCommand) -> CommandAnswer:
         """A region of interest, and its end."""
