@@ -9,7 +9,7 @@ from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink import log_messages
-from lfield_mavlink.contact.components import is_of_payload
+from lfield_mavlink.contact.components import PayloadSources, is_of_payload
 from lfield_mavlink.link.dialect import (
     AUTOPILOT,
     Header,
@@ -20,7 +20,15 @@ from lfield_mavlink.link.dialect import (
     request_message,
     station_heartbeat,
 )
-from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link, split_endpoint
+from lfield_mavlink.link.links import (
+    AGAIN,
+    Link,
+    LinkEvents,
+    LinkUses,
+    OnData,
+    make_link,
+    split_endpoint,
+)
 from lfield_mavlink.link.packet_sources import Source, Sources
 from lfield_mavlink.link.ports import (
     COMMANDS,
@@ -55,6 +63,8 @@ class MavlinkDriver(Driver):
 
     def _set_up(self) -> None:
         self._sources: dict[int, Sources] = {}
+        self._uses = LinkUses.of(self.endpoint)
+        self._payload = PayloadSources(self._uses.payload)
 
     async def _open(self) -> None:
         self._quieted = False
@@ -73,7 +83,7 @@ class MavlinkDriver(Driver):
         self._stations = {vehicle.station: vehicle for vehicle in self._vehicles.values()}
         self._signing = open_signing(self.bindings, self.clock)
         endpoints = split_endpoint(self.endpoint)
-        self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
+        self._routes = {system: Route(self._uses.vehicles) for system in self._vehicles}
         self._ports += [self._make_port(number, endpoint) for number, endpoint in enumerate(endpoints)]
         await self._open_links()
         self.spawn(self._send_heartbeats())
@@ -165,7 +175,7 @@ class MavlinkDriver(Driver):
         if self._received_bytes:
             count = self._received_bytes
             return f"the {count} received bytes contain no heartbeat; is it the right port and baud rate?"
-        return "; ".join(port.link.why_silent() for port in self._ports)
+        return "; ".join(self._ports[number].link.why_silent() for number in self._uses.vehicles)
 
     def _commander(self, system: int) -> str:
         """Who else has just commanded a vehicle, as far as seen on the links."""
@@ -177,17 +187,16 @@ class MavlinkDriver(Driver):
         for message in reader.feed(data, partial(self._is_spare, source)):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
-            if message.get_msgId() in COMMANDS:
+            if link not in self._uses.vehicles:
+                self._on_payload(source, message)
+            elif message.get_msgId() in COMMANDS:
                 # A router may echo what we have sent.
                 if system not in self._stations:
                     self._neighbours.on_command(message, self.clock.monotonic())
-                continue
             # Cameras and gimbals send heartbeats too; only the autopilot's contain the vehicle's state.
-            component = message.get_srcComponent()
-            if vehicle is None or component != AUTOPILOT:
+            elif vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._on_neighbour(message)
-                if vehicle is not None and is_of_payload(component, message.get_msgId()):
-                    self._on_payload(vehicle, source, message)
+                self._on_payload(source, message)
             elif is_foreign(message, vehicle.state.autopilot):
                 self._neighbours.on_message(message)
                 self._ignore(vehicle, source, message)
@@ -202,10 +211,14 @@ class MavlinkDriver(Driver):
         elif self._routes[system].on_packet(source.link, message.get_msgbuf(), now):
             vehicle.on_message(message)
 
-    def _on_payload(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
+    def _on_payload(self, source: Source, message: Any) -> None:
         """A message of a camera or gimbal; those of another vehicle with this system id are ignored."""
-        if self._sources[vehicle.system].accepts(source):
-            vehicle.on_component(message)
+        system, component, kind = message.get_srcSystem(), message.get_srcComponent(), message.get_msgId()
+        if system not in self._vehicles or not is_of_payload(component, kind):
+            return
+        ids, now = (system, component), self.clock.monotonic()
+        if self._payload.accepts(source, ids, kind, now) or self._sources[system].accepts(source):
+            self._vehicles[system].on_component(message)
 
     def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
         """A heartbeat of a component that is not an autopilot but uses its ids: logged once per source."""
@@ -241,7 +254,7 @@ class MavlinkDriver(Driver):
                 return False
             return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT) and header.kind not in COMMANDS
         sources = self._sources[header.system]
-        if len(self._ports) > 1 or not sources.accepts(source):
+        if len(self._uses.vehicles) > 1 or not sources.accepts(source):
             return False
         spare = vehicle.is_spare(header.kind, header.sequence)
         if spare:
@@ -249,6 +262,10 @@ class MavlinkDriver(Driver):
         return spare
 
     def _send_to(self, system: int, station: int, message: Any) -> None:
+        payload = self._payload.source((system, getattr(message, "target_component", 0)))
+        if payload is not None:
+            self._ports[payload.link].send(message, station, payload.address)
+            return
         for number in self._routes[system].links(self.clock.monotonic()):
             self._ports[number].send(message, station, self._sources[system].address(number))
 
@@ -257,11 +274,18 @@ class MavlinkDriver(Driver):
         beats = [(vehicle, station_heartbeat(vehicle.system)) for vehicle in self._vehicles.values()]
         while True:
             for vehicle, message in () if self._quieted else beats:
-                for port in self._ports if vehicle.may_send_heartbeat else ():
+                for port in self._heartbeat_ports(vehicle):
                     port.send(message, vehicle.station)
             if not self._quieted:
                 self._request_boards()
             await asyncio.sleep(HEARTBEAT)
+
+    def _heartbeat_ports(self, vehicle: MavlinkVehicle) -> list[Port]:
+        """The links for heartbeats of its station. Links to payload only do not lead to its failsafe."""
+        everywhere = vehicle.may_send_heartbeat
+        return [
+            port for number, port in enumerate(self._ports) if everywhere or number not in self._uses.vehicles
+        ]
 
     def _request_boards(self) -> None:
         """Requests the unique id over other links on which its system id arrives: it may be another

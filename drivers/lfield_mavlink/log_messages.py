@@ -69,6 +69,12 @@ GIMBAL_CONTROLLED = LogMessage(
     "gimbal not pointed: system {system}, component {component} controls it; acquireGimbal() takes control",
     "warning",
 )
+GIMBAL_CONTROL_UNKNOWN = LogMessage(
+    "mavlink-gimbal-control-unknown",
+    "gimbal not pointed: component {component} does not report which station controls it; acquireGimbal() "
+    "takes control",
+    "warning",
+)
 
 # --- motion ---------------------------------------------------------------------------------------------
 

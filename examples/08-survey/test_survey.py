@@ -11,6 +11,8 @@ from survey_times import deployment, uncovered
 
 #: A field of 28 by 36 m, metres east and north of the start: two strips.
 SMALL = [(-14.0, 12.0), (14.0, 12.0), (14.0, 48.0), (-14.0, 48.0)]
+#: Two strips of 6 m.
+TINY = [(-14.0, 3.0), (14.0, 3.0), (14.0, 9.0), (-14.0, 9.0)]
 #: One strip.
 NARROW = [(-7.0, 12.0), (7.0, 12.0), (7.0, 48.0), (-7.0, 48.0)]
 
@@ -24,21 +26,18 @@ def flown(team):
 def row(vehicles):
     """The numbers of a row of the table of the page."""
     page = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^\| {vehicles} \| (\d+) s \| (\d+) \| (\d+) \| (\d+) \|$", page, re.MULTILINE)
+    found = re.search(rf"^\| {vehicles} \| (\d+) s \| (\d+) \| (\d+) \|$", page, re.MULTILINE)
     return tuple(map(int, found.groups()))
 
 
-def first_on_a_strip(team):
-    """A vehicle in the middle of its strip, and the other one of two that the registry has chosen."""
+def last_on_a_strip(team):
+    """The vehicle that the coordinator has visited last, in the middle of its strip, and the other of two."""
     team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
     chosen = re.findall(r"(\w+) takes part", "\n".join(line.text for line in team.log))
 
-    def flying():
-        tracks = {who: team.tracks[f"{who}.fc"] for who in chosen}
-        return [who for who, track in tracks.items() if track[-1].north > 20.0 and 24.0 < track[-1].up < 26.0]
-
-    team.run(until=lambda: bool(flying()), at_most=300.0)
-    victim = flying()[0]
+    victim = next(hop.target for hop in reversed(team.hops) if hop.target != "base").replace("copter", "m")
+    track = team.tracks[f"{victim}.fc"]
+    team.run(until=lambda: track[-1].north > 20.0 and 24.0 < track[-1].up < 26.0, at_most=300.0)
     return victim, next(who for who in chosen if who != victim)
 
 
@@ -51,11 +50,30 @@ def finish(team, path, victim, other, strips=2):
     assert uncovered(team, path.with_name("field.kml")) == []
 
 
+def alone(path):
+    """Leaves the first copter only in the mission."""
+    path.write_text(re.sub(r"//Mapper:m[234].*\n", "", path.read_text()))
+    devices = path.with_name("mission.devices.yaml")
+    devices.write_text(devices.read_text().partition("  m2:")[0])
+
+
+def test_one_vehicle_flies_one_strip_after_the_other(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 1, TINY)
+    alone(path)
+    team = lfield_mission(path)
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert flown(team) == {0: "m1", 1: "m1"}
+    assert team.said("2 of 2 strips, 4 pictures") == 1
+    assert uncovered(team, path.with_name("field.kml")) == []
+    assert team.tracks["m1.fc"][-1].up < 0.2, "it has landed"
+
+
 @pytest.mark.few(0)
 def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, SMALL)
     team = lfield_mission(path)
-    victim, other = first_on_a_strip(team)
+    victim, other = last_on_a_strip(team)
     team.crash(victim.replace("m", "copter"))
     finish(team, path, victim, other)
 
@@ -65,7 +83,7 @@ def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_pa
 def test_other_vehicles_fly_the_strip_of_a_failed_one(lfield_mission, tmp_path, fault):
     path = deployment(tmp_path, 2, SMALL)
     team = lfield_mission(path)
-    victim, other = first_on_a_strip(team)
+    victim, other = last_on_a_strip(team)
     team.fake(f"{victim}.fc").set(f"{fault}=true")
     finish(team, path, victim, other)
 
@@ -74,7 +92,7 @@ def test_other_vehicles_fly_the_strip_of_a_failed_one(lfield_mission, tmp_path, 
 def test_waiting_vehicle_flies_the_only_strip_of_a_failed_one(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, NARROW)
     team = lfield_mission(path)
-    victim, other = first_on_a_strip(team)
+    victim, other = last_on_a_strip(team)
     team.fake(f"{victim}.fc").set("motor_failure=true")
     finish(team, path, victim, other, strips=1)
 
@@ -88,5 +106,5 @@ def test_four_vehicles_chosen_by_the_registry_share_the_field(lfield_mission, tm
     assert sorted(flown(team)) == list(range(9))
     assert set(flown(team).values()) == {"m1", "m2", "m3", "m4"}
     assert uncovered(team, path.with_name("field.kml")) == []
-    assert row("4")[1:] == (9, len(team.hops), 0)
+    assert row("4")[1:] == (9, 0)
     assert all(track[-1].up < 0.2 for track in team.tracks.values()), "all have landed"

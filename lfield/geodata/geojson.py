@@ -33,7 +33,9 @@ def read_geojson(file: str, data: bytes) -> list[Shape]:
         raise MissionFileError(file, f"it is not GeoJSON: its type is none of {', '.join(TYPES)}")
     crs = tree.get("crs")
     if crs is not None and not _name(crs).endswith(_WGS84):
-        raise MissionFileError(file, f"its coordinate system is {str(crs)[:80]}; lfield reads WGS 84 only")
+        raise MissionFileError(
+            file, f"its coordinate system is '{_name(crs)[:80]}'; lfield reads WGS 84 only"
+        )
     return list(_Reader(file).features(tree))
 
 
@@ -80,7 +82,8 @@ class _Reader:
                 yield from self._geometry(each, name, depth + 1)
             return
         if kind not in _GEOMETRIES:
-            raise self._error(f"'{str(kind)[:40]}' is not a geometry")
+            what = f"'{kind[:40]}'" if isinstance(kind, str) else "an object without a type"
+            raise self._error(f"{what} is not a geometry")
         parts = tree.get("coordinates")
         for part in self._array(parts) if kind.startswith("Multi") else [parts]:
             yield self._shape(kind.removeprefix("Multi"), name, part)

@@ -1,16 +1,16 @@
 """Cameras and gimbals with component ids of their own under the system id of a vehicle: heartbeat protocol.
 
-They send through the autopilot or on the same link: commands to them take the way of commands to the
-autopilot. Ids: https://mavlink.io/en/messages/common.html#MAV_COMPONENT.
+They send through the autopilot or on the same link, or on a link of their own. Ids: https://mavlink.io/en/messages/common.html#MAV_COMPONENT.
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.packet_sources import Source
 
 #: Component ids of cameras, and of gimbals that have MAVLink.
 CAMERAS: Sequence[int] = range(dialect.MAV_COMP_ID_CAMERA, dialect.MAV_COMP_ID_CAMERA6 + 1)
@@ -63,3 +63,32 @@ class Components:
         """Those of these ids whose heartbeats arrive, in this order."""
         oldest = self._now() - GONE
         return [component for component in ids if self._beats.get(component, -math.inf) > oldest]
+
+    def known(self, ids: Sequence[int]) -> list[int]:
+        """Those of these ids whose heartbeats have ever arrived, in this order."""
+        return [component for component in ids if component in self._beats]
+
+
+class PayloadSources:
+    """The addresses of cameras and gimbals on links of their own: `payload=` in the endpoint. Pure.
+
+    `links` are the numbers of these links. An address is used until its heartbeats are gone.
+    """
+
+    def __init__(self, links: Collection[int]) -> None:
+        self._links = links
+        self._sources: dict[tuple[int, int], tuple[Source, float]] = {}
+
+    def accepts(self, source: Source, component: tuple[int, int], kind: int, now: float) -> bool:
+        """Whether a packet is of a component: system and component id; `kind` is the message id."""
+        if source.link not in self._links:
+            return False
+        known, beat = self._sources.get(component, (source, -math.inf))
+        is_current = known == source or now - beat > GONE
+        if is_current and kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            self._sources[component] = source, now
+        return is_current and component in self._sources
+
+    def source(self, component: tuple[int, int]) -> Source | None:
+        """Where to send to a component; None for the way to the autopilot."""
+        return self._sources.get(component, (None, 0.0))[0]

@@ -1,7 +1,7 @@
 """Reads a mission file and checks it for a vehicle: all findings, not the first. Pure.
 
-The height of a return and the default radius of circles are settings of the vehicle: they are checked when
-the plan is uploaded, with its real home.
+The height of a return and the default radius of circles are settings of the vehicle: they are checked here if
+the options state them, and in any case when the plan is uploaded, with its real home.
 """
 
 from __future__ import annotations
@@ -162,9 +162,16 @@ class _PlanCheck:
     def _situation(self) -> Situation:
         kind = "plane" if self.kind == "vtol" else self.kind
         first = self._plan.items[0].number if self._plan.items else 1
+        radius, height = (self._stated(name) for name in ("circle_radius", "return_height"))
+        climb = Climb(height, "return_height")
         return Situation(
-            kind, self._firmware == "px4", self._plan.home, None, 0.0, Climb(0.0, ""), first_number=first
+            kind, self._firmware == "px4", self._plan.home, None, radius, climb, first_number=first
         )
+
+    def _stated(self, name: str) -> float:
+        """An option in metres; 0 if it is not stated."""
+        value = self._request.options.get(name, 0.0)
+        return float(value) if isinstance(value, int | float) else 0.0
 
     def _within(self, part_of: str) -> str:
         return f" (of the {part_of})" if part_of else ""

@@ -7,7 +7,7 @@ serial:/dev/ttyX:BAUD a serial port, 8N1
 
 HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. Each link is opened again by
 itself, with the name resolved anew, when it breaks or falls silent. Several of them, with commas between, are
-links to the same vehicles.
+links to the same vehicles. `payload=udp:HOST:PORT` leads to their cameras and gimbals only.
 
 MAVSDK's udp://:PORT, udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT and serial:///dev/ttyX:BAUD
 are read too.
@@ -15,7 +15,8 @@ are read too.
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 from lfield.driver import DeviceError
 from lfield.driver.network import is_host, unbracketed
@@ -25,8 +26,19 @@ from lfield_mavlink.link.link_events import AGAIN, LinkEvents, OnData
 from lfield_mavlink.link.tcp import TcpLink
 from lfield_mavlink.link.udp import UdpLink, UdpListener
 
-__all__ = ["AGAIN", "Link", "LinkEvents", "OnData", "make_link", "parse_endpoint", "split_endpoint"]
+__all__ = [
+    "AGAIN",
+    "Link",
+    "LinkEvents",
+    "LinkUses",
+    "OnData",
+    "make_link",
+    "parse_endpoint",
+    "split_endpoint",
+]
 
+#: Prefix of a link to cameras and gimbals.
+PAYLOAD = "payload="
 SYNTAX = "udp:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:/dev/ttyX:BAUD"
 
 
@@ -50,7 +62,27 @@ class Link(Protocol):
 
 
 def split_endpoint(endpoint: str) -> list[str]:
-    """The links of an endpoint: `udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600`."""
+    """The links of an endpoint: `udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600`; each once."""
+    return list(dict.fromkeys(part.removeprefix(PAYLOAD) for part in _parts(endpoint)))
+
+
+class LinkUses(NamedTuple):
+    """The numbers of the links to vehicles, and of those to cameras and gimbals; a link may be both."""
+
+    vehicles: Sequence[int]
+    payload: Sequence[int]
+
+    @classmethod
+    def of(cls, endpoint: str) -> LinkUses:
+        """Those of an endpoint; a link may occur with and without the prefix."""
+        parts, links = _parts(endpoint), split_endpoint(endpoint)
+        return cls(
+            [number for number, link in enumerate(links) if link in parts],
+            [number for number, link in enumerate(links) if PAYLOAD + link in parts],
+        )
+
+
+def _parts(endpoint: str) -> list[str]:
     return [part.strip() for part in endpoint.split(",")]
 
 
@@ -59,6 +91,8 @@ def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
 
     Raises DeviceError with the syntax.
     """
+    if not LinkUses.of(endpoint).vehicles:
+        raise DeviceError("endpoint", f"'{endpoint}' has no link to the vehicle; write {SYNTAX}")
     return [_parsed(link) for link in split_endpoint(endpoint)]
 
 

@@ -171,8 +171,8 @@ class Route:
     reordered.
     """
 
-    def __init__(self, links: int) -> None:
-        self._everywhere = tuple(range(links))
+    def __init__(self, links: Sequence[int]) -> None:
+        self._everywhere = tuple(links)
         self._last_packet: dict[int, float] = {}
         self._link: int | None = None
         self._packets: OrderedDict[bytes, int] = OrderedDict()

@@ -1,7 +1,7 @@
 """Camera protocol v2: https://mavlink.io/en/services/camera.html.
 
 A camera is a component 100 to 105 with heartbeats of its own; `camera` of the binding selects one of several.
-Without one, commands go to the autopilot, which may trigger a camera without MAVLink.
+If none has ever sent heartbeats, commands go to the autopilot, which may trigger a camera without MAVLink.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ class Camera:
         while True:
             await asyncio.sleep(POLL)
             camera = self._component
-            if camera == AUTOPILOT or self._vehicle.quiet or self._vehicle.lost:
+            present = self._vehicle.components.present(CAMERAS)
+            if camera not in present or self._vehicle.quiet or self._vehicle.lost:
                 continue
             try:
                 await self._reports.request(CAPTURE, camera)
@@ -156,18 +157,23 @@ class Camera:
 
     @property
     def _component(self) -> int:
-        """The camera that is used: that of the binding, the first with heartbeats, or the autopilot."""
+        """The camera that is used: that of the binding, the lowest with heartbeats, or the autopilot.
+
+        A camera whose heartbeats are gone is not replaced: pictures would be missing without an error.
+        """
         chosen: int = self._vehicle.binding.option("camera")
-        return chosen or next(iter(self._vehicle.components.present(CAMERAS)), AUTOPILOT)
+        return chosen or next(iter(self._vehicle.components.known(CAMERAS)), AUTOPILOT)
 
     def _chosen(self, what: str) -> int:
-        """The component of the camera. Raises DeviceError when that of the binding is absent."""
+        """The component of the camera. Raises DeviceError when it is absent."""
         camera, present = self._component, self._vehicle.components.present(CAMERAS)
         if camera != AUTOPILOT and camera not in present:
             others = ", ".join(map(str, present)) or "none"
+            named = self._vehicle.binding.option("camera")
+            advice = "is 'camera' in its binding right?" if named else "is it switched on?"
             raise self._vehicle.error(
                 f"{what} refused: no heartbeat of camera {camera} of system {self._vehicle.system}; "
-                f"cameras with heartbeats: {others}; is 'camera' in its binding right?"
+                f"cameras with heartbeats: {others}; {advice}"
             )
         return camera
 

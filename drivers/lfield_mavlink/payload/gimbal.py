@@ -2,7 +2,7 @@
 
 The gimbal manager is the autopilot, or a gimbal with a component id of its own. It obeys its primary
 controller: PX4 refuses every other station, ArduPilot obeys all. So each instruction takes control unless
-another station has it.
+another station has it, or may have it: a manager that does not report it requires acquireGimbal.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, Sta
 
 #: Tolerance of an angle, and what counts as progress, in radians.
 TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
-#: Seconds between two checks of its attitude.
-PAUSE = 0.1
+#: Seconds between two checks of its attitude, and within which PX4 reports who controls it without a request.
+PAUSE, BROADCAST = 0.1, 2.5
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0
 NO_STATION = (0, 0)
@@ -40,6 +40,8 @@ class Gimbal:
     def __init__(self, vehicle: Contact, reports: StateReports) -> None:
         self._vehicle, self._reports = vehicle, reports
         self._manager: GimbalManager | None = None
+        # Whether this station has primary control, as far as known.
+        self._has_control = False
 
     # -- instructions ---------------------------------------------------------------------------------
 
@@ -74,12 +76,15 @@ class Gimbal:
 
     async def do_release_gimbal(self) -> None:
         """Ends following a position and gives control back."""
-        manager = await self._found("releaseGimbal")
-        if await self._holder(manager) not in (NO_STATION, self._mine):
+        what = "releaseGimbal"
+        manager = await self._found(what)
+        holder = await self._holder(manager)
+        if holder not in (NO_STATION, self._mine) and not (holder is None and self._has_control):
             return
         # A manager may know no regions of interest: then there is none to end.
-        await self._order("releaseGimbal", manager, dialect.MAV_CMD_DO_SET_ROI_NONE, manager.device)
-        await self._configure("releaseGimbal", manager, REMOVED, REMOVED)
+        await self._order(what, manager, dialect.MAV_CMD_DO_SET_ROI_NONE, manager.device, optional=True)
+        await self._configure(what, manager, REMOVED, REMOVED)
+        self._has_control = False
 
     async def do_gimbal_attitude(self) -> list[float]:
         """Roll, pitch above the horizon and yaw clockwise from the nose."""
@@ -106,38 +111,63 @@ class Gimbal:
         return self._manager
 
     async def _control(self, what: str, manager: GimbalManager, *, force: bool = False) -> None:
-        """Takes primary control; from another station only by `force`. Raises DeviceError."""
+        """Takes primary control; only by `force` from another station, or if it is unknown who has it.
+
+        Raises DeviceError.
+        """
         holder = await self._holder(manager)
-        if holder == self._mine:
+        if holder == self._mine or (holder is None and self._has_control):
             return
+        self._vehicle.check_link()
         if holder != NO_STATION and not force:
+            raise self._vehicle.error(f"{what} refused: {self._note_refusal(manager, holder)}")
+        await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
+        await self._reports.confirm(
+            what, CONTROL, lambda now: _controller(now) == self._mine, component=manager.component
+        )
+        self._has_control = True
+
+    def _note_refusal(self, manager: GimbalManager, holder: tuple[int, int] | None) -> str:
+        """Logs why it is not controlled, and returns that."""
+        if holder is None:
+            self._vehicle.note(log_messages.GIMBAL_CONTROL_UNKNOWN.line(component=manager.component))
+            why = f"component {manager.component} does not report which station controls the gimbal"
+        else:
             system, component = holder
             self._vehicle.note(log_messages.GIMBAL_CONTROLLED.line(system=system, component=component))
-            raise self._vehicle.error(
-                f"{what} refused: system {system}, component {component} controls the gimbal; "
-                "acquireGimbal() takes control"
-            )
-        await self._configure(what, manager, float(self._vehicle.station), float(COMPONENT))
+            why = f"system {system}, component {component} controls the gimbal"
+        return f"{why}; acquireGimbal() takes control"
 
     @property
     def _mine(self) -> tuple[int, int]:
         return self._vehicle.station, COMPONENT
 
-    async def _holder(self, manager: GimbalManager) -> tuple[int, int]:
-        """The system and component in primary control; NO_STATION also if the manager does not report it."""
+    async def _holder(self, manager: GimbalManager) -> tuple[int, int] | None:
+        """The system and component in primary control; None if the manager does not report it."""
         status = await self._reports.request(CONTROL, manager.component)
+        if status is None and not self._has_control:
+
+            def is_reported() -> bool:
+                return self._reports.recent(CONTROL, manager.component) is not None
+
+            await self._vehicle.wait_for(is_reported, BROADCAST)
+            status = self._reports.recent(CONTROL, manager.component)
         if status is None:
-            return NO_STATION
-        return status.primary_control_sysid, status.primary_control_compid
+            return None
+        holder = _controller(status)
+        self._has_control = holder == self._mine
+        return holder
 
     async def _configure(self, what: str, manager: GimbalManager, system: float, component: float) -> None:
         values = (system, component, UNCHANGED, UNCHANGED, None, None)
         await self._order(what, manager, dialect.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE, *values, manager.device)
 
-    async def _order(self, what: str, manager: GimbalManager, number: int, *values: float | None) -> None:
+    async def _order(
+        self, what: str, manager: GimbalManager, number: int, *values: float | None, optional: bool = False
+    ) -> None:
         try:
             await self._vehicle.command(
-                what, number, *values, optional=True, component="gimbal", target=manager.component
+                what, number, *values, optional=optional, component="gimbal", target=manager.component
             )
         except DeviceError:
             self._manager = None
@@ -163,11 +193,14 @@ class Gimbal:
             raise self._vehicle.error(f"{what} requires a finite position")
         if state.home is None or state.position is None or not state.knows_frames:
             raise self._vehicle.error(f"{what}: the position of the vehicle is unknown")
+        place = state.home.shifted(goal, state.radius)
+        if not abs(place.latitude) <= 90.0:
+            raise self._vehicle.error(f"{what} refused: the position is beyond a pole")
         manager = await self._found(what)
         await self._control(what, manager)
         await self._vehicle.command(
             what, dialect.MAV_CMD_DO_SET_ROI_LOCATION, float(manager.device),
-            place=state.home.shifted(goal, state.radius), component="gimbal", target=manager.component,
+            place=place, component="gimbal", target=manager.component,
         )  # fmt: skip
         await self._reach(what, manager, lambda: self._on_nose(direction(self._way(goal))))
 
@@ -208,3 +241,8 @@ class Gimbal:
         if message is None:
             message = await self._reports.request(ATTITUDE, manager.reporter)
         return None if message is None else GimbalAttitude.of(message, self._vehicle.state.yaw or 0.0)
+
+
+def _controller(status: Any) -> tuple[int, int]:
+    """The system and component in primary control, of GIMBAL_MANAGER_STATUS."""
+    return status.primary_control_sysid, status.primary_control_compid

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 #: Vehicles of the option --kind; what a driver does not know it refuses.
 KINDS = ("copter", "plane", "vtol", "rover", "submarine")
 _LIMITS = ("altitude", "radius", "speed")
+#: Settings of the autopilot, by the names of the options of a binding.
+_SETTINGS = ("return_height", "circle_radius")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +48,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     check.add_argument(
         "--speed", type=real_above_0(1e3), metavar="M/S", help="limit of the speed over ground in m/s"
+    )
+    check.add_argument(
+        "--return-height",
+        type=real_above_0(1e4, "metres"),
+        metavar="M",
+        help="height of the autopilot's return above home in metres (RTL_ALT and others)",
+    )
+    check.add_argument(
+        "--circle-radius",
+        type=real_above_0(1e4, "metres"),
+        metavar="M",
+        help="radius of circles without one in the plan, in metres (WP_LOITER_RAD and others)",
     )
     check.add_argument("--json", action="store_true", help="print the report as one JSON object")
     show = actions.add_parser("show", **action_help("draw a mission or area file as SVG"))
@@ -101,7 +115,8 @@ def _request(args: argparse.Namespace, limits: dict[str, float]) -> PlanRequest:
     from lfield.geodata.mission_files import PlanRequest
 
     kind, firmware = (getattr(args, each, "") for each in ("kind", "firmware"))
-    return PlanRequest(kind, firmware, limits, args.home)
+    settings = {each: getattr(args, each, None) or 0.0 for each in _SETTINGS}
+    return PlanRequest(kind, firmware, limits, args.home, settings)
 
 
 def _area_report(args: argparse.Namespace, name: str, data: bytes, limits: dict[str, float]) -> PlanReport:

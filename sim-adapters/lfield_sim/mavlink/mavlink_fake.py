@@ -242,6 +242,7 @@ class MavlinkFake:
         self.autopilot.vehicle.ground = changed["ground"]
         camera = self.autopilot.payload.camera
         camera.card, camera.broken = changed["card"], changed["camera_failure"]
+        self.autopilot.payload.gimbal.is_secret = changed["gimbal_secret"]
         north, east = (changed[name] - known[name] for name in WHERE)
         at = self.autopilot.vehicle.place
         self.autopilot.vehicle.place = (at[0] + north, at[1] + east, at[2])

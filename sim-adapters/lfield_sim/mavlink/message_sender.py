@@ -69,6 +69,8 @@ class MessageSender:
             case dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT:
                 # A rover sends it only in automatic modes (ap-rover.c-speed).
                 return not pilot.flies and pilot.role in (Role.MANUAL, Role.HOLD)
+            case dialect.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS:
+                return pilot.payload.gimbal.is_secret
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
             case dialect.MAVLINK_MSG_ID_WIND if not pilot.flies:

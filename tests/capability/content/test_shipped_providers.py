@@ -11,6 +11,11 @@ from lfield.manifest import DeviceManifest
 from lfield.text.source_text import Diagnostics, Source
 
 STOCK = sorted(REGISTRY.providers)
+#: The tool that a primitive of a vehicle needs.
+TOOLS = {
+    "Grip": "gripper", "Lift": "winch", "Photograph": "camera", "PhotographSeries": "camera", "Film": "camera",
+    "Aim": "gimbal", "TrackPlace": "gimbal",
+}  # fmt: skip
 
 
 def signature(type_name: str) -> Signature:
@@ -66,10 +71,10 @@ def test_class_of_machine_is_stated(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["Copter", "Rover"])
-@pytest.mark.parametrize("primitive", ["Grip", "Lift", "Photograph"])
+@pytest.mark.parametrize("primitive", sorted(TOOLS))
 def test_optional_tools_are_a_condition(name: str, primitive: str) -> None:
     provider = REGISTRY.providers[name]
-    tool = {"Grip": "gripper", "Lift": "winch", "Photograph": "camera"}[primitive]
+    tool = TOOLS[primitive]
     condition = provider.serves[primitive].when
     assert condition is not None
     assert condition.text == f"tools == {tool}"

@@ -26,6 +26,7 @@ from plan_texts import (
 
 from lfield.driver import PlanRequest
 from lfield_mavlink.files.plan_report import MOST_ITEMS, ON_BOARD, read_plan
+from lfield_mavlink.link.dialect import dialect
 
 LIMITS = {"radius": 100.0, "altitude": 30.0, "speed": 6.0}
 UP = simple(TAKEOFF)
@@ -37,6 +38,17 @@ def report(data, kind="copter", firmware="", limits=LIMITS, home=None):
 
 def found(data, **request):
     return [(finding.code, finding.item) for finding in report(data, **request).findings]
+
+
+@pytest.mark.parametrize(
+    ("height", "radius", "items"), [(0, 0, []), (30, 60, []), (31, 0, [3]), (0, 61, [2])]
+)
+def test_stated_return_height_and_circle_radius_are_checked(height, radius, items):
+    turns = simple(dialect.MAV_CMD_NAV_LOITER_TURNS, 40, 0, 20.0, p=(1.0, 0.0, 0.0, None))
+    options = {"return_height": float(height), "circle_radius": float(radius)}
+    request = PlanRequest("copter", "", LIMITS, options=options)
+    read = read_plan("f.plan", plan(UP, turns, simple(RETURN, frame=2)), request)
+    assert [(each.code, each.item) for each in read.findings] == [("M104", item) for item in items]
 
 
 def test_correct_plan_has_no_findings_and_an_estimate():

@@ -10,7 +10,7 @@ from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
-from lfield_mavlink.link.links import split_endpoint
+from lfield_mavlink.link.links import LinkUses, split_endpoint
 from lfield_mavlink.link.ports import REMEMBERED, Route
 
 
@@ -21,6 +21,8 @@ def commands(link, number):
 
 
 def test_endpoint_list_is_split_into_links():
+    both = "udpin:0.0.0.0:1, payload=udpin:0.0.0.0:1, payload=tcp:10.0.0.9:2"
+    assert (len(split_endpoint(both)), LinkUses.of(both)) == (2, ([0], [0, 1]))
     assert split_endpoint("udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600") == [
         "udp:127.0.0.1:14550",
         "serial:/dev/ttyUSB0:57600",
@@ -28,7 +30,7 @@ def test_endpoint_list_is_split_into_links():
 
 
 def test_route_stays_on_a_link_while_it_receives_packets():
-    route = Route(3)
+    route = Route(range(3))
     assert route.links(0.0) == (0, 1, 2)
     assert route.on_packet(1, b"a", 0.0)
     assert route.links(0.1) == (1,)
@@ -39,7 +41,7 @@ def test_route_stays_on_a_link_while_it_receives_packets():
 
 
 def test_repeated_packet_is_distinguished_from_a_new_one():
-    route = Route(2)
+    route = Route(range(2))
     assert route.on_packet(0, b"a", 0.0)
     assert not route.on_packet(1, b"a", 0.0)
     assert route.on_packet(0, b"a", 5.0)

@@ -9,11 +9,14 @@ import pytest
 from coroutine_tests import on_bench
 
 from lfield.errors import DeviceError
+from lfield_mavlink.contact.components import GONE, PayloadSources
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.packet_sources import Source
 from lfield_sim.autopilot.equipment.camera import CARD, IMAGE, IMAGE_SIZE, VIDEO, VIDEO_RATE
 from lfield_sim.autopilot.equipment.payload import Payload
 
 CAMERA = dialect.MAV_COMP_ID_CAMERA
+COMMAND = dialect.MAVLINK_MSG_ID_COMMAND_LONG
 CAPTURED, ACK = dialect.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED, dialect.MAVLINK_MSG_ID_COMMAND_ACK
 
 
@@ -34,6 +37,53 @@ def filmed(bench):
 async def present(b, fc):
     await b.until(lambda: fc.components.present([CAMERA]) == [CAMERA])
     return b.autopilot.payload.camera
+
+
+@on_bench("filmed", endpoint="udp:127.0.0.1:1, payload=udpin:127.0.0.1:2")
+async def test_a_camera_on_a_link_of_its_own_is_commanded_there(b, fc, /):
+    own = b.links[1]
+
+    def on_its_link(link, packet):
+        if (packet[6] == CAMERA) == (link is own):
+            own.sender("10.0.0.9:14550")
+            link.on_data(packet)
+
+    b.filter = on_its_link
+    camera = await present(b, fc)
+    await fc.execute("triggerCamera", [])
+    assert camera.pictures == 1
+    commands = [(address, data[10 + 31]) for address, data in own.sent_to if kind_of(data) == COMMAND]
+    assert commands
+    assert set(commands) == {("10.0.0.9:14550", CAMERA)}
+    assert {data[10 + 31] for data in b.links[0].sent if kind_of(data) == COMMAND} == {1}
+
+
+def test_the_address_of_a_camera_is_used_until_its_heartbeats_are_gone():
+    sources, one, other = PayloadSources([1]), Source(1, "10.0.0.9:1"), Source(1, "10.0.0.8:1")
+    ids, heartbeat = (1, CAMERA), dialect.MAVLINK_MSG_ID_HEARTBEAT
+    assert not sources.accepts(one, ids, ACK, 0.0)
+    assert not sources.accepts(Source(0, "10.0.0.9:1"), ids, heartbeat, 0.0)
+    assert sources.source(ids) is None
+    assert sources.accepts(one, ids, heartbeat, 0.0)
+    assert sources.accepts(one, ids, ACK, 1.0)
+    assert not sources.accepts(other, ids, heartbeat, GONE)
+    assert sources.accepts(other, ids, heartbeat, GONE + 0.1)
+    assert (sources.accepts(one, ids, ACK, GONE + 0.1), sources.source(ids)) == (False, other)
+
+
+@on_bench("filmed")
+async def test_a_camera_that_is_gone_is_not_replaced_by_the_autopilot(b, fc, /):
+    camera = await present(b, fc)
+    deliver = b.filter
+    b.filter = lambda link, packet: None if packet[6] == CAMERA else deliver(link, packet)
+    await asyncio.sleep(GONE + 1.0)
+    for instruction in ("triggerCamera", "stopVideo"):
+        with pytest.raises(DeviceError, match=f"{instruction} refused: no heartbeat of camera 100"):
+            await fc.execute(instruction, [])
+    b.filter = deliver
+    await present(b, fc)
+    await fc.execute("triggerCamera", [])
+    assert camera.pictures == 1
 
 
 @on_bench("filmed", flavour="px4")

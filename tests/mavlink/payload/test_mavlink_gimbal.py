@@ -92,6 +92,23 @@ def test_another_station_in_control_is_an_error_until_control_is_taken(bench, fl
     b.run(mission)
 
 
+@on_bench("bench", faults=("gimbal_secret=true",))
+async def test_an_unknown_controller_is_an_error_until_control_is_taken(b, fc, /):
+    gimbal = b.autopilot.payload.gimbal
+    gimbal.primary = OTHER
+    with pytest.raises(DeviceError, match="does not report which station controls the gimbal; acquireGimbal"):
+        await fc.execute("pointGimbal", [-0.5, 0.0])
+    await fc.execute("releaseGimbal", [])
+    assert (gimbal.primary, gimbal.pitch_goal) == (OTHER, 0.0)
+    await fc.execute("acquireGimbal", [])
+    await fc.execute("pointGimbal", [-0.5, 0.0])
+    assert (gimbal.primary, gimbal.pitch) == ((fc.station, COMPONENT), pytest.approx(-0.5, abs=0.06))
+    await fc.execute("releaseGimbal", [])
+    assert gimbal.primary == (0, 0)
+    with pytest.raises(DeviceError, match="pointGimbalAt refused: component 1 does not report"):
+        await fc.execute("pointGimbalAt", [9.0, 0.0, 0.0])
+
+
 @on_bench("bench")
 async def test_beyond_its_range_nothing_is_sent_and_at_its_end_it_is_an_error(b, fc, /):
     gimbal = b.autopilot.payload.gimbal

@@ -38,6 +38,8 @@ class GimbalModel:
     target: Vector | None = None
     primary: Sender = NO_SENDER
     secondary: Sender = NO_SENDER
+    #: Whether it does not report its controllers.
+    is_secret: bool = False
 
     def point(self, pitch: float | None, yaw: float | None, *, locked: bool = False) -> None:
         """Turns to angles; None keeps one."""

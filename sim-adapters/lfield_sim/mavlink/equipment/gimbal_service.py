@@ -110,8 +110,10 @@ class GimbalService(VehicleService):
         primary = command.whole(1), command.whole(2)
         # ArduPilot has one controller.
         secondary = (command.whole(3), command.whole(4)) if self._px4 else (-1, -1)
-        result = self.autopilot.payload.gimbal.configure(command.source, primary, secondary)
-        return result, [equipment_messages.gimbal_manager_status(self.autopilot)]
+        gimbal = self.autopilot.payload.gimbal
+        result = gimbal.configure(command.source, primary, secondary)
+        status = equipment_messages.gimbal_manager_status(self.autopilot)
+        return result, [] if gimbal.is_secret else [status]
 
     def _watch(self, command: MavCommand) -> CommandAnswer:
         """A region of interest, and its end."""

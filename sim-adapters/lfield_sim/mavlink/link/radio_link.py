@@ -27,6 +27,7 @@ LINK_FAULTS = (
     Fault("battery", 1.0, "charge, set once; it drains from there", 0.0, 1.0),
     Fault("card", CARD, "MiB on the card of the camera", 0.0, 1e6),
     Fault("camera_failure", False, "the camera stores no picture"),
+    Fault("gimbal_secret", False, "the gimbal manager does not report which station controls it"),
     Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
     Fault("wind_from", 0.0, "direction that it comes from, rad clockwise from north", -math.tau, math.tau),
     Fault("gusts", 0.0, "m/s that gusts add at most", 0.0, 40.0),
