@@ -7,6 +7,7 @@ import itertools
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.driver.settings import mismatched
 from lfield.errors import DeviceError, DeviceNotSetUp
@@ -266,8 +267,7 @@ async def test_changed_failsafe_parameter_blocks_arming(b, fc, /):
 @pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.0), ("px4", 0.5, 2.0)])
 @on_bench("bench", waivers=(), given="flavour ttl")
 async def test_autopilot_failsafe_acts_when_the_driver_is_silent(b, fc, /, flavour, ttl, within):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     b.driver.quiet()
     sent = len(b.sent)
     await asyncio.sleep(within)
@@ -282,8 +282,7 @@ async def test_autopilot_failsafe_acts_when_the_driver_is_silent(b, fc, /, flavo
 
 @on_bench("bench", ttl=1.0, waivers=(), faults=("loss=0.2",))
 async def test_driver_heartbeats_prevent_the_failsafe_with_losses(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     await asyncio.sleep(60.0)
     assert b.autopilot.mode == "GUIDED"
 
