@@ -55,6 +55,13 @@ class Router:
         self.process.stdout.close()
 
 
+def running_router():
+    """A fixture: a router that is killed at the end."""
+    router = Router()
+    yield router
+    router.kill()
+
+
 class ZenohBench:
     """Two transports with a session each; `near` dials, `far` listens."""
 
