@@ -295,19 +295,15 @@ async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axi
     assert asked == []
 
 
-def test_request_of_another_client_does_not_count_as_a_message(rig):
-    b = rig()
-
-    async def mission(axis):
-        b.wire.drives[0].silent = True
-        for _ in range(100):
-            b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
-            await asyncio.sleep(0.1)
-            if not b.values["online"]:
-                return
-        raise AssertionError("the request counts as a message of the device")
-
-    b.run(mission)
+@on_bench("rig")
+async def test_request_of_another_client_does_not_count_as_a_message(b, axis, /):
+    b.wire.drives[0].silent = True
+    for _ in range(100):
+        b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
+        await asyncio.sleep(0.1)
+        if not b.values["online"]:
+            return
+    raise AssertionError("the request counts as a message of the device")
 
 
 @given(

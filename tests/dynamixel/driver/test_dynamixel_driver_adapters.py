@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import START, Bench, call
 from hypothesis import given
 from hypothesis import strategies as st
@@ -159,17 +160,13 @@ def test_protocol_1_instruction_equals_an_answer_byte_for_byte():
     assert (status.number, status.error, status.data) == (1, 1, b"")
 
 
-def test_servo_whose_answer_equals_its_ping_is_found():
-    b = bench(1, 1)
+@on_bench(bench, 1, 1, opened=False)
+async def test_servo_whose_answer_equals_its_ping_is_found(b, servo, /):
     b.fault("sag=8.0")
-
-    async def story(servo):
-        b.chain.receive(b"", asyncio.get_running_loop().time())
-        await asyncio.sleep(1.0)
-        assert "AX-12A 1" in await servo.open()
-        assert "voltage" in b.values["fault"]
-
-    b.run(story, opened=False)
+    b.chain.receive(b"", asyncio.get_running_loop().time())
+    await asyncio.sleep(1.0)
+    assert "AX-12A 1" in await servo.open()
+    assert "voltage" in b.values["fault"]
 
 
 @given(

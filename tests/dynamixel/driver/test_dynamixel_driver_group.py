@@ -141,15 +141,11 @@ async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
         await task
 
 
-def test_opening_names_all_missing_servos():
-    bench = Bench(1, 2, 3)
+@on_bench(Bench, 1, 2, 3, opened=False)
+async def test_opening_names_all_missing_servos(bench, group, /):
     bench.fault("dead@1=true", "dead@3=true")
-
-    async def story(group):
-        with pytest.raises(DeviceError, match=r"servo 1 does not answer.*servo 3 does not answer"):
-            await group.open()
-
-    bench.run(story, opened=False)
+    with pytest.raises(DeviceError, match=r"servo 1 does not answer.*servo 3 does not answer"):
+        await group.open()
 
 
 @on_bench(Bench, 1, 2)
