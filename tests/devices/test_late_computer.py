@@ -49,9 +49,9 @@ def bound(endpoint):
 
 def test_measurement_without_delay_takes_one_second():
     async def story():
-        begun = LoopClock().monotonic()
+        start = LoopClock().monotonic()
         assert await measure_jitter(JitterLimit(0.1), LoopClock()) == pytest.approx(0.0, abs=1e-6)
-        assert LoopClock().monotonic() - begun == pytest.approx(SPAN, abs=0.02)
+        assert LoopClock().monotonic() - start == pytest.approx(SPAN, abs=0.02)
 
     run_jumping(story())
 

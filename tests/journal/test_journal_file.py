@@ -88,9 +88,11 @@ def test_a_newer_version_is_refused_and_not_changed(
             open_read_only(bench.path)
     else:
         # A read-only process sees all other records.
-        seen = open_read_only(bench.path)
-        assert len(seen.records) == len(PAGES)
-        assert [one.why for one in seen.damaged] == ["it is of version 3: install the lfield that wrote it"]
+        observed = open_read_only(bench.path)
+        assert len(observed.records) == len(PAGES)
+        assert [one.why for one in observed.damaged] == [
+            "it is of version 3: install the lfield that wrote it"
+        ]
     assert bench.path.read_bytes() == data
 
 
@@ -244,9 +246,9 @@ def test_a_damaged_record_is_kept_for_inspection(bench: FileBench) -> None:
     bench.sql("UPDATE pages SET body = x'00' WHERE name = 'agent3'")
     assert [one.entry.key.name for one in open_read_only(bench.path).damaged] == ["agent3"]
     bench.open()
-    seen = open_read_only(bench.path)
-    assert (len(seen.records), seen.damaged) == (19, [])
-    assert [(one.entry.key.name, one.why) for one in seen.moved_aside] == [
+    observed = open_read_only(bench.path)
+    assert (len(observed.records), observed.damaged) == (19, [])
+    assert [(one.entry.key.name, one.why) for one in observed.moved_aside] == [
         ("agent3", "its checksum does not fit")
     ]
 

@@ -185,12 +185,12 @@ async def test_a_read_of_thousands_of_messages_is_processed_in_rounds(inn, /):
 
 async def test_waiting_messages_are_processed_in_order_then_reading_resumes(inn, /):
     anna = inn.caller("anna")
-    said = [Ping(number) for number in range(200)]
-    anna.say(b"".join(map(encode, [HELLO, *said])))
+    lines = [Ping(number) for number in range(200)]
+    anna.say(b"".join(map(encode, [HELLO, *lines])))
     assert not anna.wire.reads
     while not anna.wire.reads:
         await asyncio.sleep(ROUND)
-    assert anna.recorder.messages == [HELLO, *said]
+    assert anna.recorder.messages == [HELLO, *lines]
     await asyncio.sleep(ROUND)
     whole = encode(STOP)
     anna.say(whole[:7])

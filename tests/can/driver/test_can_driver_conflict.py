@@ -286,8 +286,8 @@ async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axi
     def is_unanswered_probe(frame):
         return frame.id == 0x600 + NODE and frame.data[1:3] == b"\x18\x10" and frame.data[3] >= 0x60
 
-    heard = b.wire.on_frame
-    b.bus.device = b.wire.on_frame = lambda frame: None if is_unanswered_probe(frame) else heard(frame)
+    received = b.wire.on_frame
+    b.bus.device = b.wire.on_frame = lambda frame: None if is_unanswered_probe(frame) else received(frame)
     await axis.open()
     before = len(b.bus.sent)
     await asyncio.sleep(5.0)

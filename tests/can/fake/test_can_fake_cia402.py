@@ -13,9 +13,9 @@ from lfield_sim.can.cia402.cia402_table import CSP, CST, CSV, HM, INCREMENTS, PP
 
 def test_drive_sends_boot_up_and_heartbeat():
     bench = DriveBench()
-    heard = bench.wait(1.05)
-    assert heard[0] == CanFrame(0x705, b"\x00")
-    assert [frame.data for frame in heard[1:]] == [b"\x7f"] * 5
+    received = bench.wait(1.05)
+    assert received[0] == CanFrame(0x705, b"\x00")
+    assert [frame.data for frame in received[1:]] == [b"\x7f"] * 5
     bench.operational()
     assert bench.last(0x705) == b"\x05" or bench.wait(0.2)
     bench.send(0x000, b"\x02\x00")
@@ -108,8 +108,8 @@ def test_state_machine_follows_the_control_word(bench):
 
 def test_tpdos_are_sent_by_timer_and_on_change(bench):
     bench.operational()
-    heard = [frame.identifier for frame in bench.wait(1.0)]
-    assert [heard.count(identifier) for identifier in (0x185, 0x285, 0x385, 0x485)] == [10, 20, 10, 5]
+    received = [frame.identifier for frame in bench.wait(1.0)]
+    assert [received.count(identifier) for identifier in (0x185, 0x285, 0x385, 0x485)] == [10, 20, 10, 5]
     bench.send(0x205, struct.pack("<Hb", 0x06, PV))
     changed = [frame.data for frame in bench.wait(0.01) if frame.identifier == 0x185]
     assert struct.unpack("<HbB", changed[0]) == (0x0231, PV, 0)

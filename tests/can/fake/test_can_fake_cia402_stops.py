@@ -185,8 +185,8 @@ def test_heartbeat_and_tpdos_can_fail_separately(bench):
     bench.operational()
     bench.fault("lost_heartbeat@5=true")
     bench.wait(0.01)
-    heard = {frame.identifier for frame in bench.wait(1.0)}
-    assert heard == {0x185, 0x285, 0x385, 0x485}
+    received = {frame.identifier for frame in bench.wait(1.0)}
+    assert received == {0x185, 0x285, 0x385, 0x485}
     bench.fault("lost_heartbeat@5=false", "lost_tpdo@5=true")
     bench.wait(0.01)
     assert {frame.identifier for frame in bench.wait(1.0)} == {0x705}

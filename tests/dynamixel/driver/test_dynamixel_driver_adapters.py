@@ -49,8 +49,8 @@ def test_echoing_adapter_is_used_like_one_without_echo(protocol, ids):
         await call(device, "torque", True)
         goal = [0.5 + 0.1 * number for number in ids]
         await call(device, "moveTo", goal if len(ids) > 1 else goal[0])
-        seen = b.values["positions"] if len(ids) > 1 else [b.values["position"]]
-        assert seen == pytest.approx(goal, abs=0.02)
+        observed = b.values["positions"] if len(ids) > 1 else [b.values["position"]]
+        assert observed == pytest.approx(goal, abs=0.02)
         await device.make_safe()
         await call(device, "torque", False)
         await asyncio.sleep(2.0)

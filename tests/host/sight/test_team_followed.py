@@ -75,8 +75,8 @@ async def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet, /) -> None:
         # The end of the coordinator is reported before its last hop is confirmed.
         await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].seconds is not None)
         await fleet.until(lambda: len([x for x in shown.snapshot().log if "visit" in x.text]) == 6)
-        seen = shown.snapshot()
-        walker = seen.coordinators["walker"]
+        observed = shown.snapshot()
+        walker = observed.coordinators["walker"]
         assert (walker.finished, walker.host) == ("done", "beta")
         assert [(hop.of, hop.to) for hop in walker.trail] == [
             ("alpha", "beta"),
@@ -84,7 +84,7 @@ async def test_a_walk_is_shown_hop_by_hop_to_its_end(fleet, /) -> None:
         ] * 2 + [("alpha", "beta")]
         assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
         assert walker.hops == 5
-        assert all(host.linked for host in seen.hosts.values())
+        assert all(host.linked for host in observed.hosts.values())
         entries = shown.timeline.drain_events()
         # Entries beside the numbered events have the number of the last one: the first has its own.
         numbered = reversed(list(enumerate(entries)))

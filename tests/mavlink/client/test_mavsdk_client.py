@@ -59,8 +59,8 @@ class Client:
 
     async def ask_for_streams(self):
         """As ground stations do: an ArduPilot sends no telemetry without a request."""
-        wanted = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
-        fields = json.dumps({**wanted, "start_stop": 1})
+        expected = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
+        fields = json.dumps({**expected, "start_stop": 1})
         await self.direct.send_message(MavlinkMessage("REQUEST_DATA_STREAM", 0, 0, 1, 1, fields))
         await self.telemetry.set_rate_home(2.0)
 

@@ -57,10 +57,10 @@ async def safe(fc):
 async def test_stop_of_a_silent_vehicle_is_not_confirmed(b, fc, /, before):
     b.cut = True
     await asyncio.sleep(before)
-    begun = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match="no heartbeat for"):
         await fc.make_safe()
-    assert asyncio.get_running_loop().time() - begun < 3.0
+    assert asyncio.get_running_loop().time() - start < 3.0
     b.cut = False
     await fc.make_safe()
 
@@ -79,9 +79,9 @@ async def test_stop_of_a_silent_vehicle_under_pilot_control_fails(b, fc, /):
 
 @on_bench("bench")
 async def test_stop_of_a_disarmed_vehicle_takes_one_heartbeat(b, fc, /):
-    begun = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     await fc.make_safe()
-    assert asyncio.get_running_loop().time() - begun <= 1.0
+    assert asyncio.get_running_loop().time() - start <= 1.0
 
 
 @on_bench("bench")

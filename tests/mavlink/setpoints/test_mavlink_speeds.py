@@ -160,5 +160,5 @@ def test_rover_mission_does_not_overshoot_its_speed(bench, asked, own):
                 fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
         return fastest
 
-    wanted = asked or own
-    assert 0.85 * wanted < b.run(story) <= wanted * STILL_AIR
+    expected = asked or own
+    assert 0.85 * expected < b.run(story) <= expected * STILL_AIR

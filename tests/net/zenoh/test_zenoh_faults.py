@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
-from fabric import PATIENCE, Router, ZenohBench, free_endpoint, running_router
+from fabric import Router, ZenohBench, free_endpoint, running_router
+from loop_bench import PATIENCE
 from lying_router import ChangingRelay, Injector
 
 from lfield.errors import AddressError, HandshakeError, MissingZenoh, NoListener, WireError, ZenohUnreachable

@@ -170,9 +170,9 @@ def test_the_page_is_operable_by_keyboard_alone(browser, page):
     assert press(Keys.ENTER, Keys.TAB) == "yes"
     press(Keys.ENTER)
     assert page.line() == "pressed lift"
-    seen = [press(Keys.TAB) for _ in range(24)]
-    assert "query" in seen
-    assert "stop" in seen, "it goes round, and there is no trap"
+    observed = [press(Keys.TAB) for _ in range(24)]
+    assert "query" in observed
+    assert "stop" in observed, "it goes round, and there is no trap"
 
 
 def test_an_invalid_query_is_answered_with_its_mistakes(browser, page):

@@ -88,10 +88,10 @@ def test_an_unreachable_host_raises_an_exception_after_the_patience(a):
     assert a.mobility.tick(20.0) == []
 
 
-@pytest.mark.parametrize("said", [PAUSED, "its disk is full"])
-def test_backpressure_of_a_host_is_ignored_when_its_link_is_lost(a, b, said):
+@pytest.mark.parametrize("message", [PAUSED, "its disk is full"])
+def test_backpressure_of_a_host_is_ignored_when_its_link_is_lost(a, b, message):
     a.mobility.on_linked(b.hello())
-    assert a.mobility.on_backpressure("b", said) == []
+    assert a.mobility.on_backpressure("b", message) == []
     assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
     a.mobility.on_unlinked("b")
     (resume,) = a.mobility.tick(10.0)

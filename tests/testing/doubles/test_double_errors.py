@@ -20,7 +20,7 @@ from lfield.testing.mission.resource_doubles import ResourceDoubles
 
 
 @pytest.mark.parametrize(
-    ("returned", "told"),
+    ("returned", "message"),
     [
         ("five", "returns int, but its double has returned str 'five': return a value of that type"),
         (True, "returns int, but its double has returned bool True"),
@@ -31,17 +31,17 @@ from lfield.testing.mission.resource_doubles import ResourceDoubles
         ("x" * 200, f"has returned str 'xxx{75 * 'x'}…: return"),
     ],
 )
-def test_a_returned_value_of_another_type_is_reported(tmp_path: Path, returned: object, told: str) -> None:
+def test_a_returned_value_of_another_type_is_reported(tmp_path: Path, returned: object, message: str) -> None:
     team = team_of(tmp_path, "pump.flow(1, 2.0);", flow=lambda litres, seconds=0.0: returned)
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
     assert str(caught.value).startswith("the portal pump.flow(int, real) returns int")
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert not team.said("thrown")
 
 
 @pytest.mark.parametrize(
-    ("body", "returned", "told"),
+    ("body", "returned", "message"),
     [
         ("pump.stop();", 1, "returns nothing, but its double has returned int 1"),
         (
@@ -65,12 +65,14 @@ def test_a_returned_value_of_another_type_is_reported(tmp_path: Path, returned: 
         ("pump.go(null, null);", {"x": 1.0}, "returns Place, but its double has returned dict {'x': 1.0}"),
     ],
 )
-def test_a_field_of_another_type_is_reported(tmp_path: Path, body: str, returned: object, told: str) -> None:
+def test_a_field_of_another_type_is_reported(
+    tmp_path: Path, body: str, returned: object, message: str
+) -> None:
     answer = {name: lambda *given: returned for name in ("stop", "split", "go")}
     team = team_of(tmp_path, body, **answer)
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
-    assert told in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_missing_portal_of_a_double_is_reported_at_its_call(tmp_path: Path) -> None:
@@ -118,7 +120,7 @@ def test_pytest_fail_in_a_double_fails_the_test(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("doubles", "told"),
+    ("doubles", "message"),
     [
         (
             {"bump": SimpleNamespace()},
@@ -155,13 +157,13 @@ def test_pytest_fail_in_a_double_fails_the_test(tmp_path: Path) -> None:
         ({"pump": Pump}, "the double of pump is the class Pump: give an instance, Pump()"),
     ],
 )
-def test_an_invalid_double_is_refused(tmp_path: Path, doubles: Mapping[str, object], told: str) -> None:
+def test_an_invalid_double_is_refused(tmp_path: Path, doubles: Mapping[str, object], message: str) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM)
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     mission = load_mission(tmp_path / "mission.dL", simulate=True)
     with pytest.raises(DoubleError) as caught:
         ResourceDoubles(mission, doubles)
-    assert str(caught.value) == told
+    assert str(caught.value) == message
 
 
 def test_an_unknown_l_exception_and_an_invalid_delay_are_refused() -> None:

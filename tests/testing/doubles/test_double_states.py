@@ -132,7 +132,7 @@ def test_live_attributes_are_those_of_the_double(tmp_path: Path, battery: object
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("message", "words"),
     [
         (
             {"batery": 0.9},
@@ -143,13 +143,13 @@ def test_live_attributes_are_those_of_the_double(tmp_path: Path, battery: object
         (0.9, "the live_attributes of the double of sky are 0.9: give a dict"),
     ],
 )
-def test_invalid_live_attributes_are_refused(tmp_path: Path, told: object, words: str) -> None:
+def test_invalid_live_attributes_are_refused(tmp_path: Path, message: object, words: str) -> None:
     shutil.copytree(EXAMPLES / "02-equivalent-lift", tmp_path, dirs_exist_ok=True)
     sky = Climbs()
-    sky.live_attributes = told
+    sky.live_attributes = message
     with pytest.raises(DoubleError, match=words):
         SmallTeam(tmp_path, doubles={"sky": sky})
-    sky.live_attributes = lambda: told
+    sky.live_attributes = lambda: message
     with pytest.raises(DoubleError, match=words):
         SmallTeam(tmp_path, doubles={"sky": sky}).run(5.0)
 

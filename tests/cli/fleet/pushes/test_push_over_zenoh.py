@@ -8,7 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from fabric import PATIENCE, running_router
+from fabric import running_router
+from loop_bench import PATIENCE
 from robots import told
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")

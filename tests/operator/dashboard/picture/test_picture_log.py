@@ -35,8 +35,8 @@ def test_the_log_has_whole_lines_for_any_pieces_of_output() -> None:
     story = Story()
     story.tell("alpha", LineLogged("up"), Printed("boss", "hi", "log"))
     story.tell("alpha", Printed("boss", "a b", "out"), Printed("boss", " c\nd\n", "out"))
-    told = [(line.serial, line.host, line.agent, line.text) for line in story.seen.log]
-    assert told == [
+    lines = [(line.serial, line.host, line.agent, line.text) for line in story.seen.log]
+    assert lines == [
         (1, "alpha", "", "up"),
         (2, "alpha", "boss", "hi"),
         (3, "alpha", "boss", "a b c"),
