@@ -261,7 +261,7 @@ def test_undecodable_bytes_do_not_prevent_commands_to_a_running_mission(lfield, 
     lfield("estop", "--no-wait", "--reason", "gr\udcf6\udcdfe", env=own, status=0)
     team.wait_for(r"EMERGENCY STOP by .*: the emergency stop was pressed: gr\\u\{dcf6\}\\u\{dcdf\}e")
     for words in (["estop", "--lift", "--reason", "\udcff"], ["pause"], ["resume"], ["ps"]):
-        result = lfield(*words, env=own, status=0)
+        lfield(*words, env=own, status=0)
     for words in (["logs"], ["events", "--no-follow"]):
         result = lfield(*words, env=own | ASCII, status=0)
         assert r"l\u{e4}utet" in result.said

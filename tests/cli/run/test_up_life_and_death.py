@@ -242,26 +242,17 @@ def test_a_mission_that_dies_ends_with_1(lfield):
     assert "alpha |     hosts visited: alpha" in done.err
 
 
-def test_a_port_in_use_is_reported(lfield):
-    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
-    lfield.keys.give("alpha")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        host = lfield("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
-    assert lfield.status(host) == 69
-    remedy = "stop the program that has it, or choose another port"
-    assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
-
-
-def test_a_host_that_finds_its_port_in_use_makes_no_journal(lfield, tmp_path):
+def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
     # The first one may still run, though its folder was moved: no new one may be made in its place.
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
+    state = ("--state", tmp_path / "state")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
-        hosts = [lfield(*words, "--state", tmp_path / "state", *fresh) for fresh in ((), ("--fresh",))]
-    assert [lfield.status(host) for host in hosts] == [69, 69]
+        hosts = [lfield(*words, *more, status=69) for more in ((), state, (*state, "--fresh"))]
+    remedy = "stop the program that has it, or choose another port"
+    assert hosts[0].err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
     assert all("the port is in use" in host.said for host in hosts)
     assert not (tmp_path / "state").exists()
 
