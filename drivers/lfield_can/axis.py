@@ -11,7 +11,7 @@ from lfield_can import log_messages
 from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import PROTOCOLS, ProtocolContext
-from lfield_can.timing import ChangeNotifier, Sync
+from lfield_can.timing import ChangeNotifier, MoveProgress, Sync
 
 #: Seconds between two checks of a silent device.
 WATCH_INTERVAL = 0.1
@@ -338,21 +338,16 @@ class CanAxis(Device):
     async def _travel(self, goal: float) -> None:
         """Waits until it is at rest at its goal, as long as it makes progress."""
         near: float = self.binding.option("tolerance")
-        best, best_at = math.inf, self.clock.monotonic()
+        progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
         while True:
             self._check_ready("moveTo")
             position = self.protocol.state.position
             left = abs(goal - position) if position is not None else math.inf
             if left <= near and self._still:
                 return
-            now = self.clock.monotonic()
-            if left < best - MIN_PROGRESS:
-                best, best_at = left, now
-            if now - best_at > STUCK_TIME:
+            if failure := progress.failure(left):
                 await self.do_halt()  # Without it the motion continues when the obstacle is gone.
-                raise self.error(
-                    f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
-                )
+                raise self.error(failure)
             await self._changes.wait_change(WATCH_INTERVAL)
 
     def _check_set_up(self, what: str) -> None:

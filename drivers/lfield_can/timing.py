@@ -1,4 +1,4 @@
-"""Waiting for state changes, periodic tasks, and SYNC; on the loop."""
+"""Waiting for state changes, progress of a move, periodic tasks, and SYNC; on the loop."""
 
 from __future__ import annotations
 
@@ -40,6 +40,24 @@ class ChangeNotifier:
                 return False
             await self.wait_change(left)
         return True
+
+
+class MoveProgress:
+    """Decides when a move has failed: its distance has not decreased by `least` rad for `limit` seconds."""
+
+    def __init__(self, clock: Clock, limit: float, least: float) -> None:
+        self._clock = clock
+        self._limit, self._least = limit, least
+        self._best, self._best_at = math.inf, clock.monotonic()
+
+    def failure(self, distance: float) -> str:
+        """The reason why the move has failed, or "". `distance` to the goal is in rad, inf if unknown."""
+        now = self._clock.monotonic()
+        if distance < self._best - self._least:
+            self._best, self._best_at = distance, now
+        if now - self._best_at <= self._limit:
+            return ""
+        return f"moveTo failed: no progress for {self._limit:g} s, {distance:.3f} rad from its goal"
 
 
 class PeriodicTask:

@@ -6,7 +6,10 @@ Tool a resource specific class. Labels and handlers count from the start of thei
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
+import pytest
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import (
@@ -34,7 +37,9 @@ from lfield.bytecode.program import (
     TypeRecord,
     encode_quads,
 )
+from lfield.bytecode.verifier import verify
 from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.errors import ProgramFileError
 
 # Indices of the classes after the built-in ones.
 BOX, ARM, GUIDE, TOOL = range(len(BUILTIN_RECORDS), len(BUILTIN_RECORDS) + 4)
@@ -231,3 +236,23 @@ class Draft:
 def _placed(entry: int, name: str, a: int, b: int, c: int) -> Quad:
     jumps = name in ("jmp", "bnz", "bz")
     return Quad(BY_NAME[name].code, a + entry if jumps else a, b, c)
+
+
+DraftChange = Callable[[Draft], object]
+
+
+def refused(change: DraftChange, reason: str) -> None:
+    """Check that the verifier refuses the changed program."""
+    draft = Draft()
+    change(draft)
+    with pytest.raises(ProgramFileError, match=reason):
+        verify(draft.program())
+
+
+def put(method: int, at: int, *quad: str | int) -> DraftChange:
+    return lambda draft: draft.put(method, at, *quad)
+
+
+def handler(start: int, end: int, target: int, catches: int, slot: int) -> DraftChange:
+    row = (Handler(start, end, target, catches, slot),)
+    return lambda draft: draft.change_method(ARM_LIFT, handlers=row)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 import msgspec
 import pytest
+from core_changes import Change, SoundCode, change_class, change_method, position
 
 from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.encoding import decode, encode
@@ -35,7 +35,6 @@ from lfield.bytecode.program import (
 )
 from lfield.bytecode.verifier import verify
 from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS
-from lfield.errors import ProgramFileError
 from lfield.testing.golden import compile_text
 
 SOUND = compile_text(
@@ -64,61 +63,20 @@ INIT, ARM_INIT = (
 )
 LIFT = next(i for i, m in enumerate(SOUND.core.methods) if m.name == "lift")
 TICKETS = SOUND.core.types.index(TypeRecord(TICKET))
-NO_DEBUG = msgspec.structs.replace(SOUND.debug, methods=())
+CODE = SoundCode(SOUND)
 _PUSH = BY_NAME["push"].code
-
-Change = Callable[[Core], Core]
 
 
 def test_encoding_and_decoding_keep_a_program_with_together() -> None:
     assert decode(encode(SOUND)).core == SOUND.core
 
 
-def refused(change: Change, reason: str) -> None:
-    core = change(SOUND.core)
-    with pytest.raises(ProgramFileError, match=reason):
-        verify(Program(core, NO_DEBUG, b""))
-
-
-def _quads(change: Callable[[list[Quad]], None]) -> Change:
-    def changed(core: Core) -> Core:
-        quads = list(SOUND.quads)
-        change(quads)
-        return msgspec.structs.replace(core, code=encode_quads(quads))
-
-    return changed
-
-
-def _at(quads: list[Quad], name: str, which: int = 0) -> int:
-    return [pc for pc, quad in enumerate(quads) if quad.op == BY_NAME[name].code][which]
-
-
-def _pushed(name: str, back: int, operand: int, which: int = 0) -> Change:
-    """Change the operand of the push `back` instructions before a head."""
-
-    def change(quads: list[Quad]) -> None:
-        pc = _at(quads, name, which) - back
-        assert quads[pc].op == _PUSH
-        quads[pc] = Quad(_PUSH, operand, 0, 0)
-
-    return _quads(change)
-
-
 def _slot(kind: int, method: int = INIT) -> int:
     return SOUND.core.methods[method].slots.index(kind, 1)
 
 
-def _method(index: int, **fields: object) -> Change:
-    def change(core: Core) -> Core:
-        methods = list(core.methods)
-        methods[index] = msgspec.structs.replace(methods[index], **fields)
-        return msgspec.structs.replace(core, methods=tuple(methods))
-
-    return change
-
-
 def _slots(index: int, *kinds: int) -> Change:
-    return _method(index, slots=(*SOUND.core.methods[index].slots, *kinds))
+    return change_method(index, slots=(*SOUND.core.methods[index].slots, *kinds))
 
 
 def _row(first: int, index: int = INIT, **fields: object) -> Change:
@@ -126,7 +84,7 @@ def _row(first: int, index: int = INIT, **fields: object) -> Change:
     rows = list(SOUND.core.methods[index].handlers)
     which = next(i for i, row in enumerate(rows) if row.kind == first)
     rows[which] = msgspec.structs.replace(rows[which], **fields)
-    return _method(index, handlers=tuple(rows))
+    return change_method(index, handlers=tuple(rows))
 
 
 INTS = SOUND.core.types.index(TypeRecord(ARRAY, INT))
@@ -139,61 +97,57 @@ NUMBER = _slot(INT)
     ("change", "reason"),
     [
         # begin of lift: sentinel, array, index, proxy, height
-        (_pushed("begin", 5, NUMBER), "wrong type"),
-        (_pushed("begin", 4, _slot(INTS)), "wrong type"),
-        (_pushed("begin", 4, NUMBER), "wrong type"),
-        (_pushed("begin", 3, _slot(REALS)), "wrong type"),
-        (_pushed("begin", 2, _slot(INTS)), "wrong type"),
-        (_pushed("begin", 1, NUMBER), "wrong type"),
+        (CODE.push("begin", 5, NUMBER), "wrong type"),
+        (CODE.push("begin", 4, _slot(INTS)), "wrong type"),
+        (CODE.push("begin", 4, NUMBER), "wrong type"),
+        (CODE.push("begin", 3, _slot(REALS)), "wrong type"),
+        (CODE.push("begin", 2, _slot(INTS)), "wrong type"),
+        (CODE.push("begin", 1, NUMBER), "wrong type"),
         # begin of stop: it has no result
-        (_pushed("begin", 3, _slot(REALS), 1), "wrong type"),
+        (CODE.push("begin", 3, _slot(REALS), 1), "wrong type"),
         (
-            _quads(lambda q: q.__setitem__(_at(q, "begin"), Quad(BY_NAME["begin"].code, INIT, 0, 0))),
+            CODE.put("begin", "begin", INIT),
             "a portal",
         ),
-        (_pushed("start", 1, NUMBER), "wrong type"),
-        (_pushed("fetch", 1, NUMBER), "wrong type"),
-        (_pushed("leave", 2, NUMBER), "wrong type"),
-        (_pushed("leave", 1, NUMBER), "wrong type"),
-        (_pushed("limit", 1, NUMBER), "wrong type"),
-        (_pushed("exc_others", 1, NUMBER), "wrong type"),
+        (CODE.push("start", 1, NUMBER), "wrong type"),
+        (CODE.push("fetch", 1, NUMBER), "wrong type"),
+        (CODE.push("leave", 2, NUMBER), "wrong type"),
+        (CODE.push("leave", 1, NUMBER), "wrong type"),
+        (CODE.push("limit", 1, NUMBER), "wrong type"),
+        (CODE.push("exc_others", 1, NUMBER), "wrong type"),
         (
-            _quads(
-                lambda q: q.__setitem__(_at(q, "gather") + 1, Quad(BY_NAME["pop"].code, _slot(INTS), 0, 0))
-            ),
+            CODE.put("gather", "pop", _slot(INTS), after=1),
             "does not fit the slot",
         ),
         (
-            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["gather"].code, 0, 0, 0))),
+            CODE.put("yield", "gather"),
             "only coordinators work in parallel",
         ),
         (
-            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["limit"].code, 0, 0, 0))),
+            CODE.put("yield", "limit"),
             "only coordinators have a time limit",
         ),
     ],
 )
 def test_invalid_instructions_of_together_are_refused(change: Change, reason: str) -> None:
-    refused(change, reason)
+    CODE.refused(change, reason)
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_pushed("hold", 1, NUMBER), "wrong type"),
-        (_pushed("hold", 1, _slot(INTS)), "wrong type"),
-        (_pushed("hold", 1, NOTHING), "wrong type"),
-        (_pushed("take", 1, _slot(REALS)), "wrong type"),
-        (_pushed("drop", 1, NUMBER), "wrong type"),
+        (CODE.push("hold", 1, NUMBER), "wrong type"),
+        (CODE.push("hold", 1, _slot(INTS)), "wrong type"),
+        (CODE.push("hold", 1, NOTHING), "wrong type"),
+        (CODE.push("take", 1, _slot(REALS)), "wrong type"),
+        (CODE.push("drop", 1, NUMBER), "wrong type"),
         (
-            _quads(lambda q: q.__setitem__(_at(q, "hold") + 1, Quad(BY_NAME["pop"].code, NUMBER, 0, 0))),
+            CODE.put("hold", "pop", NUMBER, after=1),
             "does not fit the slot",
         ),
         *(
             (
-                _quads(
-                    lambda q, name=name: q.__setitem__(_at(q, "yield"), Quad(BY_NAME[name].code, 0, 0, 0))
-                ),
+                CODE.put("yield", name),
                 "only coordinators reserve",
             )
             for name in ("hold", "take", "drop")
@@ -201,22 +155,22 @@ def test_invalid_instructions_of_together_are_refused(change: Change, reason: st
     ],
 )
 def test_invalid_reservations_are_refused(change: Change, reason: str) -> None:
-    refused(change, reason)
+    CODE.refused(change, reason)
 
 
 def test_the_result_of_a_call_may_be_discarded() -> None:
-    verify(Program(_pushed("begin", 4, NOTHING)(SOUND.core), SOUND.debug, b""))
+    CODE.accepted(CODE.push("begin", 4, NOTHING))
 
 
 def _settled(*operands: int, kind: int = REALS) -> Change:
     """Replace the begin of stop by a settle with these operands."""
 
     def change(quads: list[Quad]) -> None:
-        pc = _at(quads, "begin", 1)
+        pc = position(quads, "begin", 1)
         quads[pc - 4 : pc] = [Quad(_PUSH, operand, 0, 0) for operand in (*operands, 0, 0, 0, 0)[:4]]
         quads[pc] = Quad(BY_NAME["settle"].code, kind, 0, 0)
 
-    return _quads(change)
+    return CODE.change(change)
 
 
 _SENTINEL, _ARRAY, _REAL = _slot(TICKETS), _slot(REALS), _slot(REAL)
@@ -224,7 +178,7 @@ _SENTINEL, _ARRAY, _REAL = _slot(TICKETS), _slot(REALS), _slot(REAL)
 
 def test_a_settle_is_accepted() -> None:
     for array in (_ARRAY, NOTHING):
-        verify(Program(_settled(_SENTINEL, array, NUMBER, _REAL)(SOUND.core), NO_DEBUG, b""))
+        CODE.accepted(_settled(_SENTINEL, array, NUMBER, _REAL))
 
 
 @pytest.mark.parametrize(
@@ -237,13 +191,13 @@ def test_a_settle_is_accepted() -> None:
         (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=REAL), "an element of an array"),
         (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=10_000), "does not exist"),
         (
-            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["settle"].code, REALS, 0, 0))),
+            CODE.put("yield", "settle", REALS),
             "only coordinators work in parallel",
         ),
     ],
 )
 def test_an_invalid_settle_is_refused(change: Change, reason: str) -> None:
-    refused(change, reason)
+    CODE.refused(change, reason)
 
 
 OWN = compile_text(
@@ -260,10 +214,8 @@ OWN = compile_text(
 _BOOM, _PLAIN, _R = (OWN.class_index[name] for name in ("Boom", "Plain", "R"))
 
 
-def _other_fields(index: int, *fields: FieldRecord) -> Core:
-    classes = list(OWN.core.classes)
-    classes[index] = msgspec.structs.replace(classes[index], fields=fields)
-    return msgspec.structs.replace(OWN.core, classes=tuple(classes))
+def _other_fields(index: int, *fields: FieldRecord) -> Change:
+    return change_class(index, fields=fields)
 
 
 def test_exception_classes_have_a_field_for_suppressed_exceptions() -> None:
@@ -273,7 +225,7 @@ def test_exception_classes_have_a_field_for_suppressed_exceptions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("core", "reason"),
+    ("change", "reason"),
     [
         (
             _other_fields(_PLAIN, FieldRecord("n", INT), FieldRecord(SUPPRESSED_FIELD, INT)),
@@ -295,21 +247,16 @@ def test_exception_classes_have_a_field_for_suppressed_exceptions() -> None:
         (_other_fields(_BOOM, FieldRecord("n", INT), FieldRecord("parts", EXCEPTIONS)), "cannot cross"),
     ],
 )
-def test_an_invalid_field_for_suppressed_exceptions_is_refused(core: Core, reason: str) -> None:
-    with pytest.raises(ProgramFileError, match=reason):
-        verify(Program(core, msgspec.structs.replace(OWN.debug, methods=()), b""))
+def test_an_invalid_field_for_suppressed_exceptions_is_refused(change: Change, reason: str) -> None:
+    SoundCode(OWN).refused(change, reason)
 
 
 def test_an_older_program_has_no_field_for_suppressed_exceptions() -> None:
     old = _old("R")
     record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(SUPPRESSED_FIELD, BOOLEAN),))
-    refused(lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''")
-
-
-def _field(core: Core) -> Core:
-    classes = list(core.classes)
-    classes[BOSS] = msgspec.structs.replace(classes[BOSS], fields=(FieldRecord("a", TICKETS),))
-    return msgspec.structs.replace(core, classes=tuple(classes))
+    CODE.refused(
+        lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''"
+    )
 
 
 @pytest.mark.parametrize(
@@ -317,8 +264,8 @@ def _field(core: Core) -> Core:
     [
         (_slots(ARM_INIT, TICKETS), "a type no variable can have"),
         (_slots(LIFT, TICKETS), "a type no variable can have"),
-        (_method(INIT, result=TICKETS), "a result of a type"),
-        (_field, "a type no field can have"),
+        (change_method(INIT, result=TICKETS), "a result of a type"),
+        (change_class(BOSS, fields=(FieldRecord("a", TICKETS),)), "a type no field can have"),
         (
             lambda core: msgspec.structs.replace(core, types=(*core.types, TypeRecord(ARRAY, TICKETS))),
             "not an earlier type of values",
@@ -330,7 +277,7 @@ def _field(core: Core) -> Core:
     ],
 )
 def test_tickets_are_only_in_slots_of_coordinators(change: Change, reason: str) -> None:
-    refused(change, reason)
+    CODE.refused(change, reason)
 
 
 @pytest.mark.parametrize(
@@ -359,7 +306,7 @@ def test_tickets_are_only_in_slots_of_coordinators(change: Change, reason: str) 
     ],
 )
 def test_invalid_handler_rows_are_refused(change: Change, reason: str) -> None:
-    refused(change, reason)
+    CODE.refused(change, reason)
 
 
 def test_a_listing_shows_the_kinds_of_rows() -> None:
@@ -405,7 +352,7 @@ def _old(name: str) -> Core:
 
 @pytest.mark.parametrize("name", ["R", *BUILTIN_CLASSES[OLDEST_BUILTINS:]])
 def test_an_older_program_may_define_classes_named_as_newer_exceptions(name: str) -> None:
-    program = Program(_old(name), NO_DEBUG, b"")
+    program = Program(_old(name), CODE.debug, b"")
     verify(program)
     assert program.builtins == OLDEST_BUILTINS
     assert program.units == {name: "resource"}
@@ -414,8 +361,8 @@ def test_an_older_program_may_define_classes_named_as_newer_exceptions(name: str
 def test_built_in_classes_of_two_versions_are_not_mixed() -> None:
     old = _old("R")
     mixed = (old.classes[0], *BUILTIN_RECORDS[1:OLDEST_BUILTINS], *old.classes[OLDEST_BUILTINS:])
-    refused(lambda core: msgspec.structs.replace(old, classes=mixed), "built-in exceptions")
-    refused(lambda core: msgspec.structs.replace(core, types=core.types[:EXCEPTIONS]), "first types")
+    CODE.refused(lambda core: msgspec.structs.replace(old, classes=mixed), "built-in exceptions")
+    CODE.refused(lambda core: msgspec.structs.replace(core, types=core.types[:EXCEPTIONS]), "first types")
 
 
 def test_new_instructions_need_the_new_exceptions() -> None:
@@ -424,4 +371,4 @@ def test_new_instructions_need_the_new_exceptions() -> None:
         quads = [Quad(BY_NAME[word].code, 0, 0, 0) for word in ("frame", name, "rtn")]
         method = msgspec.structs.replace(core.methods[0], end=3)
         changed = msgspec.structs.replace(core, methods=(method,), code=encode_quads(quads))
-        refused(lambda _, changed=changed: changed, f"{name} needs exceptions")
+        CODE.refused(lambda _, changed=changed: changed, f"{name} needs exceptions")

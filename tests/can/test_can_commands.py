@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from can_scenarios import BOUND
+from coroutine_tests import scenario
 from crccheck.crc import Crc8GsmA
 
 import lfield_sim.can
@@ -69,30 +70,26 @@ async def drives(column, goal=0.3, seconds=1.5):
         await asyncio.sleep(0.1)
 
 
-def test_column_follows_and_an_expired_setpoint_ends(play):
-    async def story(fake, column):
-        await drives(column)
-        assert await angle(column) == pytest.approx(0.3, abs=0.02)
-        assert await column.call("read", "SteeringStatus.Fault") == 0.0
-        await column.until(lambda: column.confirmed, BOUND, "the guard to end it")
-        await column.until_note("the setpoint has expired")
-        assert await column.call("read", "SteeringStatus.Enable") == 0.0
-        # The safe state is repeated within its deadline.
-        await asyncio.sleep(0.5)
-        assert await column.call("read", "SteeringStatus.Fault") == 0.0
-        assert column.query("overruns") == 0
-
-    play(story)
+@scenario("play")
+async def test_column_follows_and_an_expired_setpoint_ends(fake, column, /):
+    await drives(column)
+    assert await angle(column) == pytest.approx(0.3, abs=0.02)
+    assert await column.call("read", "SteeringStatus.Fault") == 0.0
+    await column.until(lambda: column.confirmed, BOUND, "the guard to end it")
+    await column.until_note("the setpoint has expired")
+    assert await column.call("read", "SteeringStatus.Enable") == 0.0
+    # The safe state is repeated within its deadline.
+    await asyncio.sleep(0.5)
+    assert await column.call("read", "SteeringStatus.Fault") == 0.0
+    assert column.query("overruns") == 0
 
 
-def test_device_acts_when_the_frames_of_a_silent_host_end(play):
-    async def story(fake, column):
-        await drives(column, seconds=0.3)
-        await column.fall_silent(1.0)
-        assert await column.call("read", "SteeringStatus.Fault") == 1.0
-        assert await column.call("read", "SteeringStatus.Enable") == 0.0
-
-    play(story)
+@scenario("play")
+async def test_device_acts_when_the_frames_of_a_silent_host_end(fake, column, /):
+    await drives(column, seconds=0.3)
+    await column.fall_silent(1.0)
+    assert await column.call("read", "SteeringStatus.Fault") == 1.0
+    assert await column.call("read", "SteeringStatus.Enable") == 0.0
 
 
 @pytest.mark.parametrize(

@@ -183,10 +183,11 @@ class Lfield:
         self.started.append(process)
         return process
 
-    def __call__(self, *words: object, **options) -> Process:
-        """A command that ends; its status is in `popen.returncode`."""
+    def __call__(self, *words: object, status: int | None = None, **options) -> Process:
+        """A command that ends, with this exit status if one is given."""
         process = self.start(*words, **options)
-        process.wait()
+        ended = process.wait()
+        assert status in (None, ended), f"exit status {ended}\n{process.said}"
         return process
 
     def status(self, process: Process) -> int:
@@ -286,15 +287,17 @@ def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
 def here(
     lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Said]:
-    """`here(*words)`: a command in this process, in the folder of `lfield`."""
+    """`here(*words)`: a command in this process, in the folder of `lfield`, with this exit status if one is
+    given."""
     monkeypatch.chdir(lfield.folder)
     monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
 
-    def run(*words: object) -> Said:
-        status = main([str(word) for word in words])
-        said = capfd.readouterr()
-        assert "a bug in lfield" not in said.err
-        return Said(status, said.out.splitlines(), said.err.splitlines())
+    def run(*words: object, status: int | None = None) -> Said:
+        ended = main([str(word) for word in words])
+        output = capfd.readouterr()
+        assert "a bug in lfield" not in output.err
+        assert status in (None, ended), f"exit status {ended}\n{output.out}\n{output.err}"
+        return Said(ended, output.out.splitlines(), output.err.splitlines())
 
     return run
 

@@ -49,9 +49,9 @@ def bound(endpoint):
 
 def test_measurement_without_delay_takes_one_second():
     async def story():
-        begun = LoopClock().monotonic()
+        start = LoopClock().monotonic()
         assert await measure_jitter(JitterLimit(0.1), LoopClock()) == pytest.approx(0.0, abs=1e-6)
-        assert LoopClock().monotonic() - begun == pytest.approx(SPAN, abs=0.02)
+        assert LoopClock().monotonic() - start == pytest.approx(SPAN, abs=0.02)
 
     run_jumping(story())
 
@@ -103,19 +103,16 @@ def test_doctor_measures_delays_and_advises(monkeypatch):
 
 
 @pytest.mark.process
-def test_latch_after_silence_names_the_delay_of_this_computer():
-    async def story():
-        with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", "--climb", "8") as fake:
-            async with guarded(bound(fake.endpoint), silence=0.5) as (flight,):
-                # On a really delayed computer the guard may latch earlier, for the same reason.
-                with suppress(DeviceError):
-                    await flight.call("arm")
-                # The loop is blocked: no heartbeat or other message is sent.
-                time.sleep(1.5)
-                why = "the host was silent for over 500 ms, since this computer was late"
-                await flight.until_note(f"in safe state 'land': {why}")
-                assert why in flight.latched
-                late = re.compile("heartbeats to the guards late by [1-9].*longest so far")
-                await flight.until(lambda: any(map(late.match, flight.notes)), 60.0, "the lateness")
-
-    asyncio.run(story())
+async def test_latch_after_silence_names_the_delay_of_this_computer():
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", "--climb", "8") as fake:
+        async with guarded(bound(fake.endpoint), silence=0.5) as (flight,):
+            # On a really delayed computer the guard may latch earlier, for the same reason.
+            with suppress(DeviceError):
+                await flight.call("arm")
+            # The loop is blocked: no heartbeat or other message is sent.
+            time.sleep(1.5)
+            why = "the host was silent for over 500 ms, since this computer was late"
+            await flight.until_note(f"in safe state 'land': {why}")
+            assert why in flight.latched
+            late = re.compile("heartbeats to the guards late by [1-9].*longest so far")
+            await flight.until(lambda: any(map(late.match, flight.notes)), 60.0, "the lateness")

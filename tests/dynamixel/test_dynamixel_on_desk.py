@@ -6,6 +6,7 @@ import asyncio
 import math
 
 import pytest
+from coroutine_tests import scenario
 
 from lfield.driver import DeviceError
 from lfield.testing.desk import Desk, DeskFake
@@ -39,54 +40,48 @@ def run(desk, chain):
     return play
 
 
-def test_dead_servo_is_missing_and_the_others_are_safe(chain, run):
-    async def story(group, bench):
-        await group.execute("torque", [True])
-        chain.fault("dead@2=true")
-        await bench.until(lambda: bench.values["missing"] == [2])
-        assert math.isnan(bench.values["positions"][1])
-        with pytest.raises(DeviceError, match="servo 2 does not answer"):
-            await group.make_safe()
-        chain.fault("dead@2=false")
-        await bench.until(lambda: bench.values["missing"] == [])
+@scenario("run", 1, 2, 3, safe_state="torque_off")
+async def test_dead_servo_is_missing_and_the_others_are_safe(group, bench, /, chain):
+    await group.execute("torque", [True])
+    chain.fault("dead@2=true")
+    await bench.until(lambda: bench.values["missing"] == [2])
+    assert math.isnan(bench.values["positions"][1])
+    with pytest.raises(DeviceError, match="servo 2 does not answer"):
         await group.make_safe()
-        await bench.until(lambda: not bench.values["torqueOn"])
-
-    run(story, 1, 2, 3, safe_state="torque_off")
-
-
-def test_lost_replies_do_not_stop_a_motion(chain, run):
-    async def story(group, bench):
-        await group.execute("torque", [True])
-        await group.execute("setProfile", [2.0, 20.0])
-        chain.fault("lose=0.05", "noise=0.05")
-        await group.execute("moveTo", [[0.6, 0.6, 0.6]])
-        assert bench.values["positions"] == pytest.approx([0.6, 0.6, 0.6], abs=0.03)
-
-    run(story, 1, 2, 3)
+    chain.fault("dead@2=false")
+    await bench.until(lambda: bench.values["missing"] == [])
+    await group.make_safe()
+    await bench.until(lambda: not bench.values["torqueOn"])
 
 
-def test_unplugged_chain_is_reported_once_and_returns_stopped(desk, chain, run):
-    async def story(servo, bench):
-        await servo.execute("torque", [True])
-        await servo.execute("setProfile", [0.4, 0.0])
-        moving = asyncio.ensure_future(servo.execute("moveTo", [1.5]))
-        await bench.until(lambda: bench.values["position"] > 0.1)
-        start = desk.now
-        chain.fault("unplug=true")
-        with pytest.raises(DeviceError) as caught:
-            await moving
-        assert caught.value.kind == "DeviceTimeoutException"
-        assert desk.now - start < 10.0
-        # Longer than its watchdog time: the servo has stopped by itself when the plug returns.
-        await asyncio.sleep(1.5)
-        chain.fault("unplug=false")
-        await bench.until(lambda: any("responding again" in note for note in bench.notes))
-        assert sum("is gone" in note for note in bench.notes) == 1
-        assert any("torque on, stopped by its watchdog" in note for note in bench.notes)
-        await servo.execute("release", [])
-        place = (await servo.servo.present()).position
-        assert place < 1.3
-        await servo.execute("moveTo", [place])
+@scenario("run", 1, 2, 3)
+async def test_lost_replies_do_not_stop_a_motion(group, bench, /, chain):
+    await group.execute("torque", [True])
+    await group.execute("setProfile", [2.0, 20.0])
+    chain.fault("lose=0.05", "noise=0.05")
+    await group.execute("moveTo", [[0.6, 0.6, 0.6]])
+    assert bench.values["positions"] == pytest.approx([0.6, 0.6, 0.6], abs=0.03)
 
-    run(story, 3)
+
+@scenario("run", 3)
+async def test_unplugged_chain_is_reported_once_and_returns_stopped(servo, bench, /, desk, chain):
+    await servo.execute("torque", [True])
+    await servo.execute("setProfile", [0.4, 0.0])
+    moving = asyncio.ensure_future(servo.execute("moveTo", [1.5]))
+    await bench.until(lambda: bench.values["position"] > 0.1)
+    start = desk.now
+    chain.fault("unplug=true")
+    with pytest.raises(DeviceError) as caught:
+        await moving
+    assert caught.value.kind == "DeviceTimeoutException"
+    assert desk.now - start < 10.0
+    # Longer than its watchdog time: the servo has stopped by itself when the plug returns.
+    await asyncio.sleep(1.5)
+    chain.fault("unplug=false")
+    await bench.until(lambda: any("responding again" in note for note in bench.notes))
+    assert sum("is gone" in note for note in bench.notes) == 1
+    assert any("torque on, stopped by its watchdog" in note for note in bench.notes)
+    await servo.execute("release", [])
+    place = (await servo.servo.present()).position
+    assert place < 1.3
+    await servo.execute("moveTo", [place])

@@ -1,69 +1,27 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from guard_rig import (
+    MANIFEST,
+    SILENCE,
+    TTL,
+    WITHIN,
+    Rig,
+    effects_of,
+    exits,
+    made_safe,
+    messages,
+    mutes,
+    rest_checks,
+)
 
 from lfield.clock import ManualClock
 from lfield.guard.core import MUTE_AFTER, REPEAT, GuardCore
-from lfield.guard.effects import Abandon, CheckRest, Execute, Exit, Interrupt, MakeSafe, Mute, Notify
+from lfield.guard.effects import Abandon, Execute, Interrupt, MakeSafe, Mute, Notify
 from lfield.guard.messages import CallDone, GuardCall, Latched, Moving, Note, Refused, Released, Stopped
-from lfield.manifest import NEVER, DeviceManifest, Instruction, Parameter
+from lfield.manifest import DeviceManifest
 
-TTL, SILENCE, WITHIN = 0.5, 0.2, 120.0
-MOVING = ("go", "steer", "halt")
-
-MANIFEST = DeviceManifest(
-    "Thing",
-    "thing",
-    (
-        Instruction("go", (Parameter("x", "real"),), blocking=True, cancel="halt"),
-        Instruction("steer", (Parameter("x", "real"),)),
-        Instruction("grip", (), blocking=True, channel="gripper"),
-        Instruction("ask", (), "int", effect="query", blocking=True),
-        Instruction("release", effect="idempotent", blocking=True),
-        Instruction("halt", effect="idempotent", blocking=True, cancel=NEVER),
-    ),
-    safe_states=("stop",),
-)
 SENSOR = DeviceManifest("Eye", "eye", MANIFEST.instructions[3:5])
-
-
-class Rig:
-    """A core with its clock; each step sends a heartbeat unless `beating` is false."""
-
-    def __init__(self, *devices: str) -> None:
-        self.clock = ManualClock()
-        made = [(d, MANIFEST, TTL, WITHIN) for d in devices or ("a",)]
-        self.core = GuardCore(made, self.clock, silence=SILENCE)
-        self.core.on_opened("")
-        self.token = 0
-
-    def beat(self):
-        return self.core.on_beat(self.clock.monotonic())
-
-    def wait(self, seconds: float, *, beating: bool = True):
-        effects = []
-        for _ in range(round(seconds / 0.05)):
-            self.clock.advance(0.05)
-            effects += self.beat() if beating else self.core.tick()
-        return effects
-
-    def call(self, instruction: str, *arguments: float, device: str = "a", age: float = 0.0):
-        self.token += 1
-        sent = self.clock.monotonic() - age
-        return self.core.on_call(
-            GuardCall(self.token, device, instruction, list(arguments), sent, sent + TTL)
-        )
-
-
-def messages(effects, kind):
-    return [e.message for e in effects if isinstance(e, Notify) and isinstance(e.message, kind)]
-
-
-def made_safe(effects):
-    return [e.device for e in effects if isinstance(e, MakeSafe)]
 
 
 def test_call_is_executed_and_answered_once():
@@ -109,7 +67,7 @@ def test_renewed_setpoint_continues():
     rig = Rig()
     for _ in range(10):
         effects = rig.call("steer", 1.0)
-        assert [e for e in effects if isinstance(e, Execute)]
+        assert effects_of(effects, Execute)
         rig.core.on_finished(rig.token, None)
         assert made_safe(rig.wait(0.4)) == []
 
@@ -138,18 +96,18 @@ def test_refused_blocking_call_does_not_renew_the_setpoint():
 def test_call_delayed_in_the_pipe_is_refused(call):
     rig = Rig()
     effects = rig.call(*call, age=TTL)
-    assert [e for e in effects if isinstance(e, Execute)] == []
+    assert effects_of(effects, Execute) == []
     reason = f"{call[0]}() had to start within 0.5 s, but reached its guard after 0.5 s: nothing was done"
     assert messages(effects, Refused) == [Refused(1, "DeviceException", reason)]
 
 
 def test_delayed_query_is_executed():
-    assert [e for e in Rig().call("ask", age=60.0) if isinstance(e, Execute)]
+    assert effects_of(Rig().call("ask", age=60.0), Execute)
 
 
 def test_call_delayed_between_guard_and_driver_is_refused():
     rig = Rig()
-    (execute,) = [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
+    (execute,) = effects_of(rig.call("go", 1.0), Execute)
     rig.clock.advance(TTL - 0.01)
     assert rig.core.mark_started(execute.call) == ""
     rig.clock.advance(0.02)
@@ -170,7 +128,7 @@ def test_silence_latches_moved_devices_until_release():
     assert "not confirmed yet" in refused.reason
     assert messages(rig.core.on_safe("a"), Latched)[0].confirmed
     assert messages(rig.call("release"), Released) == [Released("a")]
-    assert [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
+    assert effects_of(rig.call("go", 1.0), Execute)
 
 
 def test_heartbeat_delayed_in_the_pipe_does_not_hide_silence():
@@ -223,14 +181,6 @@ def test_failed_safe_state_is_retried():
     assert made_safe(rig.wait(0.1)) == ["a"]
 
 
-def rest_checks(effects):
-    return [e.device for e in effects if isinstance(e, CheckRest)]
-
-
-def exits(effects):
-    return [e.status for e in effects if isinstance(e, Exit)]
-
-
 def test_stop_ends_when_all_devices_are_safe_and_at_rest():
     rig = Rig("a", "b")
     assert made_safe(rig.core.on_stop("bye")) == ["a", "b"]
@@ -254,14 +204,8 @@ def test_stop_timeout_names_devices_not_safe_or_not_at_rest():
     effects = rig.wait(WITHIN - 0.1)
     assert exits(effects) == []
     effects = rig.wait(0.2)
-    assert messages(effects, Stopped) == [
-        Stopped(
-            {
-                "b": "its safe state was not confirmed",
-                "c": "it is in its safe state and not at rest: 4 m up",
-            }
-        )
-    ]
+    left = {"b": "its safe state was not confirmed", "c": "it is in its safe state and not at rest: 4 m up"}
+    assert messages(effects, Stopped) == [Stopped(left)]
     assert exits(effects) == [1]
 
 
@@ -337,7 +281,7 @@ def test_device_that_moves_in_its_safe_state_is_commanded_again():
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == []
     rig.wait(REPEAT + 0.1)
     assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
-    assert [e for e in rig.core.on_safe_failed("a", "no answer") if isinstance(e, Notify)] == []
+    assert effects_of(rig.core.on_safe_failed("a", "no answer"), Notify) == []
     assert made_safe(rig.wait(10.0)) == [], "it is checked first"
     assert made_safe(rig.core.on_motion_report("a", "")) == []
     assert made_safe(rig.core.on_motion_report("a", "led out")) == ["a"]
@@ -400,10 +344,6 @@ def test_setpoint_expires_despite_another_channel():
     assert made_safe(rig.wait(0.6)) == ["a"]
 
 
-def mutes(effects):
-    return [e.on for e in effects if isinstance(e, Mute)]
-
-
 def test_silent_host_mutes_the_bus_until_its_next_heartbeat():
     rig = Rig()
     assert mutes(rig.wait(1.0)) == []
@@ -439,41 +379,6 @@ def test_unconfirmed_safe_state_does_not_delay_the_mute():
     assert mutes(rig.wait(0.2, beating=False)) == [True]
 
 
-class CreepingClock(ManualClock):
-    """A clock that advances with each reading, like a real one."""
-
-    STEP = 1e-6
-
-    def monotonic(self):
-        self.now += self.STEP
-        return self.now
-
-
-@pytest.mark.parametrize("early", range(1, 13))
-@pytest.mark.parametrize("event", ["tick", "ask", "beat"])
-def test_silence_that_starts_between_two_clock_readings_is_found(event, early):
-    clock = CreepingClock()
-    core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock, silence=SILENCE)
-    start = clock.monotonic()
-    core.on_opened("")
-    core.on_call(GuardCall(1, "a", "go", [1.0], start, start + TTL))
-    core.on_finished(1, None)
-    last = clock.now
-    core.on_beat(last)
-    clock.now = last + SILENCE - early * clock.STEP
-    effects = {
-        "tick": core.tick,
-        "ask": lambda: core.on_call(GuardCall(2, "a", "ask", [], last, last)),
-        "beat": lambda: core.on_beat(last),
-    }[event]()
-    while made_safe(effects) == [] and core.due() is not None:
-        clock.now = max(clock.now, core.due())
-        effects += core.tick()
-    assert made_safe(effects) == ["a"]
-    assert mutes(effects) == []
-    assert clock.now < last + SILENCE + 20 * clock.STEP
-
-
 def test_delayed_call_of_a_silent_host_is_stopped():
     rig = Rig()
     assert mutes(rig.wait(1.0, beating=False)) == [True]
@@ -500,165 +405,6 @@ def test_device_that_is_already_safe_can_be_locked():
     assert "stop!" in messages(rig.call("release"), Refused)[0].reason
 
 
-class GuardMachine(RuleBasedStateMachine):
-    """Any order of events: a model that only observes the effects checks the promises of the guard."""
-
-    @initialize()
-    def start(self):
-        self.rig = Rig()
-        self.latched = self.confirmed = self.moved = False
-        self.making = 0
-        self.running: dict[int, GuardCall] = {}
-        self.last_contact = self.now
-        self.setpoint_until: float | None = None
-        self.answered: set[int] = set()
-
-    @property
-    def now(self):
-        return self.rig.clock.monotonic()
-
-    def observe(self, effects):
-        for effect in effects:
-            if isinstance(effect, MakeSafe):
-                self.making += 1
-                assert self.making == 1, "only one safe-state command at a time"
-                assert self.latched or not self.confirmed
-            elif isinstance(effect, Abandon):
-                self.making -= 1
-            elif isinstance(effect, Interrupt):
-                self.running.pop(effect.token)
-            elif isinstance(effect, Execute):
-                call = effect.call
-                acts = call.instruction in MOVING
-                assert not (acts and self.latched), "a latched device was moved"
-                if call.instruction == "steer":
-                    assert self.now - call.sent < TTL, "a setpoint was executed after its time-to-live"
-                self.running[call.token] = call
-                self.moved = self.moved or acts
-                assert self.rig.core.mark_started(call) == ""
-            elif isinstance(effect, Notify) and isinstance(effect.message, CallDone | Refused):
-                assert effect.message.token not in self.answered, "a call was answered twice"
-                self.answered.add(effect.message.token)
-            elif isinstance(effect, Notify) and isinstance(effect.message, Latched):
-                if not effect.message.confirmed:
-                    assert not self.latched
-                    self.latched, self.confirmed, self.setpoint_until = True, False, None
-            elif isinstance(effect, Notify) and isinstance(effect.message, Released):
-                assert self.confirmed, "released before its safe state was confirmed"
-                self.latched = self.confirmed = self.moved = False
-
-    @rule(seconds=st.floats(0.0, 0.7))
-    def wait(self, seconds):
-        self.rig.clock.advance(seconds)
-        self.observe(self.rig.core.tick())
-
-    @precondition(lambda self: not self.latched)
-    @rule(instruction=st.sampled_from(["go", "steer"]), steps=st.integers(0, 15))
-    def move(self, instruction, steps):
-        """The usual sequence, which random rules alone seldom produce: a call, its end, and time."""
-        self.call(instruction, 0.0)
-        token = self.rig.token
-        if token in self.running:
-            self._end(token, "finished")
-        self.live(steps)
-
-    @rule(steps=st.integers(1, 15))
-    def live(self, steps):
-        for _ in range(steps):
-            self.rig.clock.advance(0.05)
-            self.observe(self.rig.beat())
-            self.last_contact = max(self.last_contact, self.now)
-            self.promises()
-
-    @rule(age=st.just(0.0) | st.floats(0.0, 1.0), stopped=st.floats(0.0, 0.4))
-    def beat(self, age, stopped):
-        self.rig.clock.advance(stopped)
-        silent = self.moved and self.now >= self.last_contact + SILENCE
-        sent = self.now - age
-        self.observe(self.rig.core.on_beat(sent))
-        self.last_contact = max(self.last_contact, sent)
-        assert self.latched or not silent, "a late heartbeat hid the silence"
-
-    @rule(
-        instruction=st.sampled_from(["go", "steer", "ask", "release"]), age=st.just(0.0) | st.floats(0.0, 0.7)
-    )
-    def call(self, instruction, age):
-        arguments = [1.0] if instruction in ("go", "steer") else []
-        self.observe(self.rig.call(instruction, *arguments, age=age))
-        self.last_contact = max(self.last_contact, self.now - age)
-
-    @precondition(lambda self: self.running)
-    @rule(data=st.data(), how=st.sampled_from(["finished", "refused", "crashed"]))
-    def end(self, data, how):
-        self._end(data.draw(st.sampled_from(sorted(self.running))), how)
-
-    def _end(self, token, how):
-        call = self.running[token]
-        cancelled = token < 0
-        arguments = {"finished": (None,), "refused": ("DeviceException", "no"), "crashed": ("boom",)}[how]
-        effects = getattr(self.rig.core, f"on_{how}")(token, *arguments)
-        if any(done.token == token for done in messages(effects, CallDone)):
-            if call.instruction == "steer":
-                self.setpoint_until = self.now + TTL
-            elif call.instruction == "go":
-                self.setpoint_until = None
-        if cancelled and how == "finished" and messages(effects, Refused):
-            self.setpoint_until = None
-        self.running.pop(token, None)
-        self.observe(effects)
-        if how == "crashed" or (cancelled and how == "refused"):
-            assert self.latched
-
-    @precondition(lambda self: any(token > 0 for token in self.running))
-    @rule(data=st.data(), age=st.just(0.0) | st.floats(0.0, 0.7))
-    def cancel(self, data, age):
-        """A cancelled motion is replaced by its cancel instruction, unless the device has gone safe."""
-        token = data.draw(st.sampled_from(sorted(token for token in self.running if token > 0)))
-        was = self.running[token]
-        self.observe(self.rig.core.on_cancel(token, self.now - age))
-        self.last_contact = max(self.last_contact, self.now - age)
-        if was.instruction == "go":
-            assert self.latched or self.running[-token].instruction == "halt"
-
-    @precondition(lambda self: self.making)
-    @rule(good=st.booleans())
-    def safety_answer(self, good):
-        self.making -= 1
-        if good:
-            self.observe(self.rig.core.on_safe("a"))
-            self.confirmed = True
-        else:
-            self.observe(self.rig.core.on_safe_failed("a", "no answer"))
-
-    @precondition(lambda self: self.confirmed)
-    @rule(moving=st.sampled_from(["", "4 m up"]))
-    def report_motion(self, moving):
-        self.observe(self.rig.core.on_motion_report("a", moving))
-
-    @rule()
-    def request_safe_state(self):
-        self.observe(self.rig.core.latch("", "asked"))
-        assert self.latched
-
-    @invariant()
-    def promises(self):
-        if not hasattr(self, "rig"):
-            return
-        self.observe(self.rig.core.tick())
-        if self.moved and self.now >= self.last_contact + SILENCE:
-            assert self.latched, "the host was silent and the device is free"
-        acting = [c for c in self.running.values() if c.instruction in MOVING]
-        assert len(acting) <= 1
-        if self.setpoint_until is not None and not acting and self.now >= self.setpoint_until:
-            assert self.latched, "a setpoint has expired and the device is free"
-        due = self.rig.core.due()
-        assert due is None or due > self.now, "something is due and has not been done"
-
-
-GuardMachine.TestCase.settings = settings(max_examples=300, stateful_step_count=30, deadline=None)
-TestGuardMachine = GuardMachine.TestCase
-
-
 def test_sensor_is_neither_latched_nor_waited_for():
     """A sensor has no motion to make safe: it is at rest at once, and needs no release."""
     clock = ManualClock()
@@ -672,14 +418,10 @@ def test_sensor_is_neither_latched_nor_waited_for():
     clock.advance(3 * SILENCE)
     assert messages(core.tick(), Latched) == []
     core.on_beat(clock.monotonic())
-    assert [
-        e
-        for e in core.on_call(GuardCall(1, "eye", "ask", [], clock.monotonic(), 0.0))
-        if isinstance(e, Execute)
-    ]
+    assert effects_of(core.on_call(GuardCall(1, "eye", "ask", [], clock.monotonic(), 0.0)), Execute)
     over = core.on_stop("the host is stopping")
     assert messages(over, Stopped) == [Stopped({})]
-    assert [e.status for e in over if isinstance(e, Exit)] == [0]
+    assert exits(over) == [0]
 
 
 def test_stop_waits_for_an_actuated_device_beside_a_sensor():
@@ -694,17 +436,14 @@ def test_another_safe_state_replaces_the_one_of_a_latched_device():
     rig = Rig()
     rig.core.latch("a", "the host was silent")
     effects = rig.core.latch("a", "no pilot", state="lie down")
-    assert [e for e in effects if isinstance(e, Abandon | MakeSafe)] == [
-        Abandon("a"),
-        MakeSafe("a", "lie down"),
-    ]
+    assert effects_of(effects, Abandon | MakeSafe) == [Abandon("a"), MakeSafe("a", "lie down")]
     assert messages(effects, Latched) == [Latched("a", "no pilot", False, "lie down")]
     rig.core.on_safe_failed("a", "no answer")
-    assert [e for e in rig.wait(1.1) if isinstance(e, MakeSafe)] == [MakeSafe("a", "lie down")]
+    assert effects_of(rig.wait(1.1), MakeSafe) == [MakeSafe("a", "lie down")]
     (confirmed,) = messages(rig.core.on_safe("a"), Latched)
     assert confirmed == Latched("a", "no pilot", True, "lie down")
     assert rig.core.latch("a", "once more", state="lie down") == []
     assert rig.core.latch("a", "the usual one", state="") == []
     rig.call("release")
     effects = rig.core.latch("a", "the host was silent")
-    assert [e for e in effects if isinstance(e, MakeSafe)] == [MakeSafe("a")]
+    assert effects_of(effects, MakeSafe) == [MakeSafe("a")]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import scenario
 from pymavlink import mavutil
 from test_guard_process import BRISK, binding
 
@@ -40,18 +41,16 @@ async def mode_is(flight, mode):
     await flight.reads("mode", lambda now: now == mode)
 
 
-def test_expired_setpoint_latches_the_safe_state(fly):
-    async def story(flight):
-        await up(flight, 3.0)
-        await flight.call("setVelocity", 2.0, 0.0, 0.0)
-        await flight.until_note("in safe state 'hold': the setpoint has expired (time-to-live 1 s)")
-        with pytest.raises(DeviceError, match=r"call release\(\) first"):
-            await flight.call("goTo", 0.0, 0.0, -3.0)
-        assert flight.latched
-        await flight.call("release")
+@scenario("fly", ttl=1.0, safe_state="hold")
+async def test_expired_setpoint_latches_the_safe_state(flight, /):
+    await up(flight, 3.0)
+    await flight.call("setVelocity", 2.0, 0.0, 0.0)
+    await flight.until_note("in safe state 'hold': the setpoint has expired (time-to-live 1 s)")
+    with pytest.raises(DeviceError, match=r"call release\(\) first"):
         await flight.call("goTo", 0.0, 0.0, -3.0)
-
-    fly(story, ttl=1.0, safe_state="hold")
+    assert flight.latched
+    await flight.call("release")
+    await flight.call("goTo", 0.0, 0.0, -3.0)
 
 
 def test_closing_the_host_lands_a_flying_vehicle(desk, fly):
@@ -98,57 +97,51 @@ async def in_a_circle(flight):
 
 
 @pytest.mark.parametrize("flown", [in_a_mission, in_a_circle])
-def test_guard_restart_lands_the_program_s_flight_in_any_mode(desk, fly, flown):
-    async def story(flight):
-        await up(flight)
-        await flown(flight)
-        # Twice: the second guard has no more information than the first.
-        for _ in range(2):
-            dead = flight.guard_pid
-            desk.kill(dead)
-            await flight.until(lambda dead=dead: flight.guard_pid not in (0, dead), 20.0, "the next guard")
-        await flight.until_note(f"in safe state 'land': {AGAIN}")
-        await mode_is(flight, "LAND")
-        await flight.reads("armed", lambda now: now is False)
-        assert not any("not commanded: it is in" in note for note in flight.notes)
-
-    fly(story)
+@scenario("fly")
+async def test_guard_restart_lands_the_program_s_flight_in_any_mode(flight, /, desk, flown):
+    await up(flight)
+    await flown(flight)
+    # Twice: the second guard has no more information than the first.
+    for _ in range(2):
+        dead = flight.guard_pid
+        desk.kill(dead)
+        await flight.until(lambda dead=dead: flight.guard_pid not in (0, dead), 20.0, "the next guard")
+    await flight.until_note(f"in safe state 'land': {AGAIN}")
+    await mode_is(flight, "LAND")
+    await flight.reads("armed", lambda now: now is False)
+    assert not any("not commanded: it is in" in note for note in flight.notes)
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_guard_restart_leaves_a_pilot_in_control(desk, fly, times):
-    async def story(flight):
-        # In LOITER without a transmitter a copter sinks at 2.5 m/s; it must not reach the ground.
-        await up(flight, 40.0)
-        await by_a_pilot(flight, "LOITER")
-        await mode_is(flight, "LOITER")
-        for already in range(times):
-            desk.kill(flight.guard_pid)
-            # Each guard must work before it is killed: after 2 s without heartbeats the autopilot's own
-            # failsafe lands.
-            await flight.until(
-                lambda already=already: sum("not commanded: " in note for note in flight.notes) > already,
-                20.0,
-                "the next guard",
-            )
-            await asyncio.sleep(2.0)
-        by_a_pilot_still = "flown by a pilot in LOITER, "
-        await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
-        await asyncio.sleep(3.0)
-        assert flight.query("mode") == "LOITER"
-        assert any("not commanded: it is in" in note for note in flight.notes)
-
-    fly(story, rest_within=2.0)
-
-
-def test_guard_restart_lands_a_flight_returned_to_the_program(desk, fly):
-    async def story(flight):
-        await up(flight)
-        await by_a_pilot(flight, "LOITER")
-        await mode_is(flight, "LOITER")
-        await flight.call("release")
+@scenario("fly", rest_within=2.0)
+async def test_guard_restart_leaves_a_pilot_in_control(flight, /, desk, times):
+    # In LOITER without a transmitter a copter sinks at 2.5 m/s; it must not reach the ground.
+    await up(flight, 40.0)
+    await by_a_pilot(flight, "LOITER")
+    await mode_is(flight, "LOITER")
+    for already in range(times):
         desk.kill(flight.guard_pid)
-        await flight.until_note(f"in safe state 'land': {AGAIN}")
-        await mode_is(flight, "LAND")
+        # Each guard must work before it is killed: after 2 s without heartbeats the autopilot's own
+        # failsafe lands.
+        await flight.until(
+            lambda already=already: sum("not commanded: " in note for note in flight.notes) > already,
+            20.0,
+            "the next guard",
+        )
+        await asyncio.sleep(2.0)
+    by_a_pilot_still = "flown by a pilot in LOITER, "
+    await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
+    await asyncio.sleep(3.0)
+    assert flight.query("mode") == "LOITER"
+    assert any("not commanded: it is in" in note for note in flight.notes)
 
-    fly(story)
+
+@scenario("fly")
+async def test_guard_restart_lands_a_flight_returned_to_the_program(flight, /, desk):
+    await up(flight)
+    await by_a_pilot(flight, "LOITER")
+    await mode_is(flight, "LOITER")
+    await flight.call("release")
+    desk.kill(flight.guard_pid)
+    await flight.until_note(f"in safe state 'land': {AGAIN}")
+    await mode_is(flight, "LAND")

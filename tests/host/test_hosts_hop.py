@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import scenario
 
 ECHO = """
 resource Echo {
@@ -292,17 +293,15 @@ async def test_a_block_over_the_heap_limit_of_the_other_host_is_not_sent(team, /
     assert team.network.sent["Transfer"] == 2
 
 
-def test_a_block_over_the_frame_limit_is_refused_before_it_is_read(fleet):
-    async def story(team):
-        alpha, bravo = await team.up(team.mission(LOADED, TWO_HOSTS.replace("Visitor", "Loaded")))
-        admitted = []
-        bravo.host.machine.admit = lambda *given: admitted.append(given)
-        await team.until(lambda: alpha.output)
-        assert admitted == []
-        assert alpha.output[0].startswith("near hears visitor has 8")
-        assert alpha.output[0].endswith(" bytes and bravo takes at most 1048576")
-
-    fleet(story, max_block=65536)
+@scenario("fleet", max_block=65536)
+async def test_a_block_over_the_frame_limit_is_refused_before_it_is_read(team, /):
+    alpha, bravo = await team.up(team.mission(LOADED, TWO_HOSTS.replace("Visitor", "Loaded")))
+    admitted = []
+    bravo.host.machine.admit = lambda *given: admitted.append(given)
+    await team.until(lambda: alpha.output)
+    assert admitted == []
+    assert alpha.output[0].startswith("near hears visitor has 8")
+    assert alpha.output[0].endswith(" bytes and bravo takes at most 1048576")
 
 
 FAULTY = """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,13 +16,6 @@ from lfield.journal.wal import read_wal, wal_file
 
 #: In a log: the header of the file, the header of a frame, and a whole frame.
 HEAD, FRAME, WHOLE = 32, 24, 24 + 4096
-
-
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[FileBench]:
-    made = FileBench(tmp_path)
-    yield made
-    made.end()
 
 
 def killed(bench: FileBench, place: Path, counts: int = 30) -> Path:

@@ -10,6 +10,7 @@ import socket
 
 import pytest
 from certificates import Team
+from coroutine_tests import scenario
 
 from lfield.authority.identity import Identity, Right
 from lfield.net.connections.tls_link import OBSERVER_PIECE, TlsLink
@@ -184,12 +185,12 @@ async def test_a_read_of_thousands_of_messages_is_processed_in_rounds(inn, /):
 
 async def test_waiting_messages_are_processed_in_order_then_reading_resumes(inn, /):
     anna = inn.caller("anna")
-    said = [Ping(number) for number in range(200)]
-    anna.say(b"".join(map(encode, [HELLO, *said])))
+    lines = [Ping(number) for number in range(200)]
+    anna.say(b"".join(map(encode, [HELLO, *lines])))
     assert not anna.wire.reads
     while not anna.wire.reads:
         await asyncio.sleep(ROUND)
-    assert anna.recorder.messages == [HELLO, *said]
+    assert anna.recorder.messages == [HELLO, *lines]
     await asyncio.sleep(ROUND)
     whole = encode(STOP)
     anna.say(whole[:7])
@@ -288,86 +289,73 @@ def run_tls(story) -> None:
     run_jumping(main())
 
 
-def test_records_without_a_whole_message_are_counted(monkeypatch):
+@scenario(run_tls)
+async def test_records_without_a_whole_message_are_counted(inn, /, monkeypatch):
     """Each record of a message in a thousand records is work; so is a record without a message."""
-
-    async def story(inn):
-        anna, parts = inn.caller("anna"), []
-        received = StreamLink.received
-        monkeypatch.setattr(
-            StreamLink, "received", lambda link, data: (parts.append(1), received(link, data))
-        )
-        anna.say(encode(HELLO) + FLOOD[: READ // 30], record=1)
-        assert len(parts) <= AT_ONCE
-        await asyncio.sleep(9.5 * ROUND)
-        assert len(parts) <= 10 * AT_ONCE
-
-    run_tls(story)
+    anna, parts = inn.caller("anna"), []
+    received = StreamLink.received
+    monkeypatch.setattr(StreamLink, "received", lambda link, data: (parts.append(1), received(link, data)))
+    anna.say(encode(HELLO) + FLOOD[: READ // 30], record=1)
+    assert len(parts) <= AT_ONCE
+    await asyncio.sleep(9.5 * ROUND)
+    assert len(parts) <= 10 * AT_ONCE
 
 
-def test_at_most_a_piece_is_decrypted_at_once(monkeypatch):
-    async def story(inn):
-        anna, fed = inn.caller("anna"), []
-        feed = TlsChannel.receive
-        monkeypatch.setattr(
-            TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
-        )
-        anna.say(encode(HELLO) + FLOOD, record=16 << 10)
-        assert max(fed) <= OBSERVER_PIECE
-
-    run_tls(story)
+@scenario(run_tls)
+async def test_at_most_a_piece_is_decrypted_at_once(inn, /, monkeypatch):
+    anna, fed = inn.caller("anna"), []
+    feed = TlsChannel.receive
+    monkeypatch.setattr(
+        TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
+    )
+    anna.say(encode(HELLO) + FLOOD, record=16 << 10)
+    assert max(fed) <= OBSERVER_PIECE
 
 
-def test_handshakes_of_unknown_peers_get_their_share_of_each_turn(monkeypatch):
+@scenario(run_tls)
+async def test_handshakes_of_unknown_peers_get_their_share_of_each_turn(inn, /, monkeypatch):
     """Sixty at once, each part of which costs a slow computer five milliseconds."""
-
-    async def story(inn):
-        first = TlsChannel._continue_handshake
-        cost = 5e-3
-        monkeypatch.setattr(
-            TlsChannel,
-            "_continue_handshake",
-            lambda self, data: (setattr(inn, "work", inn.work + cost), first(self, data))[1],
-        )
-        words = TlsIdentity(inn.team.person("anna", Right.STOP)).channel(calls=True).data_to_send()
-        links = []
-        for _ in range(60):
-            link = TlsLink(MAX_BLOCK, 1 << 20, lambda _: Recorder(), inn.reception, inn.tls, calls=False)
-            wire = Wire(socket.AF_INET)
-            link.connection_made(wire)
-            before = inn.work
-            link.data_received(words)
-            assert inn.work - before <= cost
-            links.append((link, wire))
-        answered = [wire for _, wire in links if wire.said]
-        assert 1 <= len(answered) <= 2
-        assert not links[-1][1].reads
-        began, before = inn.loop.time(), inn.work
-        while not all(wire.said for _, wire in links):
-            turn = inn.work
-            await asyncio.sleep(1e-3)
-            assert inn.work - turn <= 2 * cost
-        assert inn.work - before <= HANDSHAKES * (inn.loop.time() - began) + 2 * cost
-        assert links[-1][1].reads
-        for link, wire in links:
-            link.connection_lost(None)
-            wire.free()
-
-    run_tls(story)
+    first = TlsChannel._continue_handshake
+    cost = 5e-3
+    monkeypatch.setattr(
+        TlsChannel,
+        "_continue_handshake",
+        lambda self, data: (setattr(inn, "work", inn.work + cost), first(self, data))[1],
+    )
+    words = TlsIdentity(inn.team.person("anna", Right.STOP)).channel(calls=True).data_to_send()
+    links = []
+    for _ in range(60):
+        link = TlsLink(MAX_BLOCK, 1 << 20, lambda _: Recorder(), inn.reception, inn.tls, calls=False)
+        wire = Wire(socket.AF_INET)
+        link.connection_made(wire)
+        before = inn.work
+        link.data_received(words)
+        assert inn.work - before <= cost
+        links.append((link, wire))
+    answered = [wire for _, wire in links if wire.said]
+    assert 1 <= len(answered) <= 2
+    assert not links[-1][1].reads
+    began, before = inn.loop.time(), inn.work
+    while not all(wire.said for _, wire in links):
+        turn = inn.work
+        await asyncio.sleep(1e-3)
+        assert inn.work - turn <= 2 * cost
+    assert inn.work - before <= HANDSHAKES * (inn.loop.time() - began) + 2 * cost
+    assert links[-1][1].reads
+    for link, wire in links:
+        link.connection_lost(None)
+        wire.free()
 
 
 @pytest.mark.parametrize("role", ["host", "observer"])
-def test_a_host_does_not_wait_behind_observers_unless_it_observes(role: Role):
+@scenario(run_tls)
+async def test_a_host_does_not_wait_behind_observers_unless_it_observes(inn, /, role: Role):
     """Also a host that reconnects, with all messages after its Hello."""
-
-    async def story(inn):
-        for _ in range(60):
-            inn.caller("anna").say(encode(HELLO) + FLOOD)
-        bravo, block = inn.caller("bravo", host=True), b"block"
-        bravo.say(encode(Hello(role, "bravo", 7)) + encode(Ping(1)) * 100)
-        assert bravo.heard == (101 if role == "host" else 1)
-        if role == "host":
-            bravo.say(encode_transfer(transfer(len(block)), block) + block + encode(Ping(2)) * 100)
-            assert bravo.heard == 202
-
-    run_tls(story)
+    for _ in range(60):
+        inn.caller("anna").say(encode(HELLO) + FLOOD)
+    bravo, block = inn.caller("bravo", host=True), b"block"
+    bravo.say(encode(Hello(role, "bravo", 7)) + encode(Ping(1)) * 100)
+    assert bravo.heard == (101 if role == "host" else 1)
+    if role == "host":
+        bravo.say(encode_transfer(transfer(len(block)), block) + block + encode(Ping(2)) * 100)
+        assert bravo.heard == 202

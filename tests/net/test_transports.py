@@ -1,4 +1,4 @@
-"""All transports with the conformance kit, and the particular properties of each."""
+"""TCP, TLS and Unix sockets with the conformance kit, and the particular properties of each."""
 
 import asyncio
 import errno
@@ -12,97 +12,20 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
-from memory_network import MemoryNetwork
+from loop_bench import PATIENCE, TcpBench
 
 from lfield.authority.identity import ALL_RIGHTS
-from lfield.clock import ManualClock
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.net.health.tcp_options import MAX_NOT_SENT
 from lfield.net.peer_credentials import caller_identity, listener_identity
 from lfield.net.scheduling.send_queue import HIGH_WATER
 from lfield.net.stream_link import MAX_OBSERVER_PENDING
-from lfield.net.tcp_transport import TcpTransport, describe
+from lfield.net.tcp_transport import describe
 from lfield.net.tls import TlsIdentity
 from lfield.net.transport import join_address, split_address
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
 from lfield.wire.codec import encode
 from lfield.wire.messages import Hello, Ping
-
-PATIENCE = 60.0
-
-
-class TcpBench:
-    """TCP on loopback in its own event loop; it closes what the tests leave open."""
-
-    address = "127.0.0.1:0"
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
-        self.loop = loop
-        self.tcp = TcpTransport(MAX_BLOCK, **options)
-        self.transport = self
-        self.links, self.listeners = [], []
-
-    async def listen(self, address: str, on_link):
-        def tracked(link):
-            self.links.append(link)
-            return on_link(link)
-
-        self.listeners.append(await self.tcp.listen(address, tracked))
-        return self.listeners[-1]
-
-    async def connect(self, address: str, handler, host=""):
-        self.links.append(await self.tcp.connect(address, handler))
-        return self.links[-1]
-
-    def wait(self, work):
-        return self.loop.run_until_complete(work)
-
-    def until(self, done) -> None:
-        async def poll() -> None:
-            async with asyncio.timeout(PATIENCE):
-                while not done():
-                    await asyncio.sleep(0)
-
-        self.wait(poll())
-
-    def write(self, link, data: bytes) -> None:
-        link.write(data)
-
-    def close(self) -> None:
-        for opened in self.listeners + self.links:
-            opened.close()
-        self.until(lambda: all(len(link.handler.ends) == 1 for link in self.links))
-        self.loop.close()
-
-
-class MemoryBench:
-    """The in-memory network; it works only when it is run."""
-
-    address = "a:0"
-
-    def __init__(self) -> None:
-        self.network = MemoryNetwork(ManualClock(), max_block=MAX_BLOCK)
-        self.transport = self.network.transport("a")
-
-    def wait(self, work):
-        try:
-            work.send(None)
-        except StopIteration as done:
-            return done.value
-        raise AssertionError("a coroutine of the in-memory transport suspended")
-
-    def until(self, done) -> None:
-        self.network.run()
-        assert done()
-
-    def write(self, link, data: bytes) -> None:
-        link.write(data)
-
-
-class TestMemory(TransportKit):
-    @pytest.fixture
-    def bench(self):
-        return MemoryBench()
 
 
 def new_loop(kind: str) -> asyncio.AbstractEventLoop:
@@ -456,46 +379,6 @@ def test_the_kernel_queues_few_unsent_bytes(tls):
         sock = link._transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT) == MAX_NOT_SENT == 4096
         assert link._transport.get_write_buffer_limits()[1] == HIGH_WATER
-
-
-# The in-memory network only
-
-
-@pytest.fixture
-def memory():
-    return MemoryBench()
-
-
-def test_a_message_arrives_after_the_latency_in_order(memory):
-    clock = memory.network._clock
-    pair = Pair(memory)
-    memory.network.latency = 0.5
-    pair.link.send(Ping(1))
-    memory.network.latency = 0.1
-    pair.link.send(Ping(2))
-    assert memory.network.next_due() == clock.monotonic() + 0.5
-    clock.advance(0.4)
-    assert memory.network.run() == 0
-    clock.advance(0.1)
-    memory.until(lambda: pair.far.messages == [Ping(1), Ping(2)])
-    assert memory.network.next_due() is None
-
-
-def test_a_partition_loses_messages_in_flight_and_prevents_links(memory):
-    pair = Pair(memory)
-    other = memory.network.transport("b")
-    near = Recorder()
-    link = memory.wait(other.connect(pair.listener.address, near))
-    link.send(Ping(1))
-    memory.network.partition("a", "b")
-    memory.until(lambda: len(near.ends) == len(pair.accepted[1].ends) == 1)
-    assert "the connection was lost" in str(near.ends[0])
-    assert pair.accepted[1].messages == []
-    assert pair.near.ends == []
-    with pytest.raises(AddressError, match="no program listens"):
-        memory.wait(other.connect(pair.listener.address, Recorder()))
-    memory.network.heal("a", "b")
-    memory.wait(other.connect(pair.listener.address, Recorder()))
 
 
 # Addresses

@@ -273,8 +273,10 @@ def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
     return RunRecord(bundle, boot, pid, 7 * pid, open_run=bundle)
 
 
-async def running(robot: Robot) -> None:
-    """Starts the service of a robot and its mission."""
+async def running(robot: Robot | None = None) -> Robot:
+    """A robot whose service and mission have been started."""
+    robot = robot or Robot()
     robot.boot_service()
     await robot.start()
     assert robot.runner.is_running
+    return robot

@@ -54,6 +54,12 @@ class Folder:
 
 
 @pytest.fixture
+def runner():
+    """Processes need real time."""
+    return lambda test: asyncio.run(test())
+
+
+@pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
     program = tmp_path / "python"
     program.write_text(PROGRAM)
@@ -67,68 +73,56 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
                 os.kill(process.pid, signal.SIGKILL)
 
 
-def test_process_is_found_by_host_and_bundle_until_killed(folder: Folder) -> None:
-    async def story() -> None:
-        process = folder.start(OLD)
-        assert folder.processes.is_alive(process)
-        assert not folder.processes.is_alive(ProcessId(process.pid, process.started + 1))
-        later = folder.next_service()
-        assert later.find() == HostProcess(OLD, process)
-        result = folder.path / "host.result"
-        assert LocalProcesses("bravo", folder.bundle, [], result).find() is None
-        assert LocalProcesses("alpha", lambda digest: Path("x", digest.hex()), [], result).find() is None
-        os.kill(process.pid, signal.SIGKILL)
-        assert await folder.processes.ended(process) == HostEnd(-signal.SIGKILL)
-        assert later.find() is None
-        assert not later.is_alive(process)
-
-    asyncio.run(story())
+async def test_process_is_found_by_host_and_bundle_until_killed(folder: Folder) -> None:
+    process = folder.start(OLD)
+    assert folder.processes.is_alive(process)
+    assert not folder.processes.is_alive(ProcessId(process.pid, process.started + 1))
+    later = folder.next_service()
+    assert later.find() == HostProcess(OLD, process)
+    result = folder.path / "host.result"
+    assert LocalProcesses("bravo", folder.bundle, [], result).find() is None
+    assert LocalProcesses("alpha", lambda digest: Path("x", digest.hex()), [], result).find() is None
+    os.kill(process.pid, signal.SIGKILL)
+    assert await folder.processes.ended(process) == HostEnd(-signal.SIGKILL)
+    assert later.find() is None
+    assert not later.is_alive(process)
 
 
-def test_terminate_sends_sigterm(folder: Folder) -> None:
-    async def story() -> None:
-        process = folder.start(OLD)
-        folder.next_service().terminate(process)
-        assert (await folder.processes.ended(process)).status == -signal.SIGTERM
-        folder.processes.terminate(process)
-
-    asyncio.run(story())
+async def test_terminate_sends_sigterm(folder: Folder) -> None:
+    process = folder.start(OLD)
+    folder.next_service().terminate(process)
+    assert (await folder.processes.ended(process)).status == -signal.SIGTERM
+    folder.processes.terminate(process)
 
 
-def test_next_service_reads_the_result_of_a_process(folder: Folder) -> None:
-    async def story() -> None:
-        folder.bundle(OLD).write_bytes(b'{"status":3,"reason":"its arm moves"}')
-        process = folder.start(OLD)
-        assert await folder.processes.ended(process) == HostEnd(3, "its arm moves")
-        assert await folder.next_service().ended(process) == HostEnd(3, "its arm moves")
-        # A killed process leaves no result, and the earlier result does not count.
-        folder.bundle(OLD).unlink()
-        process = folder.start(OLD)
-        later = folder.next_service()
-        waiting = asyncio.create_task(later.ended(process))
-        await asyncio.sleep(0)
-        os.kill(process.pid, signal.SIGKILL)
-        assert await waiting == HostEnd(-signal.SIGKILL)
-        await folder.processes.ended(process)
-
-    asyncio.run(story())
+async def test_next_service_reads_the_result_of_a_process(folder: Folder) -> None:
+    folder.bundle(OLD).write_bytes(b'{"status":3,"reason":"its arm moves"}')
+    process = folder.start(OLD)
+    assert await folder.processes.ended(process) == HostEnd(3, "its arm moves")
+    assert await folder.next_service().ended(process) == HostEnd(3, "its arm moves")
+    # A killed process leaves no result, and the earlier result does not count.
+    folder.bundle(OLD).unlink()
+    process = folder.start(OLD)
+    later = folder.next_service()
+    waiting = asyncio.create_task(later.ended(process))
+    await asyncio.sleep(0)
+    os.kill(process.pid, signal.SIGKILL)
+    assert await waiting == HostEnd(-signal.SIGKILL)
+    await folder.processes.ended(process)
 
 
-def test_result_is_read_also_from_a_deleted_file(folder: Folder) -> None:
-    async def story() -> None:
-        process = folder.start(OLD)
-        later = folder.next_service()
-        (folder.path / "host.result").unlink()
-        assert later.find() == HostProcess(OLD, process)
-        descriptor = _result_descriptor(process.pid)
-        descriptor.write_bytes(b'{"status":130,"reason":"stopped"}')
-        waiting = asyncio.create_task(later.ended(process))
-        await asyncio.sleep(0)
-        os.kill(process.pid, signal.SIGKILL)
-        assert await waiting == HostEnd(130, "stopped")
-        await folder.processes.ended(process)
-
-    asyncio.run(story())
+async def test_result_is_read_also_from_a_deleted_file(folder: Folder) -> None:
+    process = folder.start(OLD)
+    later = folder.next_service()
+    (folder.path / "host.result").unlink()
+    assert later.find() == HostProcess(OLD, process)
+    descriptor = _result_descriptor(process.pid)
+    descriptor.write_bytes(b'{"status":130,"reason":"stopped"}')
+    waiting = asyncio.create_task(later.ended(process))
+    await asyncio.sleep(0)
+    os.kill(process.pid, signal.SIGKILL)
+    assert await waiting == HostEnd(130, "stopped")
+    await folder.processes.ended(process)
 
 
 def _result_descriptor(pid: int) -> Path:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
+from coroutine_tests import scenario
 from service_fakes import OLD, WALKER, Robot, unreachable
 
 from lfield import __version__, exit_status
@@ -112,32 +113,27 @@ def test_host_without_a_restart_asks_no_other_service() -> None:
     run_with(story, bravo)
 
 
-def test_host_is_not_stopped_before_it_is_up() -> None:
+@scenario(run_with, Bravo(DONE))
+async def test_host_is_not_stopped_before_it_is_up(robot: Robot, /) -> None:
     """Earlier it would not bring its devices to rest."""
-
-    async def story(robot: Robot) -> None:
-        robot.probe.is_starting = True
-        robot.processes.end(KILLED)
-        await asyncio.sleep(SOON)
-        assert robot.processes.terminated == []
-        robot.probe.is_starting = False
-        await asyncio.sleep(SOON)
-        assert robot.processes.terminated == [102]
-
-    run_with(story, Bravo(DONE))
+    robot.probe.is_starting = True
+    robot.processes.end(KILLED)
+    await asyncio.sleep(SOON)
+    assert robot.processes.terminated == []
+    robot.probe.is_starting = False
+    await asyncio.sleep(SOON)
+    assert robot.processes.terminated == [102]
 
 
-def test_order_is_known_after_a_service_restart() -> None:
-    async def story(robot: Robot) -> None:
-        robot.kill_service()
-        robot.boot_service()
-        assert robot.runner.record.order == ORDER
-        task = asyncio.create_task(robot.service.resolve(Bravo(DONE).ask))
-        await asyncio.sleep(SOON)
-        assert robot.processes.terminated == [101]
-        task.cancel()
-
-    run_with(story, Bravo(RunInfo()))
+@scenario(run_with, Bravo(RunInfo()))
+async def test_order_is_known_after_a_service_restart(robot: Robot, /) -> None:
+    robot.kill_service()
+    robot.boot_service()
+    assert robot.runner.record.order == ORDER
+    task = asyncio.create_task(robot.service.resolve(Bravo(DONE).ask))
+    await asyncio.sleep(SOON)
+    assert robot.processes.terminated == [101]
+    task.cancel()
 
 
 def test_queries_to_other_services_become_less_frequent() -> None:

@@ -40,10 +40,15 @@ class Computer:
         self.disk = self.runner.record
 
 
-@pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
-async def test_host_is_restarted_after_a_crash(status: int) -> None:
+async def started_computer() -> Computer:
     computer = Computer()
     await computer.runner.start(OLD)
+    return computer
+
+
+@pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
+async def test_host_is_restarted_after_a_crash(status: int) -> None:
+    computer = await started_computer()
     computer.processes.end(status)
     await asyncio.sleep(0.5 * RESTART_DELAY)
     assert computer.runner.info.phase == "waiting"
@@ -69,8 +74,7 @@ async def test_host_is_restarted_after_a_crash(status: int) -> None:
     ],
 )
 async def test_regular_end_is_not_restarted(status: int) -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.processes.end(status, "why")
     await asyncio.sleep(SOON)
     assert computer.processes.started == [OLD]
@@ -81,8 +85,7 @@ async def test_regular_end_is_not_restarted(status: int) -> None:
 
 
 async def test_host_is_restarted_at_most_five_times_in_ten_minutes() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     for _ in range(MAX_RESTARTS + 1):
         computer.processes.end(-11)
         await asyncio.sleep(SOON)
@@ -98,8 +101,7 @@ async def test_host_is_restarted_at_most_five_times_in_ten_minutes() -> None:
 
 
 async def test_rare_crashes_are_always_followed_by_a_restart() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     for _ in range(3 * MAX_RESTARTS):
         await asyncio.sleep(PERIOD / MAX_RESTARTS)
         computer.processes.end(-11)
@@ -132,8 +134,7 @@ def test_restart_policy_by_status_and_earlier_restarts(
 
 
 async def test_next_service_adopts_a_running_host() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.runner.detach()
     computer.boot()
     computer.runner.adopt()
@@ -146,8 +147,7 @@ async def test_next_service_adopts_a_running_host() -> None:
 
 @pytest.mark.parametrize(("status", "starts"), [(-9, 2), (exit_status.DONE, 1), (exit_status.UNSAFE, 1)])
 async def test_host_that_ended_without_a_service_is_judged_by_its_result(status: int, starts: int) -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.runner.detach()
     computer.processes.end(status)
     computer.boot()
@@ -160,8 +160,7 @@ async def test_host_that_ended_without_a_service_is_judged_by_its_result(status:
 
 async def test_host_without_a_stored_process_id_is_found() -> None:
     """The service ended, or its disk was full, between the start of the process and the record of it."""
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.runner.detach()
     computer.disk = run_of(OLD)
     computer.boot()
@@ -183,8 +182,7 @@ async def test_host_without_a_stored_process_id_is_found() -> None:
     ids=["deleted", "of a backup", "of an earlier boot"],
 )
 async def test_unrecorded_host_is_adopted_and_no_second_one_starts(record: RunRecord) -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.runner.detach()
     computer.disk = record
     computer.boot()
@@ -199,8 +197,7 @@ async def test_unrecorded_host_is_adopted_and_no_second_one_starts(record: RunRe
 
 
 async def test_reboot_interrupts_the_mission() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.runner.detach()
     computer.processes.boot = "second boot"
     # Another process now has the same id.
@@ -216,8 +213,7 @@ async def test_reboot_interrupts_the_mission() -> None:
 
 
 async def test_stop_ends_the_host_and_is_stored() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     await computer.runner.start(OLD)
     assert computer.processes.started == [OLD]
     await computer.runner.stop("stopped by anna")
@@ -233,8 +229,7 @@ async def test_stop_ends_the_host_and_is_stored() -> None:
 
 @pytest.mark.parametrize("status", [-11, exit_status.UNAVAILABLE])
 async def test_stop_cancels_a_pending_restart(status: int) -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.processes.end(status)
     await asyncio.sleep(0.5 * RESTART_DELAY)
     await computer.runner.stop("stopped by anna")
@@ -247,8 +242,7 @@ async def test_stop_cancels_a_pending_restart(status: int) -> None:
 
 
 async def test_checked_stop_clears_the_unsafe_state() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.processes.end(exit_status.UNSAFE)
     await asyncio.sleep(SOON)
     computer.boot()
@@ -288,8 +282,7 @@ async def test_host_stopped_before_opening_devices_is_safe() -> None:
 
 
 async def test_refusal_ends_restarts() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.refusal = "a ballot is open"
     computer.processes.end(-11)
     await asyncio.sleep(SOON)
@@ -319,8 +312,7 @@ async def test_host_does_not_start_before_its_record_is_stored() -> None:
 
 
 async def test_full_disk_interrupts_restarts_and_the_service_continues() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.is_full = True
     computer.processes.end(-11)
     await asyncio.sleep(SOON)
@@ -332,8 +324,7 @@ async def test_full_disk_interrupts_restarts_and_the_service_continues() -> None
 
 
 async def test_stop_with_a_full_disk_ends_the_host() -> None:
-    computer = Computer()
-    await computer.runner.start(OLD)
+    computer = await started_computer()
     computer.is_full = True
     await computer.runner.stop("stopped by anna")
     assert computer.runner.info.phase == "stopped"

@@ -38,8 +38,7 @@ from lfield.wire.service_messages import (
 
 
 async def test_service_votes_yes_at_rest_and_holds_its_host() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     answer = await robot.propose()
     assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
     assert robot.files.record.activation.ballot == answer
@@ -53,8 +52,7 @@ async def test_service_votes_yes_at_rest_and_holds_its_host() -> None:
     "why", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
 )
 async def test_service_votes_no_with_a_reason(why: str) -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     proposal = ballot()
     match why:
         case "flying":
@@ -84,8 +82,7 @@ async def test_service_votes_no_with_a_reason(why: str) -> None:
 
 
 async def test_takeoff_during_the_hold_leads_to_a_no_vote() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
 
     def take_off() -> None:
         robot.probe.motion = "drone is off the ground"
@@ -98,8 +95,7 @@ async def test_takeoff_during_the_hold_leads_to_a_no_vote() -> None:
 
 
 async def test_host_that_cannot_be_held_votes_no_and_is_released() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.probe.hold_trouble = robot.probe.release_trouble = "no answer"
     task = asyncio.create_task(robot.service.resolve(unreachable))
     assert (await robot.propose()).votes == {"alpha": "no"}
@@ -121,8 +117,7 @@ async def test_service_outside_the_ballot_is_not_bound() -> None:
 
 
 async def test_closing_query_during_the_hold_leads_to_a_no_vote() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     asking = asyncio.create_task(robot.propose())
     await asyncio.sleep(0.25)
     closed = await robot.query(ballot().id, closes=True)
@@ -134,8 +129,7 @@ async def test_closing_query_during_the_hold_leads_to_a_no_vote() -> None:
 
 
 async def test_two_concurrent_proposals_get_one_yes_vote() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
     assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
     assert answers[1].reasons["alpha"]
@@ -143,8 +137,7 @@ async def test_two_concurrent_proposals_get_one_yes_vote() -> None:
 
 
 async def test_activating_the_active_bundle_changes_nothing() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.probe.motion = "drone is off the ground"
     await robot.propose(ballot(digest=OLD))
     await robot.service.answer(VoteReport(ballot().id, YES), "anna")
@@ -175,8 +168,7 @@ def _without_bravo(number: int = 1) -> Ballot:
 @pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
 async def test_coordinator_of_an_excluded_host_is_unaccounted_for(state: str) -> None:
     """It has never been on this host, so only the deployment shows that it may exist."""
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     if state != "runs":
         await robot.command(MissionCommand("stop"))
     if state == "killed service":
@@ -193,8 +185,7 @@ async def test_coordinator_of_an_excluded_host_is_unaccounted_for(state: str) ->
 
 @pytest.mark.parametrize("status", [0, 1])
 async def test_ended_run_needs_no_excluded_host(status: int) -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.processes.end(status)
     await asyncio.sleep(SOON)
     assert (await robot.propose(_without_bravo())).outcome == "activated"
@@ -214,8 +205,7 @@ async def test_unstarted_or_accounted_run_needs_no_excluded_host() -> None:
 
 
 async def test_bound_host_neither_starts_nor_restarts() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     robot.processes.end(-11)
     await asyncio.sleep(SOON)
@@ -231,8 +221,7 @@ async def test_bound_host_neither_starts_nor_restarts() -> None:
 
 
 async def test_host_is_resumed_after_an_abort() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     await robot.service.on_votes(ballot().id, {"bravo": "no"})
     assert robot.runner.is_running
@@ -245,8 +234,7 @@ async def test_host_is_resumed_after_an_abort() -> None:
 
 @pytest.mark.parametrize("moment", ["before", "after"])
 async def test_pause_by_a_person_stays_after_an_abort(moment: str) -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.probe.paused = moment == "before"
     await robot.propose()
     assert robot.probe.held == ballot().id
@@ -257,8 +245,7 @@ async def test_pause_by_a_person_stays_after_an_abort(moment: str) -> None:
 
 async def test_host_restarted_during_the_vote_votes_no() -> None:
     """The new process is not held."""
-    robot = Robot()
-    await running(robot)
+    robot = await running()
 
     def restart() -> None:
         robot.processes.end(-11)
@@ -270,8 +257,7 @@ async def test_host_restarted_during_the_vote_votes_no() -> None:
 
 
 async def test_host_that_crashed_while_held_is_not_held_later() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     task = asyncio.create_task(robot.service.resolve(unreachable))
     await robot.propose()
     robot.processes.end(-11)
@@ -285,8 +271,7 @@ async def test_host_that_crashed_while_held_is_not_held_later() -> None:
 
 
 async def test_host_stays_held_until_it_ends_after_an_activation() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     robot.processes.obeys = False
     ending = asyncio.create_task(robot.service.on_votes(ballot().id, {"bravo": "yes"}))
@@ -299,8 +284,7 @@ async def test_host_stays_held_until_it_ends_after_an_activation() -> None:
 
 
 async def test_service_with_deleted_state_releases_a_held_host() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     robot.kill_service()
     robot.files.record = ServiceRecord()
@@ -310,8 +294,7 @@ async def test_service_with_deleted_state_releases_a_held_host() -> None:
 
 
 async def test_activation_ends_the_host_of_another_bundle() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     await robot.service.answer(VoteReport(ballot().id, {"bravo": "yes"}), "anna")
     assert robot.service.activation.active == NEW
@@ -324,8 +307,7 @@ async def test_activation_ends_the_host_of_another_bundle() -> None:
 
 async def test_host_of_the_old_bundle_is_not_restarted() -> None:
     """The service and the host were killed between the record of the result and the end of the host."""
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.kill_service()
     robot.processes.end(-9)
     robot.files.record = ServiceRecord(ActivationState(active=NEW, earlier=(OLD,)), run_of(OLD, 101))
@@ -356,8 +338,7 @@ async def test_start_without_an_unknown_host_is_refused() -> None:
 
 
 async def test_stop_sent_before_a_kill_does_not_confirm_rest() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     voting = asyncio.create_task(robot.propose())
     stopping = asyncio.create_task(robot.command(MissionCommand("stop")))
     await asyncio.sleep(0.05)
@@ -373,8 +354,7 @@ async def test_stop_sent_before_a_kill_does_not_confirm_rest() -> None:
 
 
 async def test_stop_with_discard_ends_parked_coordinators() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.probe.waiting = [WALKER]
     result = await robot.command(MissionCommand("stop"))
     assert (result.run.phase, result.discarded) == ("stopped", [])
@@ -385,8 +365,7 @@ async def test_stop_with_discard_ends_parked_coordinators() -> None:
 
 
 async def test_service_with_deleted_state_keeps_its_host_and_votes_no() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     robot.kill_service()
     robot.files.record = ServiceRecord()
     robot.probe.motion = "its vehicles are unknown"

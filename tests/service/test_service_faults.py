@@ -81,8 +81,7 @@ async def test_bound_host_closes_a_ballot_after_half_a_minute() -> None:
 
 
 async def test_open_ballot_is_logged_periodically() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     await robot.propose()
     task = asyncio.create_task(robot.service.resolve(unreachable))
     await asyncio.sleep(CLOSE_AFTER + 2 * REPORT_EVERY - 10.0)
@@ -112,8 +111,7 @@ async def test_restarted_service_still_asks_the_others() -> None:
 
 
 async def test_full_disk_before_the_vote_changes_nothing() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     before = robot.files.record
     robot.files.is_full = True
     with pytest.raises(OutputFileError):
@@ -135,8 +133,7 @@ async def test_full_disk_before_the_vote_changes_nothing() -> None:
 
 
 async def test_disk_that_fills_during_the_hold_prevents_the_vote() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
 
     def fill() -> None:
         robot.files.is_full = True
@@ -241,8 +238,7 @@ def test_kill_before_or_after_each_save_leaves_a_consistent_state(activates: boo
 
 
 async def test_process_record_survives_reuse_of_the_process_id() -> None:
-    robot = Robot()
-    await running(robot)
+    robot = await running()
     assert not robot.processes.is_alive(ProcessId(101, 1))
     robot.kill_service()
     robot.files.record = ServiceRecord(ActivationState(active=OLD), run_of(OLD, 101))

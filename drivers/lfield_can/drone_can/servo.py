@@ -11,7 +11,7 @@ from lfield.driver import DeviceError
 from lfield_can import log_messages
 from lfield_can.drone_can.messages import ACTUATOR_COMMAND, ACTUATOR_STATUS, POSITION, Values, encode
 from lfield_can.drone_can.node_device import DroneCanDevice
-from lfield_can.timing import PeriodicTask
+from lfield_can.timing import MoveProgress, PeriodicTask
 
 #: Keys from here on are actuators, not frames.
 ACTUATOR = 1 << 33
@@ -110,18 +110,14 @@ class DroneCanServo(DroneCanDevice):
         """Done at rest at its goal."""
         self._check("moveTo", position)
         self._command(position, math.inf)
-        best, best_at = math.inf, self.clock.monotonic()
+        progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
         while not self._is_there(position):
             if self.silence > self.patience:
                 self._hold()  # raises DeviceError
             left = abs(position - self.values.get("position", math.inf))
-            if left < best - MIN_PROGRESS:
-                best, best_at = left, self.clock.monotonic()
-            if self.clock.monotonic() - best_at > STUCK_TIME:
+            if failure := progress.failure(left):
                 self._hold()  # Without it the motion continues when the obstacle is gone.
-                raise self.error(
-                    f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
-                )
+                raise self.error(failure)
             await self.changes.wait_change(0.1)
 
     async def do_halt(self) -> None:

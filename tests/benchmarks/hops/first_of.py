@@ -8,15 +8,7 @@ and takes next to no time itself.
 
 from __future__ import annotations
 
-from harness.checkout import Checkout
-from harness.figure import Figure, Opener
-from harness.number_text import COUNT
-from harness.paced import Round
-from harness.processes import Processes
-from harness.samples import Contender
-from hops.memory_team import carry_out
-
-SIZES = (2, 4, 8, 16)
+from hops.memory_team import figure_of
 
 _PROGRAM = """
 resource Searcher {
@@ -56,33 +48,15 @@ WAYS = {
 }
 
 
-def searched(way: str) -> Opener:
-    """How many hops it takes in one way, and how many seconds."""
-
-    def opener(checkout: Checkout, processes: Processes) -> Contender:
-        return lambda: _round(processes, WAYS[way])
-
-    return opener
+def agents(count: int) -> list[str]:
+    """The resources on a host each, and the coordinator on the last one."""
+    return [*(f"//Searcher:s{i}@h{i}" for i in range(count)), f"//Team:team@h{count - 1}"]
 
 
-def _round(processes: Processes, work: str) -> Round:
-    """The hops and the seconds for every number of resources."""
-    found: Round = {}
-    for count in SIZES:
-        agents = [f"//Searcher:s{i}@h{i}" for i in range(count)]
-        team = f"//Team:team@h{count - 1}"
-        sent, written = carry_out(processes.folder(), _PROGRAM.replace("WORK", work), [*agents, team])
-        found[f"N = {count}: hops"] = [sent["Transfer"]]
-        found[f"N = {count}: seconds"] = [float(written[-1])]
-    return found
-
-
-FIGURE = Figure(
+FIGURE = figure_of(
     "one of N resources on N hosts finds it in 0.1 s, the others need 0.5 s: hops, and how long it takes",
-    {way: searched(way) for way in WAYS},
-    base=("one after another",),
-    rounds=3,
-    units={f"N = {count}: hops": COUNT for count in SIZES},
-    sizes={f"N = {count}": count for count in SIZES},
-    targets={"first of": "at most 3N hops"},
+    _PROGRAM,
+    WAYS,
+    agents,
+    {"first of": "at most 3N hops"},
 )

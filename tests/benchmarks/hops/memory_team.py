@@ -1,12 +1,21 @@
-"""A mission on the in-memory network, all hosts in one process: it counts what is sent."""
+"""A mission on the in-memory network, all hosts in one process: it counts what is sent.
+
+`figure_of` compares ways to work with N resources, each on a host of its own.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import io
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.number_text import COUNT
+from harness.paced import Round
+from harness.processes import Processes
 from memory_network import MemoryNetwork
 
 from lfield.clock import SystemClock
@@ -17,8 +26,47 @@ from lfield.host.process.mission_completion import wait_until_done
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 
+#: The numbers of resources.
+SIZES = (2, 4, 8, 16)
 #: Seconds without a link after which a host counts as gone; none goes here.
 _LOST_AFTER = 30.0
+
+
+def figure_of(
+    title: str,
+    program: str,
+    ways: Mapping[str, str],
+    agents: Callable[[int], list[str]],
+    targets: Mapping[str, str],
+) -> Figure:
+    """Hops and seconds of each way, which replaces WORK in the program, with `agents` for each size.
+
+    The last line that the program writes has the seconds.
+    """
+
+    def opener(work: str) -> Opener:
+        def ready(checkout: Checkout, processes: Processes) -> Callable[[], Round]:
+            return lambda: one_round(processes, work)
+
+        return ready
+
+    def one_round(processes: Processes, work: str) -> Round:
+        found: Round = {}
+        for count in SIZES:
+            sent, written = carry_out(processes.folder(), program.replace("WORK", work), agents(count))
+            found[f"N = {count}: hops"] = [sent["Transfer"]]
+            found[f"N = {count}: seconds"] = [float(written[-1])]
+        return found
+
+    return Figure(
+        title,
+        {way: opener(work) for way, work in ways.items()},
+        base=("one after another",),
+        rounds=3,
+        units={f"N = {count}: hops": COUNT for count in SIZES},
+        sizes={f"N = {count}": count for count in SIZES},
+        targets=targets,
+    )
 
 
 def carry_out(folder: Path, program: str, agents: list[str]) -> tuple[Counter[str], list[str]]:

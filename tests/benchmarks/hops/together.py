@@ -7,15 +7,7 @@ long as one. The in-memory network counts the hops and takes next to no time its
 
 from __future__ import annotations
 
-from harness.checkout import Checkout
-from harness.figure import Figure, Opener
-from harness.number_text import COUNT
-from harness.paced import Round
-from harness.processes import Processes
-from harness.samples import Contender
-from hops.memory_team import carry_out
-
-SIZES = (2, 4, 8, 16)
+from hops.memory_team import figure_of
 
 _PROGRAM = """
 resource Worker {
@@ -47,35 +39,16 @@ _LOOP = "for (int i = 0; i < workers.length(); i += 1) squares[i] = workers[i].w
 WAYS = {"one after another": _LOOP, "together": f"together {{ {_LOOP} }}"}
 
 
-def worked(way: str) -> Opener:
-    """How many hops it takes in one way, and how many seconds."""
-
-    def opener(checkout: Checkout, processes: Processes) -> Contender:
-        return lambda: _round(processes, WAYS[way])
-
-    return opener
+def agents(count: int) -> list[str]:
+    """The resources on a host each, and the coordinator on the last one, with the sum of the squares."""
+    squares = sum(i * i for i in range(count))
+    return [*(f"//Worker:w{i}@h{i}" for i in range(count)), f"//Team:team@h{count - 1}?{squares}"]
 
 
-def _round(processes: Processes, work: str) -> Round:
-    """The hops and the seconds for every number of resources."""
-    found: Round = {}
-    for count in SIZES:
-        agents = [f"//Worker:w{i}@h{i}" for i in range(count)]
-        squares = sum(i * i for i in range(count))
-        team = f"//Team:team@h{count - 1}?{squares}"
-        program = _PROGRAM.replace("WORK", work)
-        sent, written = carry_out(processes.folder(), program, [*agents, team])
-        found[f"N = {count}: hops"] = [sent["Transfer"]]
-        found[f"N = {count}: seconds"] = [float(written[-1])]
-    return found
-
-
-FIGURE = Figure(
+FIGURE = figure_of(
     "N resources on N hosts work for 0.1 s each: hops, counted, and how long it takes",
-    {way: worked(way) for way in WAYS},
-    base=("one after another",),
-    rounds=3,
-    units={f"N = {count}: hops": COUNT for count in SIZES},
-    sizes={f"N = {count}": count for count in SIZES},
-    targets={"together": "at most 2N hops"},
+    _PROGRAM,
+    WAYS,
+    agents,
+    {"together": "at most 2N hops"},
 )

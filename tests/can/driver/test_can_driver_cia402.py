@@ -344,18 +344,14 @@ async def test_node_of_another_device_type_is_refused(b, axis, /):
         await axis.open()
 
 
-def test_absent_cia402_node_is_an_error_within_its_time(rig):
-    b = rig(options={"connect": 0.5})
+@on_bench("rig", options={"connect": 0.5}, opened=False)
+async def test_absent_cia402_node_is_an_error_within_its_time(b, axis, /):
     b.drive.silent = True
-
-    async def mission(axis):
-        start = b.driver.clock.monotonic()
-        with pytest.raises(DeviceError, match=r"no message from node 5 .* within 0.5 s") as error:
-            await axis.open()
-        assert error.value.kind == "DeviceTimeoutException"
-        assert b.driver.clock.monotonic() - start < 1.5
-
-    b.run(mission, opened=False)
+    start = b.driver.clock.monotonic()
+    with pytest.raises(DeviceError, match=r"no message from node 5 .* within 0.5 s") as error:
+        await axis.open()
+    assert error.value.kind == "DeviceTimeoutException"
+    assert b.driver.clock.monotonic() - start < 1.5
 
 
 @on_bench("rig", opened=False)

@@ -286,8 +286,8 @@ async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axi
     def is_unanswered_probe(frame):
         return frame.id == 0x600 + NODE and frame.data[1:3] == b"\x18\x10" and frame.data[3] >= 0x60
 
-    heard = b.wire.on_frame
-    b.bus.device = b.wire.on_frame = lambda frame: None if is_unanswered_probe(frame) else heard(frame)
+    received = b.wire.on_frame
+    b.bus.device = b.wire.on_frame = lambda frame: None if is_unanswered_probe(frame) else received(frame)
     await axis.open()
     before = len(b.bus.sent)
     await asyncio.sleep(5.0)
@@ -295,19 +295,15 @@ async def test_drive_that_ignores_absent_objects_is_probed_at_set_up_only(b, axi
     assert asked == []
 
 
-def test_request_of_another_client_does_not_count_as_a_message(rig):
-    b = rig()
-
-    async def mission(axis):
-        b.wire.drives[0].silent = True
-        for _ in range(100):
-            b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
-            await asyncio.sleep(0.1)
-            if not b.values["online"]:
-                return
-        raise AssertionError("the request counts as a message of the device")
-
-    b.run(mission)
+@on_bench("rig")
+async def test_request_of_another_client_does_not_count_as_a_message(b, axis, /):
+    b.wire.drives[0].silent = True
+    for _ in range(100):
+        b.bus.say(0x600 + NODE, struct.pack("<BHBI", 0x40, 0x6041, 0, 0))
+        await asyncio.sleep(0.1)
+        if not b.values["online"]:
+            return
+    raise AssertionError("the request counts as a message of the device")
 
 
 @given(

@@ -113,20 +113,16 @@ def keep(b, index, value):
 
 
 @pytest.mark.parametrize("state", ["brake", "torque_hold"])
-def test_quick_stop_that_coasts_is_refused_as_brake(drive, state):
+@on_bench("drive", given="safe_state=state", opened=False)
+async def test_quick_stop_that_coasts_is_refused_as_brake(b, axis, /, state):
     """0x605A = 0: the motor coasts. For torque_hold the driver sets it; for brake the owner must."""
-    b = drive(safe_state=state)
     keep(b, 0x605A, 0)
-
-    async def mission(axis):
-        if state == "torque_hold":
-            await axis.open()
-            assert b.drive.node.objects.get(0x605A) == 6
-            return
-        with pytest.raises(DeviceError, match=r"quick stop coasts \(0x605A is 0\).* set it to 2"):
-            await axis.open()
-
-    b.run(mission, opened=False)
+    if state == "torque_hold":
+        await axis.open()
+        assert b.drive.node.objects.get(0x605A) == 6
+        return
+    with pytest.raises(DeviceError, match=r"quick stop coasts \(0x605A is 0\).* set it to 2"):
+        await axis.open()
 
 
 def test_coasting_fault_reaction_is_noted(drive):

@@ -227,15 +227,11 @@ def test_invalid_signal_binding_is_refused(rig, options, words):
         rig(**options).run(mission)
 
 
-def test_absent_dbc_device_is_an_error_within_its_time(rig):
-    b = rig(connect=2.0)
+@on_bench("rig", connect=2.0, opened=False)
+async def test_absent_dbc_device_is_an_error_within_its_time(b, pump, /):
     b.pump.silent = True
-
-    async def mission(pump):
-        with pytest.raises(DeviceError, match="none of the messages of its DBC file was received"):
-            await pump.open()
-
-    b.run(mission, opened=False)
+    with pytest.raises(DeviceError, match="none of the messages of its DBC file was received"):
+        await pump.open()
 
 
 @given(st.sampled_from([512, DETAIL, 257]), st.booleans(), st.binary(max_size=64))
@@ -280,28 +276,20 @@ async def test_short_frame_updates_its_signals_and_the_others_expire(b, pump, /)
     ]
 
 
-def test_device_with_only_short_frames_is_accepted(rig):
-    b = rig()
+@on_bench("rig", opened=False)
+async def test_device_with_only_short_frames_is_accepted(b, pump, /):
     b.pump.silent = True
-
-    async def mission(pump):
-        asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([0, 0]))
-        assert await pump.open() == "DBC device, received Status"
-
-    b.run(mission, opened=False)
+    asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([0, 0]))
+    assert await pump.open() == "DBC device, received Status"
 
 
-def test_absent_device_error_lists_the_received_ids(rig):
-    b = rig(connect=2.0)
+@on_bench("rig", connect=2.0, opened=False)
+async def test_absent_device_error_lists_the_received_ids(b, pump, /):
     b.pump.silent = True
-
-    async def mission(pump):
-        b.bus.say(512, bytes(8), extended=True)
-        b.bus.say(0x123, bytes(8))
-        with pytest.raises(DeviceError, match=r"other ids were received: 0x200 \(29 bits\), 0x123;"):
-            await pump.open()
-
-    b.run(mission, opened=False)
+    b.bus.say(512, bytes(8), extended=True)
+    b.bus.say(0x123, bytes(8))
+    with pytest.raises(DeviceError, match=r"other ids were received: 0x200 \(29 bits\), 0x123;"):
+        await pump.open()
 
 
 def test_warnings_of_the_dbc_file_are_noted_at_opening(rig, tmp_path):

@@ -10,6 +10,8 @@ from lfield_sim.can.canopen.sdo import TYPES
 from lfield_sim.can.device_specs import build, parse
 from lfield_sim.faults import Faults
 
+REACHED, LIMITED, ACKNOWLEDGED, HOMED = 1 << 10, 1 << 11, 1 << 12, 1 << 12
+
 
 class Bench:
     """One client on a bus with devices; `wait` advances the time."""
@@ -98,3 +100,14 @@ class DriveBench(Bench):
     def emergencies(self) -> list[tuple[int, int]]:
         """Error codes with error registers."""
         return [struct.unpack_from("<HB", f.data) for f in self.received if f.identifier == 0x85]
+
+
+def state(bench: DriveBench) -> int:
+    return bench.status & 0x6F
+
+
+def go_to(bench: DriveBench, increments: int, *, extra: int = 0) -> None:
+    bench.write(0x607A, increments)
+    bench.write(0x6040, 0x1F | extra)
+    assert bench.status & ACKNOWLEDGED
+    bench.write(0x6040, 0x0F | extra)

@@ -52,8 +52,7 @@ def bundled(lfield, here):
     """`bundled()` builds and signs the mission of a test's folder, and removes its sources."""
 
     def build() -> None:
-        made = here("build", "mission.dL")
-        assert made.status == 0, made
+        here("build", "mission.dL", status=0)
         lfield.keys.sign(lfield.folder / "mission.lfm")
         for path in lfield.folder.glob("mission.*"):
             if path.suffix != ".lfm":
@@ -77,15 +76,13 @@ def test_hosts_run_from_a_bundle_without_sources(lfield, bundled) -> None:
 def test_all_hosts_of_a_bundle_run_at_once(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     bundled()
-    ran = lfield("up", "mission.lfm", "--all", "--until-done")
-    assert lfield.status(ran) == 0, ran.said
+    ran = lfield("up", "mission.lfm", "--all", "--until-done", status=0)
     assert "bravo | here" in ran.out
 
 
 def test_a_build_reports_its_bundle(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    made = lfield("build", "mission.dL", "-o", "other.lfm")
-    assert lfield.status(made) == 0
+    made = lfield("build", "mission.dL", "-o", "other.lfm", status=0)
     (told,) = made.err
     assert told.startswith("other.lfm: ")
     assert told.endswith("for alpha, bravo")
@@ -108,8 +105,7 @@ def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alo
     team = lfield.start("up", "mission.lfm", "--all", env=alone)
     team.wait_for("bravo listening ")
     for mission in (["mission.lfm"], ["--deploy", deployment]):
-        shown = lfield("ps", *mission, env=alone)
-        assert lfield.status(shown) == 0, shown.said
+        shown = lfield("ps", *mission, env=alone, status=0)
         assert "echo" in "\n".join(shown.out)
         stopped = lfield("estop", *mission, env=alone)
         assert (lfield.status(stopped), stopped.out) == (
@@ -124,17 +120,15 @@ def test_a_query_reads_a_bundle(lfield, here, bundled) -> None:
     lfield.mission(LIFTING, "//Crane:crane@yard\n//Boss:boss@yard\n")
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     bundled()
-    asked = here("query", "Lift where payload >= 20", "mission.lfm", "--files")
-    assert asked.status == 0, asked
-    assert "crane" in "\n".join(asked.out)
+    result = here("query", "Lift where payload >= 20", "mission.lfm", "--files", status=0)
+    assert "crane" in "\n".join(result.out)
 
 
 def test_a_bundle_whose_program_names_no_capability_has_no_registry(lfield, here, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     bundled()
-    asked = here("query", "Lift", "mission.lfm", "--files")
-    assert asked.status == 64
-    assert "the program of mission.lfm names no capability" in asked.err[0]
+    result = here("query", "Lift", "mission.lfm", "--files", status=64)
+    assert "the program of mission.lfm names no capability" in result.err[0]
 
 
 @pytest.mark.few(0)
@@ -144,8 +138,7 @@ def test_a_robot_may_have_other_bindings(lfield, bundled) -> None:
     lfield.write("robot.yaml", ARM_DEVICES.replace("NOBODY", "OTHER"))
     maps = lfield.maps(["here"])
     for options, port in (([], "ttyNOBODY"), (["--devices", "robot.yaml"], "ttyOTHER")):
-        ran = lfield("up", "mission.lfm", "--host", "here", *maps, *options)
-        assert lfield.status(ran) == 69, ran.said
+        ran = lfield("up", "mission.lfm", "--host", "here", *maps, *options, status=69)
         assert port in "\n".join(ran.err)
     simulated = lfield.start("up", "mission.lfm", "--host", "here", *maps, "--sim")
     simulated.wait_for("here listening ")
@@ -153,7 +146,7 @@ def test_a_robot_may_have_other_bindings(lfield, bundled) -> None:
 
 def test_a_deployment_is_listed_and_explained_like_its_bundle(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    assert here("build", "mission.dL").status == 0
+    here("build", "mission.dL", status=0)
     for command in ("disasm", "inspect"):
         of_bundle, of_deployment = here(command, "mission.lfm"), here(command, "mission.dL")
         assert (of_bundle.status, of_deployment.status) == (0, 0)
@@ -163,18 +156,16 @@ def test_a_deployment_is_listed_and_explained_like_its_bundle(lfield, here) -> N
 
 def test_a_program_is_refused_as_mission(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    refused = here("up", "mission.L", "--all")
-    assert refused.status == 64
+    refused = here("up", "mission.L", "--all", status=64)
     assert refused.err == ["lfield: mission.L is a program: name its deployment, mission.dL"]
 
 
 def test_an_unbound_device_is_refused_in_a_build(lfield, here) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n")
-    made = here("build", "mission.dL")
-    assert made.status == 65
+    made = here("build", "mission.dL", status=65)
     assert "arm.boom (Dynamixel) is not bound" in made.err[0]
     assert not (lfield.folder / "mission.lfm").exists()
-    assert here("build", "mission.dL", "--sim").status == 0
+    here("build", "mission.dL", "--sim", status=0)
 
 
 def test_files_of_devices_are_copied_beside_the_bundle(lfield, here) -> None:
@@ -208,11 +199,10 @@ def test_a_driver_different_from_that_of_the_build_is_refused(lfield) -> None:
     )
     subprocess.run([sys.executable, "-c", code], cwd=lfield.folder, check=True, timeout=60)
     lfield.keys.sign(lfield.folder / "mission.lfm")
-    ran = lfield("up", "mission.lfm", "--host", "here", *lfield.maps(["here"]))
-    assert lfield.status(ran) == 69
-    told = "\n".join(ran.err)
-    assert "the installed driver 'dynamixel' is not the one that the mission was built with" in told
-    assert "install lfield 0" in told
+    ran = lfield("up", "mission.lfm", "--host", "here", *lfield.maps(["here"]), status=69)
+    text = "\n".join(ran.err)
+    assert "the installed driver 'dynamixel' is not the one that the mission was built with" in text
+    assert "install lfield 0" in text
 
 
 @pytest.mark.parametrize(
@@ -239,9 +229,8 @@ def test_an_invalid_bundle_or_command_line_is_refused(lfield, here, command, sta
     data = (lfield.folder / "mission.lfm").read_bytes()
     lfield.write("cut.lfm", data[:99])
     lfield.write("newer.lfm", data[:4] + b"\x09" + data[5:])
-    said = here(*command)
-    assert said.status == status, said
-    assert words in "\n".join(said.err)
+    result = here(*command, status=status)
+    assert words in "\n".join(result.err)
 
 
 # : Runs a command and shows the modules of the host's process when it is up.
@@ -277,7 +266,7 @@ NOT_ON_ROBOTS += ("lfield.capability.program_types", "lfield.mission.loader", "r
 def test_neither_a_host_nor_its_guards_load_the_compiler_or_yaml(lfield, example) -> None:
     """Python itself lists every import of every process; fakes are not on a robot, and load as little."""
     deployment = EXAMPLES / example / "mission.dL"
-    assert lfield.status(lfield("build", deployment, "--sim", "-o", "mission.lfm")) == 0
+    lfield("build", deployment, "--sim", "-o", "mission.lfm", status=0)
     lfield.keys.sign(lfield.folder / "mission.lfm")
     host = deployment.read_text().partition("@")[2].split()[0].partition("?")[0].partition(":")[0]
     command = [sys.executable, "-c", SHOWING, "up", "mission.lfm", "--host", host, "--sim"]
@@ -305,7 +294,7 @@ def test_neither_a_host_nor_its_guards_load_the_compiler_or_yaml(lfield, example
 
 def test_a_bundle_and_a_deployment_are_shown_as_json(lfield, here) -> None:
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
-    assert here("build", deployment, "--sim", "-o", "mission.lfm").status == 0
+    here("build", deployment, "--sim", "-o", "mission.lfm", status=0)
     bundle, unbuilt = (
         json.loads("\n".join(here("inspect", file, "--json").out)) for file in ("mission.lfm", deployment)
     )

@@ -38,9 +38,9 @@ def refused(here):
     """`refused(status, words, *command)`: the refusal of a command line."""
 
     def check(status: int, words: str, *command) -> None:
-        said = here(*command)
-        assert words in "\n".join(said.err)
-        assert (said.status, said.out) == (status, []), said.err
+        result = here(*command)
+        assert words in "\n".join(result.err)
+        assert (result.status, result.out) == (status, []), result.err
 
     return check
 
@@ -77,8 +77,7 @@ def test_an_invalid_command_line_is_refused(lfield, refused, good, command, word
 
 
 def test_help_and_version_succeed(lfield):
-    shown = lfield("--help")
-    assert lfield.status(shown) == 0
+    shown = lfield("--help", status=0)
     assert "130  interrupted" in "\n".join(shown.out)
     assert lfield("--version").out[0].startswith("lfield ")
     assert "--until-done" in "\n".join(lfield("up", "--help").out)
@@ -140,8 +139,7 @@ def test_an_invalid_file_is_refused_with_its_status(lfield, refused, good, comma
 )
 def test_a_directory_in_place_of_a_mission_is_refused(here, command, why):
     for name in (".", "/"):
-        done = here(*command.split(), name)
-        assert done.status == 66, done.err
+        done = here(*command.split(), name, status=66)
         assert f"lfield: cannot read {name}: {why}" in "\n".join(done.err)
 
 
@@ -165,7 +163,7 @@ def test_an_empty_argument_is_refused(lfield, refused, good, command, what):
 
 
 def test_an_emergency_stop_needs_no_reason(refused, here):
-    assert here("estop", "--reason", "").status == 69
+    here("estop", "--reason", "", status=69)
 
 
 def test_a_file_that_is_not_a_mission_is_reported_by_its_own_name(refused):
@@ -187,12 +185,11 @@ def test_an_endless_file_is_not_read_to_its_end(lfield, refused, good, command):
 @pytest.mark.few(2)
 @pytest.mark.parametrize(("program", "cut"), [("whole", 0), ("cut", 1), ("cut", 100), ("flipped", 0)])
 def test_a_damaged_program_file_is_refused(lfield, here, refused, good, program, cut):
-    assert here("build", "mission.L").status == 0
+    here("build", "mission.L", status=0)
     path = lfield.folder / "mission.lb"
     data = bytearray(path.read_bytes())
     if program == "whole":
-        shown = here("disasm", path)
-        assert shown.status == 0
+        shown = here("disasm", path, status=0)
         assert any("Ringer" in line for line in shown.out)
         return
     if program == "flipped":
@@ -203,22 +200,20 @@ def test_a_damaged_program_file_is_refused(lfield, here, refused, good, program,
 
 def test_a_deployment_that_does_not_fit_the_program_is_refused(lfield, good):
     lfield.write("mission.dL", "//Bel:bell@alpha\n//Ringer:tom@alpha?bell\n//Ringer:tom@alpha?bell\n")
-    done = lfield("up", "--deploy", good, "--all", "--until-done")
-    assert lfield.status(done) == 65
-    said = "\n".join(done.err)
-    assert "mission.dL:1:3: error[" in said
-    assert "did you mean 'Bell'" in said
-    assert "mission.dL:3:" in said, "all errors in one run"
+    done = lfield("up", "--deploy", good, "--all", "--until-done", status=65)
+    text = "\n".join(done.err)
+    assert "mission.dL:1:3: error[" in text
+    assert "did you mean 'Bell'" in text
+    assert "mission.dL:3:" in text, "all errors in one run"
 
 
 def test_all_mistakes_of_a_devices_file_are_reported_at_once(lfield, here, good):
     lfield.write("mission.devices.yaml", "agents:\n  belle: {heap: 1 MiB}\n  bell: {heap: much, wings: 2}\n")
-    done = here("up", "--deploy", good, "--all", "--until-done")
-    assert done.status == 65
-    said = "\n".join(done.err)
-    assert "mission.devices.yaml:2:3" in said
-    assert "mission.devices.yaml:3:16" in said
-    assert "'wings'" in said
+    done = here("up", "--deploy", good, "--all", "--until-done", status=65)
+    text = "\n".join(done.err)
+    assert "mission.devices.yaml:2:3" in text
+    assert "mission.devices.yaml:3:16" in text
+    assert "'wings'" in text
 
 
 # check, build, disasm
@@ -228,8 +223,7 @@ def test_check_reports_every_error_of_a_file_in_one_run(lfield):
     lfield.write(
         "bad.L", "coordinator C {\n  init(string[] arg) {\n    int a = tru;\n    b = 1;\n    a.f();\n  }\n}\n"
     )
-    done = lfield("check", "bad.L")
-    assert lfield.status(done) == 65
+    done = lfield("check", "bad.L", status=65)
     errors = [line for line in done.err if ": error[L" in line]
     assert [error.split(":")[:2] for error in errors] == [["bad.L", "3"], ["bad.L", "4"], ["bad.L", "5"]]
     assert done.err[-1].startswith("lfield: 3 errors")
@@ -242,8 +236,7 @@ def test_check_prints_nothing_for_valid_files(lfield, good):
 
 
 def test_a_built_program_runs(lfield, good):
-    built = lfield("build", "mission.L", "-o", "elsewhere.lb")
-    assert lfield.status(built) == 0
+    built = lfield("build", "mission.L", "-o", "elsewhere.lb", status=0)
     assert "elsewhere.lb: " in built.err[0]
     (lfield.folder / "mission.L").unlink()
     done = lfield("up", "--deploy", good, "--all", "--until-done", "--program", "elsewhere.lb")
@@ -356,9 +349,14 @@ def test_a_missing_vendor_library_names_the_extra_to_install(lfield):
     lfield.write("shim/pymavlink/__init__.py", "raise ImportError('No module named pymavlink')\n")
     example = Path(__file__).parents[3] / "examples" / "01-first-flight" / "mission.dL"
     done = lfield(
-        "up", "--deploy", example, "--all", "--sim", "--until-done",
+        "up",
+        "--deploy",
+        example,
+        "--all",
+        "--sim",
+        "--until-done",
         env={"PYTHONPATH": str(lfield.folder / "shim")},
-    )  # fmt: skip
-    assert lfield.status(done) == 69, done.said
+        status=69,
+    )
     assert "lfield[mavlink]" in "\n".join(done.err)
     assert lfield.all_ended()

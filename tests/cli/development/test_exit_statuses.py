@@ -224,8 +224,7 @@ def files(lfield):
 @pytest.mark.parametrize(("command", "status"), REACHED)
 def test_a_command_ends_with_its_documented_status(files, here, command: str, status: int) -> None:
     line, words = REACHED[command, status]
-    done = here(*line.split())
-    assert done.status == status, done.err
+    done = here(*line.split(), status=status)
     assert words in "\n".join([*done.err, *done.out])
 
 
@@ -241,7 +240,7 @@ def test_the_registry_of_a_mission_is_read_also_without_capabilities_in_its_prog
 
 
 def test_a_named_registry_is_not_skipped(files, here) -> None:
-    assert here("build", "mission.dL", "--capabilities", "none.yaml").status == 66
+    here("build", "mission.dL", "--capabilities", "none.yaml", status=66)
 
 
 @pytest.mark.few(2)

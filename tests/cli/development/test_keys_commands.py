@@ -35,9 +35,9 @@ def own_settings(lfield, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def team(here, own_settings: Path) -> Path:
     """An authority with keys of two hosts and of anna, who has all rights and runs the test."""
-    assert here("keys", "init").status == 0
-    assert here("keys", "host", "alpha", "bravo").status == 0
-    assert here("keys", "person", "anna", "--may", "operate,command").status == 0
+    here("keys", "init", status=0)
+    here("keys", "host", "alpha", "bravo", status=0)
+    here("keys", "person", "anna", "--may", "operate,command", status=0)
     shutil.copytree(own_settings / "authority" / "people" / "anna", own_settings / "keys" / "me")
     return own_settings / "authority"
 
@@ -58,20 +58,20 @@ def test_created_keys_are_reported_with_their_destination(here, own_settings: Pa
 
 
 def test_one_command_creates_an_authority_and_the_keys_of_its_operator(here, own_settings: Path) -> None:
-    assert here("keys", "init", "--person", "../x").status == 65
+    here("keys", "init", "--person", "../x", status=65)
     assert not own_settings.exists()
-    assert here("keys", "init", "--person", "anna").status == 0
+    here("keys", "init", "--person", "anna", status=0)
     me = own_settings / "keys" / "me"
     found = verify_keys(folders.read_keys(me, "person"))
     assert (found.name, found.may) == ("anna", {Right.OBSERVE, Right.STOP, Right.OPERATE, Right.COMMAND})
     before = (me / "person.key").read_bytes()
-    assert here("keys", "init", "other", "--person", "bob").status == 65
+    here("keys", "init", "other", "--person", "bob", status=65)
     assert not Path("other").exists()
     assert (me / "person.key").read_bytes() == before
 
 
 def test_keys_of_a_team_are_listed_renewed_and_revoked(here, team: Path) -> None:
-    assert here("keys", "renew", "host", "alpha", "--days", "700").status == 0
+    here("keys", "renew", "host", "alpha", "--days", "700", status=0)
     gone = here("keys", "revoke", "host", "bravo")
     assert re.fullmatch(r"host bravo: certificate [0-9a-f]{12} is revoked", gone.out[0])
     assert re.fullmatch(rf"list \d{{10}} is {team}/revoked.crl: copy it .*", gone.out[1])
@@ -86,7 +86,7 @@ def test_keys_of_a_team_are_listed_renewed_and_revoked(here, team: Path) -> None
     keys = folders.read_keys(team / "hosts" / "bravo", "host")
     assert verify_keys(keys).serial in revoked_in(keys.revoked, keys.authority).serials
     serial = listed[1][1]
-    assert here("keys", "revoke", "serial", serial).status == 0
+    here("keys", "revoke", "serial", serial, status=0)
     assert here("keys", "renew", "authority").out[1].strip().startswith("nothing has to be copied")
 
 
@@ -94,11 +94,10 @@ def test_keys_of_a_folder_are_shown_with_their_problems(here, team: Path, own_se
     mine = here("keys", "show")
     assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, valid")
     alpha = team / "hosts" / "alpha"
-    assert here("keys", "show", alpha).status == 0
+    here("keys", "show", alpha, status=0)
     (alpha / "host.key").chmod(0o644)
-    said = here("keys", "show", alpha)
-    assert said.status == 69
-    assert f"run 'chmod 600 {alpha}/host.key'" in said.out[0]
+    result = here("keys", "show", alpha, status=69)
+    assert f"run 'chmod 600 {alpha}/host.key'" in result.out[0]
     here("keys", "revoke", "host", "bravo")
     assert "host bravo, revoked" in here("keys", "show", team / "hosts" / "bravo").out[0]
     here("keys", "person", "bob", "--may", "observe", "--days", "20")
@@ -140,9 +139,8 @@ def test_invalid_command_lines_of_keys_and_sign_are_refused(
 ) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     here("build", "mission.dL")
-    said = here(*line.split())
-    assert said.status == status, said
-    assert words in said.err[0]
+    result = here(*line.split(), status=status)
+    assert words in result.err[0]
 
 
 @pytest.mark.parametrize("words", ["observe, stop", "stop,", " observe ,stop , "])
@@ -152,17 +150,16 @@ def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: 
 
 def test_the_hint_for_a_missing_right_grants_it(here, team: Path) -> None:
     may = frozenset({Right.OBSERVE, Right.COMMAND})
-    assert here("keys", "person", "oli", "--may", "observe,command").status == 0
+    here("keys", "person", "oli", "--may", "observe,command", status=0)
     said = missing_permission(Identity("person", "oli", may), ALLOWED, EmergencyStop(bytes(16), "fog"))
     for line in re.findall("'lfield (.*?)'", said):
-        done = here(*line.split())
-        assert done.status == 0, done.err
+        done = here(*line.split(), status=0)
     assert done.out[0].endswith("may observe,stop,command")
 
 
 def test_an_authority_may_be_in_another_folder(here, lfield, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert here("keys", "init", "stick").status == 0
-    assert here("keys", "host", "alpha", "--authority", "stick").status == 0
+    here("keys", "init", "stick", status=0)
+    here("keys", "host", "alpha", "--authority", "stick", status=0)
     monkeypatch.setenv("LFIELD_AUTHORITY", "stick")
     assert "host alpha" in here("keys", "list").out[1]
 
@@ -171,12 +168,12 @@ def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
     here, lfield, team: Path, own_settings: Path
 ) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    assert here("build", "mission.dL").status == 0
+    here("build", "mission.dL", status=0)
     assert here("inspect", "mission.lfm").out[1] == "signed    no"
     path = lfield.folder / "mission.lfm"
     before = bundle.contents(path.read_bytes())
-    said = here("sign", "mission.lfm")
-    assert said.err == [f"mission.lfm: bundle {before.digest.hex()[:16]}, signed by anna"]
+    result = here("sign", "mission.lfm")
+    assert result.err == [f"mission.lfm: bundle {before.digest.hex()[:16]}, signed by anna"]
     after = bundle.contents(path.read_bytes())
     assert (after.digest, after.parts) == (before.digest, before.parts)
     trusted = folders.read_trusted(team)
@@ -184,7 +181,7 @@ def test_a_bundle_is_signed_in_place_and_keeps_its_digest(
     assert re.fullmatch(r"signed    by anna, 20\S+ \S+ UTC", here("inspect", "mission.lfm").out[1])
     bundle.read(path)
     # A second signature makes no other bundle, and nothing grows.
-    assert here("sign", "mission.lfm").status == 0
+    here("sign", "mission.lfm", status=0)
     assert len(path.read_bytes()) == sum(row.size for row in after.table) + len(after.signature) + (
         path.read_bytes().index(bytes(after.parts["program"]))
     )
@@ -198,8 +195,8 @@ def test_a_person_without_the_command_right_cannot_sign(here, lfield, team: Path
     here("build", "mission.dL")
     here("keys", "person", "bob", "--may", "operate")
     before = (lfield.folder / "mission.lfm").read_bytes()
-    said = here("sign", "mission.lfm", "--keys", team / "people" / "bob")
-    assert (said.status, "bob may not sign bundles" in said.err[0]) == (65, True)
+    result = here("sign", "mission.lfm", "--keys", team / "people" / "bob")
+    assert (result.status, "bob may not sign bundles" in result.err[0]) == (65, True)
     assert (lfield.folder / "mission.lfm").read_bytes() == before
 
 

@@ -13,7 +13,7 @@ from lfield.authority.web_ca.web_keys import read_web_keys
 def authority(here, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("LFIELD_KEYS", "LFIELD_AUTHORITY"):
         monkeypatch.delenv(name, raising=False)
-    assert here("keys", "init", "authority").status == 0
+    here("keys", "init", "authority", status=0)
     monkeypatch.setenv("LFIELD_AUTHORITY", str(Path("authority").absolute()))
     return Path("authority").absolute()
 
@@ -33,7 +33,7 @@ def test_page_keys_are_created_with_a_root_that_is_created_once(here, authority:
         (page / "page.key").stat().st_mode & 0o777,
     } == {0o600}
     # A second call makes a new certificate of the same root.
-    assert here("keys", "page", "192.168.1.20", "--days", "30").status == 0
+    here("keys", "page", "192.168.1.20", "--days", "30", status=0)
     assert (authority / "browsers.crt").read_bytes() == root
     assert read_web_keys(page).certificate != keys.certificate
     assert 29 * 86400 < read_web_keys(page).valid_until - keys.valid_from < 31 * 86400
@@ -50,9 +50,8 @@ def test_keys_of_a_page_are_shown_with_their_problems(here, authority: Path) -> 
     assert ", expire in 8 days, 20" in soon.out[0]
     assert "'lfield keys page 192.168.1.20 ground.local' makes the next" in soon.out[1]
     (page / "page.key").chmod(0o644)
-    said = here("keys", "show", page)
-    assert said.status == 69
-    assert f"run 'chmod 600 {page}/page.key'" in said.out[0]
+    result = here("keys", "show", page, status=69)
+    assert f"run 'chmod 600 {page}/page.key'" in result.out[0]
 
 
 @pytest.mark.parametrize(
@@ -70,9 +69,8 @@ def test_an_invalid_page_is_refused_and_nothing_is_created(
     here, authority: Path, line: str, status: int, words: str
 ) -> None:
     before = sorted(authority.rglob("*"))
-    said = here(*line.split())
-    assert said.status == status, said
-    assert words in said.err[0]
+    result = here(*line.split(), status=status)
+    assert words in result.err[0]
     assert sorted(authority.rglob("*")) == before
 
 

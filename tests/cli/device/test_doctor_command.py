@@ -32,8 +32,7 @@ def deployment(lfield):
 
 
 def test_endpoints_are_reported_with_their_remedy(lfield, deployment):
-    doctor = lfield("doctor", "--deploy", deployment)
-    assert lfield.status(doctor) == 69, doctor.said
+    doctor = lfield("doctor", "--deploy", deployment, status=69)
     (found,) = [line for line in doctor.out if "lead.fc" in line]
     assert found.startswith("ok      lead.fc: ArduPilot copter, system 1 at udp:127.0.0.1:")
     (problem,) = [number for number, line in enumerate(doctor.out) if "wing.fc" in line]
@@ -44,8 +43,7 @@ def test_endpoints_are_reported_with_their_remedy(lfield, deployment):
 
 @pytest.mark.few(0)
 def test_a_host_option_limits_the_report_to_its_devices(lfield, deployment):
-    doctor = lfield("doctor", "--deploy", deployment, "--host", "alpha")
-    assert lfield.status(doctor) == 0, doctor.said
+    doctor = lfield("doctor", "--deploy", deployment, "--host", "alpha", status=0)
     assert any("ok      lead.fc" in line for line in doctor.out)
     assert not any("wing.fc" in line for line in doctor.out)
     unknown = lfield("doctor", "--deploy", deployment, "--host", "zulu")

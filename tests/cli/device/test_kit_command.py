@@ -33,8 +33,7 @@ def bus(lfield):
     ],
 )
 def test_an_invalid_command_line_is_refused_with_a_sentence(here, words, status, sentence):
-    kit = here("kit", *words, "--silence", "2")
-    assert kit.status == status, kit
+    kit = here("kit", *words, "--silence", "2", status=status)
     assert sentence in "\n".join(kit.err)
     assert kit.out == []
 
@@ -46,8 +45,7 @@ def test_a_missing_endpoint_is_one_sentence(here):
         ("can", "--type", "CanAxis", "--endpoint", "socketcand:127.0.0.1:1/can0", *axis),
         ("dynamixel", "--type", "Dynamixel", "--endpoint", "serial:/dev/there-is-none:57600"),
     ):
-        kit = here("kit", *words, "--silence", "2")
-        assert kit.status == 69, kit
+        kit = here("kit", *words, "--silence", "2", status=69)
         assert kit.out == []
         assert kit.err[0].startswith("kit.device: ")
         assert len(kit.err) == 1
@@ -59,8 +57,7 @@ def test_devices_of_a_file_are_checked_as_json_without_consent(lfield, bus):
         "crane.yaml",
         f"agents:\n  crane: {{devices: {{hoist: {{{axis}, node: 5}}, trolley: {{{axis}, node: 6}}}}}}\n",
     )
-    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2")
-    assert lfield.status(kit) == 0, kit.said
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2", status=0)
     findings = [json.loads(line) for line in kit.out]
     assert all(set(finding) == {"device", "check", "outcome", "seen"} for finding in findings)
     identities = {f["device"]: f["seen"] for f in findings if f["check"] == "identity"}
@@ -85,8 +82,7 @@ def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, pas
     words = [word for setting in settings for word in ("--set", setting)]
     types = ["--type", "Dynamixel"] if driver == "dynamixel" else []
     where = sim.wait_for(r"^ready (\S+)")[1]
-    kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2")
-    assert lfield.status(kit) == 0, kit.said
+    kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2", status=0)
     assert kit.out[0].startswith("ok      kit.device: endpoint: ")
     assert kit.out[1].startswith("ok      kit.device: identity: ")
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
@@ -98,7 +94,6 @@ def test_an_endpoint_option_replaces_those_of_the_file(lfield, bus):
         "agents: {crane: {devices: {hoist: {driver: can, endpoint: 'socketcan:can7', type: CanAxis, "
         "protocol: cia402, counts: 10000, node: 5}}}}\n",
     )
-    kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus, "--silence", "2")
-    assert lfield.status(kit) == 0, kit.said
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus, "--silence", "2", status=0)
     assert kit.out[1].startswith("ok      crane.hoist: identity: CiA 402 drive, node 5")
     assert kit.out[-1].startswith("5 passed, 0 failed, ")

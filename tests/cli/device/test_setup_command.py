@@ -45,8 +45,7 @@ def own(lines):
 def test_missing_settings_are_reported_written_and_restored(lfield, here, setup, endpoint, deployment):
     command = f"lfield setup --deploy {deployment}"
 
-    doctor = here("doctor", "--deploy", deployment)
-    assert doctor.status == 69
+    doctor = here("doctor", "--deploy", deployment, status=69)
     (number,) = [number for number, line in enumerate(doctor.out) if "lead.fc" in line]
     *details, cure = doctor.out[number + 1 :]
     problem = f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, and {len(details) - 1} more"
@@ -56,8 +55,7 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
     assert "        setting WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding" in details
     assert cure == f"        -> {command} (with a confirmation)"
 
-    up = lfield("up", "--deploy", deployment, "--all")
-    assert lfield.status(up) == 69, up.said
+    up = lfield("up", "--deploy", deployment, "--all", status=69)
     assert any(STOCK in line for line in up.err)
     assert any(line.endswith(f"to set it up: {command}") for line in up.err)
     assert (
@@ -66,16 +64,15 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
     )
 
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
-    kit = here("kit", *words, "--silence", "2", "--yes")
-    assert kit.status == 69
+    kit = here("kit", *words, "--silence", "2", "--yes", status=69)
     assert STOCK in kit.err[0]
     assert kit.err[1].endswith(f"to set it up: lfield setup {' '.join(words)}")
 
     # Without a terminal for consent nothing is changed.
-    asked = setup("--deploy", deployment)
-    assert asked.status == 64
-    assert own(asked.out)[1].split()[:4] == ["lead.fc", "FS_GCS_ENABLE", "0", "5"]
-    assert asked.err == ["lfield: nothing was written: no terminal to confirm on; confirm with --yes"]
+    result = setup("--deploy", deployment)
+    assert result.status == 64
+    assert own(result.out)[1].split()[:4] == ["lead.fc", "FS_GCS_ENABLE", "0", "5"]
+    assert result.err == ["lfield: nothing was written: no terminal to confirm on; confirm with --yes"]
 
     done = setup("--deploy", deployment, "--host", "alpha", "--yes")
     assert done.status == 0
@@ -83,7 +80,7 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
     assert own(setup("--deploy", deployment).out) == [
         "nothing to do: every device keeps what its binding needs"
     ]
-    assert here("doctor", "--deploy", deployment).status == 0
+    here("doctor", "--deploy", deployment, status=0)
 
     file = lfield.folder / "state" / "setup-1.json"
     assert any(line.endswith(f"'lfield setup --apply {file}' restores them") for line in done.out)
@@ -91,7 +88,7 @@ def test_missing_settings_are_reported_written_and_restored(lfield, here, setup,
     assert back.status == 0
     assert "lead.fc: WPNAV_SPEED was 300 and is 1000 again" in back.out
     assert "    nothing to write" in setup("--apply", file).out
-    assert own(setup("--deploy", deployment).out) == own(asked.out)
+    assert own(setup("--deploy", deployment).out) == own(result.out)
 
 
 @pytest.mark.few(0)
@@ -116,9 +113,9 @@ def test_settings_that_cannot_be_saved_are_not_written(lfield, setup, endpoint, 
     assert done.status == 73, done.err
     assert not any("is kept in" in line or " is now " in line for line in done.out), done.out
     monkeypatch.setattr("lfield.cli.device.setup._confirmed", lambda: False)
-    asked = setup(*words)
-    assert (asked.status, asked.out[-1]) == (1, "nothing was written")
-    assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in asked.out]
+    result = setup(*words)
+    assert (result.status, result.out[-1]) == (1, "nothing was written")
+    assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in result.out]
 
 
 @pytest.mark.few(0)
@@ -126,14 +123,14 @@ def test_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
     kept = lfield.folder / "state" / "setup-1.json"
     # The answers are so late that the interrupt arrives between the writes.
-    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0.4")) == 0
+    lfield("sim", "fault", "mavlink", "delay=0.4", status=0)
     writing = lfield.start("setup", *words, "--yes", "--state", "state")
     writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
     writing.signal(signal.SIGINT)
     assert writing.wait() == 130, writing.said
     assert not any("WPNAV_SPEED was" in line for line in writing.out), "it had ended before"
     assert '"WPNAV_SPEED"' in kept.read_text()
-    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0")) == 0
+    lfield("sim", "fault", "mavlink", "delay=0", status=0)
 
     back = setup("--apply", kept, "--yes")
     assert back.status == 0, back
@@ -172,9 +169,9 @@ def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
 
     # A simulated vehicle forgets its parameters when it ends.
     there(endpoint, "--board", "a1", *written)
-    asked = setup("--apply", file)
-    assert asked.status == 64, asked
-    assert "    FS_GCS_ENABLE from 5 back to 0" in asked.out
+    result = setup("--apply", file)
+    assert result.status == 64, result
+    assert "    FS_GCS_ENABLE from 5 back to 0" in result.out
     back = setup("--apply", file, "--yes")
     assert (back.status, back.out[-1]) == (0, "done: all settings are as before")
     assert "kit.device: FS_GCS_ENABLE was 5 and is 0 again" in back.out
@@ -193,10 +190,10 @@ def test_settings_of_one_vehicle_are_not_restored_to_another(lfield, setup):
     ],
 )
 def test_an_invalid_command_line_of_setup_is_refused_with_a_sentence(setup, words, status, sentence):
-    said = setup(*words)
-    assert said.status == status, said
-    assert sentence in "\n".join(said.err)
-    assert said.out == []
+    result = setup(*words)
+    assert result.status == status, result
+    assert sentence in "\n".join(result.err)
+    assert result.out == []
 
 
 def test_fakes_of_a_mission_are_set_up(setup, lfield):

@@ -39,14 +39,14 @@ def test_a_file_is_shown_written_read_back_and_reverted(lfield, setup, autopilot
     text, name, value = HARMLESS[autopilot]
     file, run = lfield.write("mine.param", text), setup(autopilot)
 
-    asked = run("--apply", file)
-    assert asked.status == 64
-    (change,) = [line for line in asked.out if line.startswith(f"    {name} from ")]
+    result = run("--apply", file)
+    assert result.status == 64
+    (change,) = [line for line in result.out if line.startswith(f"    {name} from ")]
     before = change.split()[2]
     assert change.endswith(f" to {value}")
-    assert any("NO_SUCH_NAME" in line for line in asked.out)
+    assert any("NO_SUCH_NAME" in line for line in result.out)
     if autopilot == "ardupilot":
-        assert any("restart: SERIAL1_PROTOCOL" in line for line in asked.out)
+        assert any("restart: SERIAL1_PROTOCOL" in line for line in result.out)
 
     done = run("--apply", file, "--yes")
     assert done.status == 0, done
@@ -76,7 +76,7 @@ def test_values_that_the_binding_forbids_refuse_the_whole_file(lfield, setup, au
 
 def test_the_device_and_the_file_are_validated(lfield, setup, here):
     file = lfield.write("mine.param", "PILOT_TKOFF_ALT,120\n")
-    assert here("setup", "--apply", file).status == 64
+    here("setup", "--apply", file, status=64)
     run = setup("ardupilot")
     assert run("--apply", lfield.write("broken.param", "PILOT_TKOFF_ALT\n"), "--yes").status == 65
     assert run("--apply", "none.param").status == 66

@@ -32,18 +32,16 @@ def team(lfield, robots):
 
 
 def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield, here, team) -> None:
-    assert here("build", "mission.dL").status == 0
+    here("build", "mission.dL", status=0)
     lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
-    refused = here("push", "mission.dL")
-    assert refused.status == 65
+    refused = here("push", "mission.dL", status=65)
     assert "command" in " ".join(refused.err)
-    assert here("status").status == 0
+    here("status", status=0)
     # The services refuse a request of such a person also for a bundle that another person has signed.
     lfield.keys.put("me", lfield.keys.made("person", "anna", Right.OBSERVE, Right.OPERATE, Right.COMMAND))
-    assert here("sign", "mission.lfm").status == 0
+    here("sign", "mission.lfm", status=0)
     lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
-    refused = here("push", "mission.lfm")
-    assert refused.status == 1
+    refused = here("push", "mission.lfm", status=1)
     assert "takes the right to command" in " ".join(refused.err)
     for command, status in (("start", 1), ("stop", 1), ("rollback", 64)):
         assert here(command).status == status
@@ -52,7 +50,7 @@ def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield
 
 def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield, here, team) -> None:
     """Signed by keys of another authority, and pushed by a person who may."""
-    assert here("build", "mission.dL").status == 0
+    here("build", "mission.dL", status=0)
     Keyring(lfield.folder / "other").sign(lfield.folder / "mission.lfm")
     refused = here("push", "mission.lfm", "--json")
     assert (refused.status, told(refused)["outcome"]) == (1, "staged")
@@ -61,8 +59,7 @@ def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield,
 
 def test_a_refusal_is_reported_once(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "watcher", Right.OBSERVE))
-    refused = here("stop")
-    assert refused.status == 1
+    refused = here("stop", status=1)
     assert refused.err[0].startswith("alpha: REFUSED")
     assert refused.err[0].lower().count("refused") == 1
 
@@ -70,12 +67,11 @@ def test_a_refusal_is_reported_once(lfield, here, team) -> None:
 def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
     other = Keyring(lfield.folder / "other").give() / "me"
     for command in ("status", "stop", "rollback"):
-        refused = here(command, "--keys", other)
-        assert refused.status == 1
+        refused = here(command, "--keys", other, status=1)
         assert "alpha: REFUSED" in " ".join(refused.err)
     # An unreached robot decides the status: the command may work when repeated.
     team.kill("bravo")
-    assert here("status", "--keys", other).status == 69
+    here("status", "--keys", other, status=69)
 
 
 def test_a_wrong_address_is_detected_by_the_certificate(lfield, here, team) -> None:
@@ -84,26 +80,24 @@ def test_a_wrong_address_is_detected_by_the_certificate(lfield, here, team) -> N
     text = text.replace(str(mission), "M").replace(str(service), "S")
     text = text.replace(str(other_mission), str(mission)).replace(str(other_service), str(service))
     team.inventory.write_text(text.replace("M", str(other_mission)).replace("S", str(other_service)))
-    refused = here("push", "mission.dL")
-    assert refused.status == 69
+    refused = here("push", "mission.dL", status=69)
     assert refused.err[0].startswith("alpha: NOT REACHED: ")
     assert "bravo answered at the address of alpha" in refused.err[0]
 
 
 def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team) -> None:
     team.inventory.write_text(team.inventory.read_text().replace("bravo:", "brovo:"))
-    refused = here("push", "mission.dL")
-    assert refused.status == 64
+    refused = here("push", "mission.dL", status=64)
     assert "has no host 'bravo': did you mean 'brovo'?" in refused.err[0]
 
 
 def test_two_bundles_never_run_in_one_mission(lfield, here, team) -> None:
     """Not even where each start leaves out the host of the other bundle."""
     team.mission(rounds=1000, pause=0.5)
-    assert here("push", "mission.dL").status == 0
+    here("push", "mission.dL", status=0)
     team.mission(rounds=1000, pause=0.5, text="call")
-    assert here("push", "mission.dL", "--without", "bravo").status == 0
-    assert here("start", "--without", "bravo").status == 0
+    here("push", "mission.dL", "--without", "bravo", status=0)
+    here("start", "--without", "bravo", status=0)
     other = here("start", "--without", "alpha", "--json")
     assert (other.status, told(other)["started"]) == (1, False)
     assert "alpha runs bundle" in told(other)["text"]
@@ -111,33 +105,31 @@ def test_two_bundles_never_run_in_one_mission(lfield, here, team) -> None:
 
 def test_a_command_that_leaves_out_every_host_is_refused(here, team) -> None:
     for command in ("start", "stop"):
-        assert here(command, "--without", "alpha", "--without", "bravo").status == 64
+        here(command, "--without", "alpha", "--without", "bravo", status=64)
 
 
 def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) -> None:
-    assert here("push", "mission.dL").status == 0
+    here("push", "mission.dL", status=0)
     for path in lfield.folder.glob("state-*/lfield-*/service/bundles/*.lfm"):
         path.write_bytes(path.read_bytes()[:-600] + bytes(600))
-    refused = here("start")
-    assert refused.status == 1
+    refused = here("start", status=1)
     # The other host may still start when one has ended.
     assert "is not a valid bundle" in " ".join(refused.err)
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
 
 
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
     # The clocks of the processes cannot be set, and the shortest certificate is valid for a second.
     time.sleep(1.5)
-    refused = here("status")
-    assert refused.status == 1
+    refused = here("status", status=1)
     assert "expired" in " ".join(refused.err)
 
 
 def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lfield, here, team) -> None:
-    assert here("build", "mission.dL").status == 0
-    assert here("sign", "mission.lfm").status == 0
+    here("build", "mission.dL", status=0)
+    here("sign", "mission.lfm", status=0)
     staged = told(here("push", "mission.lfm", "--stage", "--json"))
     assert staged["outcome"] == "staged"
     # Another push in between does not remove it.
@@ -151,7 +143,7 @@ def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lf
 @pytest.fixture
 def staged(lfield, here, team) -> Callable[[], Ballot]:
     """`staged()`: a ballot about a bundle that both robots have stored."""
-    assert here("push", "mission.dL", "--stage").status == 0
+    here("push", "mission.dL", "--stage", status=0)
     digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
     return lambda: new_ballot(digest, ["alpha", "bravo"], "anna")
 
@@ -180,7 +172,7 @@ def test_the_second_of_two_concurrent_pushes_is_refused_until_the_first_is_decid
     assert (second.status, told(second)["outcome"]) == (1, "aborted")
     assert "by anna" in told(second)["reasons"]["alpha"]
     # Bound by the first ballot, it starts nothing.
-    assert here("start").status == 1
+    here("start", status=1)
     assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "open"
     assert send("bravo", Proposal(ballot)).votes == {"bravo": "yes"}
     # The two settle it among themselves, without the desk.
@@ -193,10 +185,10 @@ def test_an_activation_is_aborted_by_command_if_a_robot_is_lost(here, team, stag
     ballot = staged()
     team.kill("bravo")
     send("alpha", Proposal(ballot))
-    assert here("start", "--without", "bravo").status == 1
+    here("start", "--without", "bravo", status=1)
     assert told(here("rollback", "--lost", "bravo", "--json"))["aborted"] == ["alpha"]
     assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "aborted"
-    assert here("rollback", "--lost", "bravo").status == 64
+    here("rollback", "--lost", "bravo", status=64)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
@@ -217,7 +209,7 @@ def test_a_full_disk_is_named_and_nothing_is_lost(lfield, here, robots) -> None:
         refused = here("push", "mission.dL", "--json")
         assert (refused.status, told(refused)["outcome"]) == (1, "staged")
         assert "16 MiB" in told(refused)["sent"]["bravo"]["refusal"]
-        assert here("status").status == 0
+        here("status", status=0)
     finally:
         lfield.end()
         subprocess.run(["umount", "-l", disk], check=True)

@@ -27,14 +27,13 @@ def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, h
     with socket.create_server(("127.0.0.1", 0)) as ssh:
         extra = f", ssh_port: {ssh.getsockname()[1]}}}"
         team.inventory.write_text(team.inventory.read_text().replace("}", extra, 1))
-        said = here("inventory", "check", "--json")
-        assert said.status == 69
-        assert state_of(said, "alpha", "service") == ("answers", "alpha")
-        assert state_of(said, "alpha", "mission") == ("closed", "")
-        assert state_of(said, "alpha", "ssh") == ("answers", "")
-        assert state_of(said, "bravo", "service") == ("closed", "")
-        assert [each["reached"] for each in told(said).values()] == [True, False]
-        assert here("inventory", "check", "alpha").status == 0
+        result = here("inventory", "check", "--json", status=69)
+        assert state_of(result, "alpha", "service") == ("answers", "alpha")
+        assert state_of(result, "alpha", "mission") == ("closed", "")
+        assert state_of(result, "alpha", "ssh") == ("answers", "")
+        assert state_of(result, "bravo", "service") == ("closed", "")
+        assert [each["reached"] for each in told(result).values()] == [True, False]
+        here("inventory", "check", "alpha", status=0)
     shown = here("inventory", "check")
     assert (shown.status, shown.err) == (69, ["lfield: not reached: bravo"])
     _, service = team.ports["alpha"]
@@ -49,11 +48,10 @@ def test_a_wrong_address_is_named_by_its_certificate(lfield, here, robots) -> No
     text = text.replace(f"service_port: {ports['alpha']}", "service_port: S")
     text = text.replace(f"service_port: {ports['bravo']}", f"service_port: {ports['alpha']}")
     team.inventory.write_text(text.replace("S", str(ports["bravo"])))
-    said = here("inventory", "check", "--json")
-    assert said.status == 69
-    assert state_of(said, "alpha", "service") == ("other-host", "bravo")
-    assert state_of(said, "bravo", "service") == ("other-host", "alpha")
-    assert not any(each["reached"] for each in told(said).values())
+    result = here("inventory", "check", "--json", status=69)
+    assert state_of(result, "alpha", "service") == ("other-host", "bravo")
+    assert state_of(result, "bravo", "service") == ("other-host", "alpha")
+    assert not any(each["reached"] for each in told(result).values())
     shown = here("inventory", "check")
     assert any(f"127.0.0.1:{ports['bravo']} is an address of bravo" in line for line in shown.out)
     # Both have answered.
@@ -67,9 +65,8 @@ def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
     team = robots("alpha")
     team.up()
     other = Keyring(lfield.folder / "other").give("alpha") / "me"
-    said = here("inventory", "check", "--keys", other, "--json")
-    assert said.status == 69
-    assert state_of(said, "alpha", "service") == ("refused", "")
+    result = here("inventory", "check", "--keys", other, "--json", status=69)
+    assert state_of(result, "alpha", "service") == ("refused", "")
     shown = here("inventory", "check", "--keys", other)
     assert shown.err == ["lfield: refused: alpha"]
 
@@ -77,18 +74,17 @@ def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
 def test_a_program_that_is_not_a_host_is_not_reached(lfield, here, robots) -> None:
     team = robots("alpha")
     with socket.create_server(("127.0.0.1", team.ports["alpha"][0])):
-        said = here("inventory", "check", "--json")
-    assert state_of(said, "alpha", "mission") == ("unreachable", "")
-    assert told(said)["alpha"]["reached"] is False
+        result = here("inventory", "check", "--json")
+    assert state_of(result, "alpha", "mission") == ("unreachable", "")
+    assert told(result)["alpha"]["reached"] is False
 
 
 def test_without_keys_only_connections_are_tried(lfield, here, robots) -> None:
     team = robots("alpha")
     team.up()
     shutil.rmtree(lfield.folder / "config/lfield/keys/me")
-    said = here("inventory", "check", "--json")
-    assert said.status == 0
-    assert state_of(said, "alpha", "service") == ("answers", "")
+    result = here("inventory", "check", "--json", status=0)
+    assert state_of(result, "alpha", "service") == ("answers", "")
 
 
 def test_the_file_is_shown_as_parsed(lfield, here) -> None:
@@ -97,9 +93,8 @@ def test_the_file_is_shown_as_parsed(lfield, here) -> None:
         'hosts: {alpha: {addresses: ["fe80::1%wlan0", robot.lan:9000], user: pi, arch: aarch64,\n'
         '  python: "3.11", groups: [gpio], devices: a.yaml}, bravo: {addresses: [10.0.0.2]}}\n',
     )
-    said = here("inventory", "show", "--inventory", "team.yaml", "--json")
-    assert said.status == 0
-    alpha = told(said)["hosts"]["alpha"]
+    result = here("inventory", "show", "--inventory", "team.yaml", "--json", status=0)
+    alpha = told(result)["hosts"]["alpha"]
     assert alpha["addresses"] == ["[fe80::1%wlan0]:8181", "robot.lan:9000"]
     assert alpha["service_addresses"] == ["[fe80::1%wlan0]:8182", "robot.lan:8182"]
     assert (alpha["user"], alpha["arch"], alpha["python"]) == ("pi", "aarch64", "3.11")
@@ -114,8 +109,8 @@ def test_the_file_is_shown_as_parsed(lfield, here) -> None:
 
 def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) -> None:
     lfield.write("team.yaml", "hosts: {alpha: {addresses: [10.0.0.1]}}\n")
-    assert here("inventory", "show", "alhpa", "--inventory", "team.yaml").status == 64
-    assert here("inventory", "show").status == 64
+    here("inventory", "show", "alhpa", "--inventory", "team.yaml", status=64)
+    here("inventory", "show", status=64)
 
 
 def test_a_link_local_address_without_a_listener_is_explained() -> None:
@@ -128,8 +123,7 @@ def test_a_link_local_address_without_a_listener_is_explained() -> None:
 
 def test_an_unknown_key_is_reported_with_all_known_ones(lfield, here) -> None:
     file = lfield.write("team.yaml", "hosts: {alpha: {addresses: [127.0.0.1], port: 22}}\n")
-    refused = here("inventory", "show", "--inventory", file)
-    assert refused.status == 65
+    refused = here("inventory", "show", "--inventory", file, status=65)
     assert "ssh_port" in " ".join(refused.err)
 
 
@@ -139,7 +133,7 @@ def test_files_that_do_not_exist_are_named(lfield, here, robots) -> None:
     team.inventory.write_text(team.inventory.read_text().replace("}", more))
     lfield.write("config/lfield/here.dbc", "")
     for command in (("inventory", "show"), ("status",)):
-        said = " ".join(here(*command).err)
-        assert "a.yaml for alpha" in said
-        assert "b.dbc for alpha" in said
-        assert "here.dbc" not in said
+        text = " ".join(here(*command).err)
+        assert "a.yaml for alpha" in text
+        assert "b.dbc for alpha" in text
+        assert "here.dbc" not in text

@@ -61,11 +61,13 @@ def reports(out: list[str]) -> dict[str, dict[str, object]]:
 
 @pytest.mark.usefixtures("own")
 def test_prepare_needs_no_robot_whose_platform_is_in_the_inventory(folder, here) -> None:
-    done = here("provision", "--inventory", "inventory.yaml", "--prepare", "--json", "alpha")
-    assert done.status == exit_status.DONE
+    done = here(
+        "provision", "--inventory", "inventory.yaml", "--prepare", "--json", "alpha", status=exit_status.DONE
+    )
     assert reports(done.out)["alpha"]["state"] == "done"
-    both = here("provision", "--inventory", "inventory.yaml", "--prepare", "--json")
-    assert both.status == exit_status.UNAVAILABLE
+    both = here(
+        "provision", "--inventory", "inventory.yaml", "--prepare", "--json", status=exit_status.UNAVAILABLE
+    )
     found = reports(both.out)
     assert (found["alpha"]["state"], found["bravo"]["state"]) == ("done", "failed")
 
@@ -76,8 +78,7 @@ def test_another_python_is_prepared_for_a_robot_with_an_old_one(folder, here, mo
     (folder / "inventory.yaml").write_text(INVENTORY.replace('"3.11"', '"3.10"'))
     monkeypatch.setattr(standalone_python, "find_uv", lambda: None)
     prepare = ("provision", "--inventory", "inventory.yaml", "--prepare", "--json", "alpha")
-    without = here(*prepare)
-    assert without.status == exit_status.UNAVAILABLE
+    without = here(*prepare, status=exit_status.UNAVAILABLE)
     assert reports(without.out)["alpha"]["hint"] == "pip install uv"
     collected = folder / ".cache/lfield/python/aarch64-3.12.9.tar.gz"
     collected.parent.mkdir(exist_ok=True)
@@ -88,8 +89,7 @@ def test_another_python_is_prepared_for_a_robot_with_an_old_one(folder, here, mo
 @pytest.mark.skipif(shutil.which("ssh") is None, reason="there is no ssh here")
 def test_each_address_without_an_answer_is_named(folder, here) -> None:
     (folder / "two.yaml").write_text("hosts: {alpha: {addresses: [127.0.0.1, 127.0.0.2], ssh_port: 1}}\n")
-    done = here("provision", "--inventory", "two.yaml", "--json")
-    assert done.status == exit_status.UNAVAILABLE
+    done = here("provision", "--inventory", "two.yaml", "--json", status=exit_status.UNAVAILABLE)
     said = str(reports(done.out)["alpha"]["message"])
     assert "127.0.0.1 is unreachable" in said
     assert "127.0.0.2 is unreachable" in said

@@ -45,7 +45,7 @@ def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robot
     assert second["outcome"] == "activated"
     # Only what changed is sent.
     assert 0 < second["sent"]["alpha"]["bytes"] < first["sent"]["alpha"]["bytes"] / 2
-    assert here("start").status == 0
+    here("start", status=0)
     team.services["bravo"].wait_for("^call 1$")
     until(lambda: told(here("status", "--json"))["alpha"]["run"]["phase"] == "ended")
 
@@ -65,8 +65,8 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.5)
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
     team.services["bravo"].wait_for("^visit 2$")
     team.mission()
     refused = here("push", "mission.dL", "--json")
@@ -80,19 +80,18 @@ def test_unfinished_coordinators_forbid_an_activation_until_discarded(lfield, he
     assert [each["phase"] for each in stopped.values()] == ["stopped", "stopped"]
     unfinished = [each["unfinished"] for each in told(here("status", "--json")).values()]
     assert {one["agent"] for found in unfinished for one in found} == {"tom"}
-    assert here("push", "mission.dL").status == 1
+    here("push", "mission.dL", status=1)
     checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
     assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
     # It continues at its last position, until it is discarded.
-    started = here("start")
-    assert started.status == 0
+    started = here("start", status=0)
     assert any(line.startswith("tom continues: it has not ended") for line in started.out)
     team.services["bravo"].wait_for("restarted")
     assert told(here("start", "--json"))["continues"] == []
     gone = told(here("stop", "--discard", "--json"))
     assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
-    assert here("service", "--host", "alpha", "--state", "state-alpha", "--check").status == 0
-    assert here("push", "mission.dL").status == 0
+    here("service", "--host", "alpha", "--state", "state-alpha", "--check", status=0)
+    here("push", "mission.dL", status=0)
 
 
 @pytest.mark.few(0)
@@ -101,13 +100,13 @@ def test_a_second_start_waits_for_a_missing_host(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     lfield.mission(program(), TEAM + "//Post:other@carol\n")
     team.up()
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
     until(lambda: {each["run"]["phase"] for each in told(here("status", "--json")).values()} == {"ended"})
     # As if carol were forgotten: its host does not run.
     team.inventory.write_text("".join(team.inventory.read_text().splitlines(keepends=True)[:-1]))
     # It waits for 20 s itself.
-    assert here("start").status == 1
+    here("start", status=1)
     runs = {host: each["run"]["phase"] for host, each in told(here("status", "--json")).items()}
     assert runs == {"alpha": "running", "bravo": "running"}
 
@@ -116,11 +115,11 @@ def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfiel
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.2)
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
     team.services["bravo"].wait_for("^visit 2$")
     team.kill("bravo")
-    assert here("status").status == 69
+    here("status", status=69)
     team.up("bravo")
     team.services["bravo"].wait_for("host of .* still running")
     pid = team.state("bravo")["run"]["pid"]
@@ -147,8 +146,8 @@ def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, h
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.2)
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
     team.services["bravo"].wait_for("^visit 2$")
     team.kill("bravo")
     pid = team.state("bravo")["run"]["pid"]
@@ -191,5 +190,5 @@ def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_the_old_bu
     refused = here("start", "--json")
     assert (refused.status, told(refused)["started"]) == (1, False)
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
-    assert here("start").status == 0
+    here("start", status=0)
     team.services["bravo"].wait_for("^call 1$")

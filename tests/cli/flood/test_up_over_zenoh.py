@@ -96,8 +96,8 @@ def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield,
     alpha.wait_for("link to bravo established")
     options = ("--inventory", inventory) if named else ()
     there = {"LFIELD_RUNS": "here"}
-    assert lfield.status(lfield("ps", *options, env=there)) == 0
-    assert lfield.status(lfield("estop", "--no-wait", *options, env=there)) == 0
+    lfield("ps", *options, env=there, status=0)
+    lfield("estop", "--no-wait", *options, env=there, status=0)
     bravo.wait_for("EMERGENCY STOP")
 
 
@@ -110,6 +110,5 @@ def test_a_command_without_the_zenoh_package_names_it(lfield) -> None:
     lfield.keys.give("alpha", "bravo")
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     words = ("up", "--deploy", deployment, "--inventory", inventory, "--host", "alpha")
-    host = lfield(*words, env={"PYTHONPATH": str(lfield.folder)})
-    assert lfield.status(host) == 69
+    host = lfield(*words, env={"PYTHONPATH": str(lfield.folder)}, status=69)
     assert len([line for line in host.err if "lfield[zenoh]" in line]) == 1

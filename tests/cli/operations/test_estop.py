@@ -67,39 +67,33 @@ def team(alone, lfield):
 
 
 def test_every_device_is_safe_and_not_released_before_the_stop_is_lifted(lfield, team):
-    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field")
-    assert lfield.status(pressed) == 0, pressed.said
+    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field", status=0)
     assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
     for host in team.hosts.values():
         host.wait_for(r"safe state 'land': the emergency stop was pressed: a child on the field")
         host.wait_for(r"not released: .*'lfield estop --lift' must come first")
         assert not any("| released" in line or line.endswith("released") for line in host.out)
-    lifted = lfield("estop", *team.words, "--lift")
-    assert lfield.status(lifted) == 0, lifted.said
+    lifted = lfield("estop", *team.words, "--lift", status=0)
     assert sorted(lifted.out) == ["alpha: lead.fc: may be released", "bravo: wing.fc: may be released"]
     for host in team.hosts.values():
         host.wait_for(r"^(?!.*not).*released$")
 
 
 def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone):
-    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
-    assert lfield.status(silenced) == 0, silenced.said
-    pressed = lfield("estop", *team.words, "--no-wait")
-    assert lfield.status(pressed) == 3, pressed.said
+    lfield("sim", "fault", "wing.fc", "silence=true", env=alone, status=0)
+    pressed = lfield("estop", *team.words, "--no-wait", status=3)
     assert pressed.out == ["alpha: lead.fc: safe"]
     assert pressed.err == [
         "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
     ]
-    pressed = lfield("estop", *team.words, "--no-wait", "--json")
-    assert lfield.status(pressed) == 3, pressed.said
+    pressed = lfield("estop", *team.words, "--no-wait", "--json", status=3)
     found = {host: answer["devices"] for host, answer in json.loads("".join(pressed.out)).items()}
     assert found["alpha"] == {"lead.fc": {"confirmed": True, "at_rest": None, "problem": ""}}
     assert found["bravo"]["wing.fc"]["confirmed"] is False
     assert found["bravo"]["wing.fc"]["problem"]
     team.hosts["bravo"].popen.kill()
     team.hosts["bravo"].popen.wait()
-    again = lfield("estop", *team.words, "--no-wait")
-    assert lfield.status(again) == 3, again.said
+    again = lfield("estop", *team.words, "--no-wait", status=3)
     assert again.out == ["alpha: lead.fc: safe"]
     (line,) = again.err
     assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
@@ -107,22 +101,20 @@ def test_unconfirmed_devices_and_unreached_hosts_are_named(lfield, team, alone):
 
 @pytest.mark.few(0)
 def test_an_emergency_stop_is_executed_though_its_command_was_killed(lfield, team, alone):
-    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
-    assert lfield.status(silenced) == 0, silenced.said
+    lfield("sim", "fault", "wing.fc", "silence=true", env=alone, status=0)
     pressed = lfield.start("estop", *team.words, "--reason", "and away")
     team.hosts["bravo"].wait_for("EMERGENCY STOP by operator: .*and away")
     pressed.popen.kill()
     pressed.popen.wait()
     again = lfield("estop", *team.words, "--no-wait")
     assert "bravo: wing.fc: NOT CONFIRMED" in again.said
-    assert lfield.status(lfield("ps", *team.words)) == 0
+    lfield("ps", *team.words, status=0)
     assert not any("a bug in lfield" in host.said for host in team.hosts.values())
 
 
 def test_a_mission_that_does_not_run_is_not_reached(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
-    pressed = lfield("estop", "--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
-    assert lfield.status(pressed) == 69
+    pressed = lfield("estop", "--deploy", deployment, *lfield.maps(["alpha", "bravo"]), status=69)
     assert len(pressed.err) == 2
     assert all("NOT REACHED" in line for line in pressed.err)
 
@@ -144,19 +136,17 @@ def test_the_descent_is_shown_until_rest_and_devices_not_at_rest_are_named(lfiel
         for device in ("lead.fc", "wing.fc"):
             assert lines_of(pressed, device)[0] == "safe"
             assert lines_of(pressed, device)[-1] == "at rest"
-    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=own)
-    assert lfield.status(silenced) == 0, silenced.said
+    lfield("sim", "fault", "wing.fc", "silence=true", env=own, status=0)
     looking = lfield.start("estop", env=own)
     looking.wait_for("lead.fc: at rest")
     looking.wait_for("wing.fc: no longer reporting")
     looking.signal(signal.SIGINT)
     assert looking.wait() in (3, 130), looking.said
-    told = "\n".join(looking.err)
-    assert "stopped watching; the order is unchanged: 'lfield ps' shows the devices" in told
-    assert re.search("bravo: wing.fc: NOT .*; last seen ", told)
-    assert "lead.fc" not in told
-    looking = lfield("estop", "--json", env=own)
-    assert lfield.status(looking) == 3, looking.said
+    text = "\n".join(looking.err)
+    assert "stopped watching; the order is unchanged: 'lfield ps' shows the devices" in text
+    assert re.search("bravo: wing.fc: NOT .*; last seen ", text)
+    assert "lead.fc" not in text
+    looking = lfield("estop", "--json", env=own, status=3)
     assert re.search("bravo: wing.fc: NOT .*; last seen ", looking.err[-1])
     (answers,) = map(json.loads, looking.out)
     assert answers["alpha"]["devices"]["lead.fc"]["at_rest"] is True
@@ -188,8 +178,7 @@ def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
         env=own,
     )
     run.wait_for("flies")
-    pressed = lfield("estop", env=own)
-    assert lfield.status(pressed) == 0, pressed.said
+    pressed = lfield("estop", env=own, status=0)
     words = lines_of(pressed, "lead.fc")
     assert (words[0], words[-1]) == ("safe", "at rest")
     assert len(words) > 2
@@ -269,25 +258,21 @@ def test_undecodable_bytes_do_not_prevent_commands_to_a_running_mission(lfield, 
     deployment = lfield.mission(BELL, BELL_DEPLOYED, name="n\udcf6rd/mission")
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
     team.wait_for("läutet")
-    pressed = lfield("estop", "--no-wait", "--reason", "gr\udcf6\udcdfe", env=own)
-    assert lfield.status(pressed) == 0, pressed.said
+    lfield("estop", "--no-wait", "--reason", "gr\udcf6\udcdfe", env=own, status=0)
     team.wait_for(r"EMERGENCY STOP by .*: the emergency stop was pressed: gr\\u\{dcf6\}\\u\{dcdf\}e")
     for words in (["estop", "--lift", "--reason", "\udcff"], ["pause"], ["resume"], ["ps"]):
-        told = lfield(*words, env=own)
-        assert lfield.status(told) == 0, told.said
+        lfield(*words, env=own, status=0)
     for words in (["logs"], ["events", "--no-follow"]):
-        told = lfield(*words, env=own | ASCII)
-        assert lfield.status(told) == 0, told.said
-        assert r"l\u{e4}utet" in told.said
+        result = lfield(*words, env=own | ASCII, status=0)
+        assert r"l\u{e4}utet" in result.said
     for words in (
         ["forget", "\udcff"],
         ["recover", "\udcff"],
         ["events", "--host", "\udcff"],
         ["ps", "--run", "\udcff"],
     ):
-        told = lfield(*words, env=own)
-        assert lfield.status(told) == 64, told.said
-        assert r"\u{dcff}" in told.said
+        result = lfield(*words, env=own, status=64)
+        assert r"\u{dcff}" in result.said
 
 
 @pytest.fixture
@@ -302,21 +287,17 @@ def half_team(lfield, alone):
 
 @pytest.mark.few(0)
 def test_a_host_that_does_not_run_has_nothing_to_lift(lfield, half_team) -> None:
-    stopped = lfield("estop", *half_team, "--no-wait")
-    assert lfield.status(stopped) == 3, stopped.said
-    lifted = lfield("estop", *half_team, "--lift")
-    assert lfield.status(lifted) == 0, lifted.said
+    lfield("estop", *half_team, "--no-wait", status=3)
+    lifted = lfield("estop", *half_team, "--lift", status=0)
     assert [line.partition(":")[0] for line in lifted.out] == ["alpha", "bravo"]
     assert lifted.err == []
 
 
 def test_json_has_each_host_with_its_devices_or_its_error(lfield, half_team) -> None:
-    stopped = lfield("estop", *half_team, "--no-wait", "--json")
-    assert lfield.status(stopped) == 3, stopped.said
+    stopped = lfield("estop", *half_team, "--no-wait", "--json", status=3)
     (line,) = stopped.out
     found = json.loads(line)
     assert found["alpha"] == {"devices": {}, "trouble": ""}
     assert found["bravo"]["code"] == "no-listener"
-    lifted = lfield("estop", *half_team, "--lift", "--json")
-    assert lfield.status(lifted) == 0
+    lifted = lfield("estop", *half_team, "--lift", "--json", status=0)
     assert json.loads(lifted.out[0])["alpha"] == {"devices": {}, "trouble": ""}

@@ -52,8 +52,7 @@ def of(kind: str, whole: list[dict]) -> list[dict]:
 
 
 def test_all_events_come_in_one_order_with_their_causes(walk, lfield):
-    shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow")
-    assert lfield.status(shown) == exit_status.DONE, shown.said
+    shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow", status=exit_status.DONE)
     whole = [json.loads(line) for line in shown.out]
     assert {event["host"] for event in whole} == {"alpha", "beta"}
     assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", whole)))
@@ -97,12 +96,11 @@ def test_telemetry_and_hops_make_a_table(walk, lfield):
 
 
 def test_logs_have_the_lines_of_all_hosts_and_end(walk, lfield):
-    shown = lfield("logs", "--deploy", walk.deployment)
-    assert lfield.status(shown) == exit_status.DONE, shown.said
-    said = [line.partition(" | ")[2] for line in shown.out]
-    visits = [line for line in said if "visit" in line]
+    shown = lfield("logs", "--deploy", walk.deployment, status=exit_status.DONE)
+    lines = [line.partition(" | ")[2] for line in shown.out]
+    visits = [line for line in lines if "visit" in line]
     assert visits[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]
-    assert any("listening on" in line for line in said)
+    assert any("listening on" in line for line in lines)
 
 
 def test_a_closed_reader_ends_the_command_quietly(walk, lfield):
@@ -146,7 +144,7 @@ def test_a_host_killed_and_started_again_is_reported_and_followed(lfield):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--kinds", "cane"], "unknown kind of events 'cane'; the kinds are"),
         (
@@ -160,18 +158,18 @@ def test_a_host_killed_and_started_again_is_reported_and_followed(lfield):
         (["--json", "--csv"], "not allowed with argument"),
     ],
 )
-def test_invalid_options_of_events_are_reported(words, told, walk, here):
-    said = here("events", "--deploy", walk.deployment, *words)
-    assert said.status == exit_status.USAGE
-    assert told in "\n".join(said.err)
+def test_invalid_options_of_events_are_reported(words, message, walk, here):
+    result = here("events", "--deploy", walk.deployment, *words, status=exit_status.USAGE)
+    assert message in "\n".join(result.err)
 
 
 def test_unreachable_hosts_have_a_status(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    said = here("logs", "--deploy", deployment, *lfield.maps(["alpha", "beta"]))
-    assert said.status == exit_status.UNAVAILABLE
-    assert said.out == []
-    assert [line.split(":")[0] for line in said.err] == ["alpha", "beta"]
+    result = here(
+        "logs", "--deploy", deployment, *lfield.maps(["alpha", "beta"]), status=exit_status.UNAVAILABLE
+    )
+    assert result.out == []
+    assert [line.split(":")[0] for line in result.err] == ["alpha", "beta"]
 
 
 # --- recordings ---------------------------------------------------------------------------------------------
@@ -245,10 +243,9 @@ def test_a_killed_recorder_leaves_a_valid_file(recorders):
     ],
 )
 def test_a_recording_that_cannot_be_made_is_one_sentence(words, status, walk, here):
-    said = here("events", "--deploy", walk.deployment, *words)
-    assert said.status == status
-    assert len([line for line in said.err if line.startswith("lfield: ")]) == 1
-    assert said.out == []
+    result = here("events", "--deploy", walk.deployment, *words, status=status)
+    assert len([line for line in result.err if line.startswith("lfield: ")]) == 1
+    assert result.out == []
 
 
 FLOOD = """
@@ -280,17 +277,14 @@ def test_lines_dropped_for_their_rate_are_counted_for_every_reader(lfield):
     deployment = lfield.mission(FLOOD, FLOODED)
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
     team.wait_for("walker: line 29999")
-    logs = lfield("logs", "--deploy", deployment)
-    assert lfield.status(logs) == exit_status.DONE, logs.said
+    logs = lfield("logs", "--deploy", deployment, status=exit_status.DONE)
     lines = [line for line in logs.out if " walker: line " in line]
     assert len(lines) > 8000
     assert skipped(logs.out) == 30000 - len(lines) > 0
-    table = lfield("events", "--deploy", deployment, "--csv", "--no-follow")
-    assert lfield.status(table) == exit_status.DONE, table.said
+    table = lfield("events", "--deploy", deployment, "--csv", "--no-follow", status=exit_status.DONE)
     left = len([row for row in csv.DictReader(table.out) if row["kind"] == "left"])
     assert skipped(table.err, "left") == 399 - left > 0
-    shown = lfield("events", "--deploy", deployment, "--no-follow")
-    assert lfield.status(shown) == exit_status.DONE, shown.said
+    shown = lfield("events", "--deploy", deployment, "--no-follow", status=exit_status.DONE)
     assert any("skipped  skipped=left  count=" in line for line in shown.out)
 
 

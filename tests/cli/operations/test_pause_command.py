@@ -40,16 +40,13 @@ def test_a_paused_copter_lands_and_flies_again(lfield, own):
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
     host.wait_for("flies 1")
-    paused = lfield("pause", env=own)
-    assert lfield.status(paused) == 0, paused.said
+    paused = lfield("pause", env=own, status=0)
     assert "alpha: lead.fc: safe" in paused.said
     shown = lfield("ps", env=own)
     assert "paused: alpha; 'lfield resume' resumes the mission" in shown.said
     assert "safe, at rest" in shown.said
-    stopped = lfield("estop", "--no-wait", env=own)
-    assert lfield.status(stopped) == 0, stopped.said
-    barred = lfield("resume", env=own)
-    assert lfield.status(barred) == 0
+    lfield("estop", "--no-wait", env=own, status=0)
+    barred = lfield("resume", env=own, status=0)
     assert "lead.fc: the emergency stop was pressed" in barred.said
     host.wait_for("told: the mission was paused; this call may have begun")
 
@@ -60,8 +57,8 @@ def test_a_paused_device_is_released_and_flies_again(lfield, own):
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
     host.wait_for("flies 1")
-    assert lfield.status(lfield("pause", env=own)) == 0
-    assert lfield.status(lfield("resume", env=own)) == 0
+    lfield("pause", env=own, status=0)
+    lfield("resume", env=own, status=0)
     host.wait_for("flies 2")
     host.wait_for("survey: complete")
 
@@ -74,8 +71,7 @@ def test_an_unreached_host_is_named(lfield, own):
     host.wait_for("flies 1")
     ghost = lfield.write("ghost.dL", DEPLOYMENT.replace("alpha", "ghost"))
     lfield.write("ghost.L", PROGRAM)
-    paused = lfield("pause", "--no-wait", ghost, "--map", "ghost=127.0.0.1:1", env=own)
-    assert lfield.status(paused) == 69
+    paused = lfield("pause", "--no-wait", ghost, "--map", "ghost=127.0.0.1:1", env=own, status=69)
     assert "ghost: NOT REACHED" in paused.said
 
 
@@ -86,8 +82,7 @@ def test_a_device_not_at_rest_in_time_is_named_and_its_host_is_paused(lfield, ow
     words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
     host = lfield.start(*words, env=own)
     host.wait_for("flies 1")
-    paused = lfield("pause", env=own)
-    assert lfield.status(paused) == 3, paused.said
+    paused = lfield("pause", env=own, status=3)
     assert "alpha: lead.fc: safe" in paused.out
     assert re.match(r"alpha: lead\.fc: NOT AT REST after \d s; last seen ", paused.err[-1]), paused.said
     assert "paused: alpha; 'lfield resume' resumes the mission" in lfield("ps", env=own).said

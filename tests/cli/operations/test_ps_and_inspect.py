@@ -51,8 +51,7 @@ def mission(shared_lfield):
 
 
 def test_the_table_shows_agents_and_their_hosts(mission, lfield):
-    shown = lfield("ps", "--deploy", mission.deployment)
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield("ps", "--deploy", mission.deployment, status=0)
     assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
     rows = {line.split()[1]: line for line in shown.out[1 : shown.out.index("")]}
     assert re.match(r"alpha +near +Post +parked +1 +[\d.]+ (Ki)?B", rows["near"])
@@ -61,8 +60,7 @@ def test_the_table_shows_agents_and_their_hosts(mission, lfield):
 
 
 def told_as_json(mission, lfield):
-    shown = lfield("ps", "--deploy", mission.deployment, "--json")
-    assert lfield.status(shown) == 0
+    shown = lfield("ps", "--deploy", mission.deployment, "--json", status=0)
     return json.loads("\n".join(shown.out))
 
 
@@ -217,9 +215,9 @@ def test_delays_and_the_silence_limit_are_shown(capsys):
         lease=1.46,
     )
     answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
-    told = json.loads(status_json(states_of(answers)))
-    assert (told["alpha"]["late"], told["alpha"]["silence"]) == (0.0312, 0.2)
-    assert (told["carol"]["late"], told["carol"]["silence"]) == (None, None)
+    data = json.loads(status_json(states_of(answers)))
+    assert (data["alpha"]["late"], data["alpha"]["silence"]) == (0.0312, 0.2)
+    assert (data["carol"]["late"], data["carol"]["silence"]) == (None, None)
     team_status_view.show(states_of(answers))
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[-3:] == [
@@ -240,17 +238,17 @@ def test_round_trip_loss_and_bytes_of_each_link_are_shown(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [], observers=watched
     )
-    told = json.loads(status_json(states_of({"alpha": status})))["alpha"]
-    assert (told["linked"], told["away"]) == (["bravo", "delta", "echo", "golf"], {"carol": 3.5})
+    data = json.loads(status_json(states_of({"alpha": status})))["alpha"]
+    assert (data["linked"], data["away"]) == (["bravo", "delta", "echo", "golf"], {"carol": 3.5})
     figures = {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999, "kinds": kinds}
     unknown = {**dict.fromkeys(("round_trip", "loss", "sent", "received")), "kinds": {}}
-    assert told["links"] == {
+    assert data["links"] == {
         "bravo": {**figures, "path": "", "standby": ""},
         "delta": {**unknown, "path": "", "standby": ""},
         "echo": {**unknown, "path": "10.0.0.5", "standby": "zenoh"},
         "golf": {**unknown, "path": "10.0.0.7", "standby": ""},
     }
-    assert told["observers"] == watched
+    assert data["observers"] == watched
     team_status_view.show(states_of({"alpha": status}))
     rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert rows[-7:] == [
@@ -274,8 +272,8 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
             links[2:4] = [LinkStatus(others[2], None, 0.001, 0.25, 10, 10), LinkStatus(others[3], 40.0)]
         answers[name] = Status(name, f"{name}:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
     states = states_of(answers)
-    told = json.loads(status_json(states))
-    assert sum(len(host["links"]) + len(host["away"]) for host in told.values()) == 800
+    data = json.loads(status_json(states))
+    assert sum(len(host["links"]) + len(host["away"]) for host in data.values()) == 800
     team_status_view.show(states)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     listed = rows[next(n for n, row in enumerate(rows) if row[1:3] == ["LINK", "WITH"]) + 1 :]
@@ -287,8 +285,8 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
 def test_reservations_are_shown_with_their_remaining_time(capsys):
     reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
-    told = json.loads(status_json(states_of({"alpha": status})))
-    assert told["alpha"]["reserved"] == [
+    data = json.loads(status_json(states_of({"alpha": status})))
+    assert data["alpha"]["reserved"] == [
         {"resource": "near", "agent": "tom", "generation": 2, "held": 12.25, "left": 4.5}
     ]
     team_status_view.show(states_of({"alpha": status}))
@@ -301,8 +299,8 @@ def test_pending_calls_are_shown(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
     )
-    told = json.loads(status_json(states_of({"alpha": status})))
-    assert told["alpha"]["begun"][0] == {
+    data = json.loads(status_json(states_of({"alpha": status})))
+    assert data["alpha"]["begun"][0] == {
         "agent": "tom",
         "generation": 1,
         "resource": "near",
@@ -321,15 +319,13 @@ def test_pending_calls_are_shown(capsys):
 def test_a_mission_that_does_not_run_has_a_status(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"))
     maps = lfield.maps(["alpha", "bravo"])
-    shown = lfield("ps", "--deploy", deployment, *maps)
-    assert lfield.status(shown) == 69
+    shown = lfield("ps", "--deploy", deployment, *maps, status=69)
     assert (shown.out, shown.err[1:]) == ([], []), shown.err
     (line,) = shown.err
     assert line.startswith(f"lfield: {deployment} is not running: ")
-    asked = lfield("ps", "--deploy", deployment, "--json", *maps)
-    assert lfield.status(asked) == 69
-    told = json.loads("\n".join(asked.out))
-    assert (told["code"], told["exit_status"]) == ("no-mission-running", 69)
+    result = lfield("ps", "--deploy", deployment, "--json", *maps, status=69)
+    data = json.loads("\n".join(result.out))
+    assert (data["code"], data["exit_status"]) == ("no-mission-running", 69)
 
 
 FAULTY = """
@@ -371,8 +367,7 @@ def died(shared_lfield):
 def test_a_dead_agent_is_dumped_and_explained(lfield, died):
     assert lfield.status(died) == 1
     assert "bravo | tom dumped: read it with 'lfield inspect dumps/tom.block'" in died.err
-    shown = lfield("inspect", died.dump)
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield("inspect", died.dump, status=0)
     text = "\n".join(shown.out)
     assert "agent     tom (coordinator Careless)" in text
     assert "on        bravo, after 1 hop(s): alpha → bravo" in text
@@ -393,8 +388,7 @@ def test_a_dead_agent_is_dumped_and_explained(lfield, died):
 def test_a_damaged_dump_is_refused(lfield, here, died, damage):
     data = died.dump.read_bytes()
     path = lfield.write("tom.block", data[: len(data) // 2] + damage * (len(data) // 2))
-    shown = here("inspect", path)
-    assert shown.status == 65, shown
+    shown = here("inspect", path, status=65)
     assert (shown.out, shown.err[1:]) == ([], []), shown.err
     assert "tom.block" in shown.err[0]
 
@@ -403,6 +397,5 @@ def test_a_dump_that_cannot_be_written_is_reported(lfield):
     (lfield.folder / "dumps").mkdir(mode=0o700)
     (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way
     deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
-    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
-    assert lfield.status(done) == 1
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps", status=1)
     assert any("alpha | tom not dumped to dumps/tom.block: " in line for line in done.err), done.said

@@ -44,8 +44,9 @@ def mission(shared_lfield):
 
 
 def test_the_running_team_answers(mission, lfield):
-    shown = lfield("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain")
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield(
+        "query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain", status=0
+    )
     assert shown.out[0] == "from the running team: 2 of 2 hosts answered"
     assert shown.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
     assert "  arm2: payload 1.2 < 2.0" in shown.out
@@ -60,15 +61,13 @@ def test_the_running_team_answers_as_json(mission, lfield):
 
 def test_a_silent_host_is_named(mission, lfield):
     (map_, place) = lfield.maps(["bravo"])
-    shown = lfield("query", "Lift", "--deploy", mission.deployment, map_, place)
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield("query", "Lift", "--deploy", mission.deployment, map_, place, status=0)
     assert shown.out[0] == "from the running team: 1 of 2 hosts answered"
     assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
 
 
 def test_without_a_running_team_the_files_answer(mission, lfield):
     maps = lfield.maps(["alpha", "bravo"])
-    shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps)
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps, status=0)
     assert shown.out[0] == "from the files: nothing is running, live attributes are unknown"
     assert shown.err == []

@@ -56,8 +56,7 @@ def test_the_home_continues_and_the_restarted_host_does_not(lfield, own):
     hosts["bravo"].signal(signal.SIGKILL)
     hosts["bravo"].wait()
     hosts["alpha"].wait_for("link to bravo lost")
-    unasked = lfield("recover", "tom", deployment, *maps, env=own)
-    assert lfield.status(unasked) == 64
+    unasked = lfield("recover", "tom", deployment, *maps, env=own, status=64)
     assert "no terminal to confirm on; add --yes" in unasked.said
     assert (
         "tom, start 1: the newest copy is on alpha, as it left for bravo after 0 hops (transfer 1)"
@@ -68,8 +67,7 @@ def test_the_home_continues_and_the_restarted_host_does_not(lfield, own):
     words = ("recover", "tom", deployment, *maps)
     assert answered("no\n", *words, cwd=lfield.folder, env=lfield.environment) == 1
 
-    done = lfield("recover", "tom", deployment, *maps, "--yes", env=own)
-    assert lfield.status(done) == 0, done.said
+    done = lfield("recover", "tom", deployment, *maps, "--yes", env=own, status=0)
     assert done.out[-1] == "alpha: tom recovered, as start 65537"
     hosts["alpha"].wait_for(
         "told: tom was recovered on alpha from its departure for bravo; this call may have b"

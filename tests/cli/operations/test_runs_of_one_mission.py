@@ -47,10 +47,8 @@ def test_a_team_is_found_after_another_of_its_mission_has_ended(lfield, own, mis
     second.wait()
     (left,) = runs_left(own)
     assert sorted(path.name for path in left.iterdir()) == ["alpha.sock", "bravo.sock", "note.json"]
-    shown = lfield("ps", "--deploy", mission, env=own)
-    assert lfield.status(shown) == 0, shown.said
-    stopped = lfield("estop", "--deploy", mission, env=own)
-    assert lfield.status(stopped) == 0, stopped.said
+    lfield("ps", "--deploy", mission, env=own, status=0)
+    stopped = lfield("estop", "--deploy", mission, env=own, status=0)
     assert stopped.out == ["alpha: has no devices that move", "bravo: has no devices that move"]
     for host in ("alpha", "bravo"):
         first.wait_for(rf"{host} +\| EMERGENCY STOP")
@@ -68,8 +66,7 @@ def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission)
         "up", "--deploy", other, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), env=own
     )
     alone.wait_for("posted")
-    shown = lfield("ps", "--json", env=own)
-    assert lfield.status(shown) == 69, shown.said
+    shown = lfield("ps", "--json", env=own, status=69)
     found = json.loads("\n".join(shown.out))
     hosts = [[run["hosts"] for run in party["runs"]] for party in found.values()]
     assert hosts == [[["alpha", "bravo"]], [["alpha", "bravo"]], [["alpha"]]]
@@ -82,11 +79,9 @@ def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission)
     assert [row[0] for row in rows[1:4]] == [first, second, third]
     assert rows[1][-1] == str(mission)
     assert [first] in rows
-    asked = lfield("query", "Lift", env=own)
-    assert lfield.status(asked) == 64
-    assert "several missions run here, name one" in asked.err[0]
-    stopped = lfield("estop", env=own)
-    assert lfield.status(stopped) == 3, stopped.said
+    result = lfield("query", "Lift", env=own, status=64)
+    assert "several missions run here, name one" in result.err[0]
+    stopped = lfield("estop", env=own, status=3)
     assert stopped.out[:3] == [
         f"stopping {first}: alpha, bravo",
         f"stopping {second}: alpha, bravo",
@@ -96,8 +91,7 @@ def test_all_runs_are_listed_and_stopped_without_arguments(lfield, own, mission)
     assert stopped.err[0].startswith(f"{third}/bravo: NOT REACHED, its devices have not confirmed: ")
     for run in (*teams, alone):
         run.wait_for("EMERGENCY STOP")
-    picked = lfield("estop", "--lift", "--run", first, env=own)
-    assert lfield.status(picked) == 0, picked.said
+    picked = lfield("estop", "--lift", "--run", first, env=own, status=0)
     assert picked.out == [
         f"lifting {first}: alpha, bravo",
         "alpha: has no devices that move",
@@ -122,8 +116,8 @@ def test_a_killed_run_is_removed_when_its_last_host_has_ended(lfield, own, missi
 def test_the_only_running_mission_is_queried_without_its_name(lfield, own, mission):
     lfield.write("mission.capabilities.yaml", "registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
     up_all(lfield, own, mission)
-    asked = lfield("query", "Hold", env=own)
-    assert asked.out[0] == "from the running team: 2 of 2 hosts answered", asked.said
+    result = lfield("query", "Hold", env=own)
+    assert result.out[0] == "from the running team: 2 of 2 hosts answered", result.said
 
 
 def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
@@ -134,8 +128,7 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
     lfield.keys.put("me", lfield.keys.made("person", "anna", Right.COMMAND))
     with_keys = ("--host", "alpha", "--first-start", "--volatile", *lfield.maps(["alpha", "bravo"]))
     for words in ((mission, "--all"), (alone, "--host", "alpha"), (mission, *with_keys)):
-        refused = lfield("up", "--deploy", *words, env=own)
-        assert lfield.status(refused) == 73, refused.said
+        refused = lfield("up", "--deploy", *words, env=own, status=73)
         assert refused.err == [
             f"lfield: cannot write {place}: it is not a folder; no command could find what runs, to stop it: "
             "set XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
@@ -157,6 +150,6 @@ def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
 def test_ambiguous_or_missing_runs_are_refused(here, own, monkeypatch, words, sentence):
     for name, value in own.items():
         monkeypatch.setenv(name, value)
-    said = here(*words)
-    assert said.status in (64, 69)
-    assert [re.sub("searched .*", "searched ...", line) for line in said.err] == [f"lfield: {sentence}"]
+    result = here(*words)
+    assert result.status in (64, 69)
+    assert [re.sub("searched .*", "searched ...", line) for line in result.err] == [f"lfield: {sentence}"]

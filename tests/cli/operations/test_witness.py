@@ -24,8 +24,7 @@ def test_a_witness_runs_and_is_shown(lfield):
     # The coordinator does not need this host, so it may be on its way before these links are established.
     for host in ("alpha", "bravo"):
         team.wait_for(rf"ground +\| link to {host} established")
-    shown = lfield("ps", "--deploy", deployment)
-    assert lfield.status(shown) == 0, shown.said
+    shown = lfield("ps", "--deploy", deployment, status=0)
     assert any(line.split() == ["ground", "-", "up,", "no", "agents"] for line in shown.out), shown.said
     hosts = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
     assert (hosts["ground"]["agents"], hosts["ground"]["linked"]) == ([], ["alpha", "bravo"])
@@ -33,7 +32,7 @@ def test_a_witness_runs_and_is_shown(lfield):
 
 def test_a_bundle_has_its_witness(lfield, here):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    assert here("build", deployment).status == 0
+    here("build", deployment, status=0)
     shown = here("inspect", "mission.lfm")
     assert any(
         line.startswith("host ground at ground:") and line.endswith(", a witness") for line in shown.out

@@ -19,8 +19,7 @@ EXAMPLES = ROOT / "examples"
 
 def fly(lfield, deployment: Path, *options) -> dict[str, list[str]]:
     """Run a mission to its end; the lines of each host."""
-    done = lfield("up", "--deploy", deployment, "--all", "--until-done", *options)
-    assert lfield.status(done) == 0, done.said
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", *options, status=0)
     by_host: dict[str, list[str]] = defaultdict(list)
     for line in done.out:
         host, bar, text = line.partition(" | ")

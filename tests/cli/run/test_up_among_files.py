@@ -22,6 +22,5 @@ def test_python_files_beside_a_mission_are_not_imported(here, lfield):
         lfield.write(
             f"{module}.py", "raise SystemExit(f'{__name__} was loaded from the folder of the mission')"
         )
-    said = here("up", "--deploy", deployment, "--all", "--sim", "--until-done")
-    assert said.status == 0, said
-    assert "battery: " in "\n".join((*said.out, *said.err)), said
+    result = here("up", "--deploy", deployment, "--all", "--sim", "--until-done", status=0)
+    assert "battery: " in "\n".join((*result.out, *result.err)), result

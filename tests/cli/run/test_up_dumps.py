@@ -22,8 +22,7 @@ def run(lfield):
 
     def to_the_end():
         words = ("up", "--deploy", lfield.mission(DIES, DEPLOYMENT), "--host", "alpha", "--until-done")
-        done = lfield(*words, *lfield.maps(["alpha"]), "--dump", "dumps")
-        assert lfield.status(done) == 1
+        done = lfield(*words, *lfield.maps(["alpha"]), "--dump", "dumps", status=1)
         assert "ann: goes on" in done.err
         return done
 

@@ -68,8 +68,7 @@ def late(monkeypatch):
 def test_a_host_too_slow_for_its_bindings_does_not_start(here, lfield, monkeypatch):
     monkeypatch.setattr(event_loop, "may_raise_timer_priority", lambda: False)
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
-    up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]))
-    assert up.status == 69
+    up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), status=69)
     # A computer that is late in earnest may have more to say, before and after this.
     (said,) = [line for line in up.err if line.startswith("'silence: 0.1' is too short for this computer")]
     # By more than the 0.12 s, if the computer is late in earnest while it is measured.
@@ -84,10 +83,10 @@ def test_ps_and_doctor_show_the_delay(lfield):
     deployment = lfield.mission(PROGRAM.replace("copter.land();", "sleep(1000.0);"), DEPLOYMENT, HARDWARE)
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
     team.wait_for("in the air")
-    told = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
-    assert told["alpha"]["silence"] == 2.0
-    assert 0.0 <= told["alpha"]["late"] < 2.0
-    assert (told["bravo"]["late"], told["bravo"]["silence"]) == (None, None)
+    data = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
+    assert data["alpha"]["silence"] == 2.0
+    assert 0.0 <= data["alpha"]["late"] < 2.0
+    assert (data["bravo"]["late"], data["bravo"]["silence"]) == (None, None)
     shown = lfield("ps", "--deploy", deployment).out
     assert any(line.split()[:3] == ["HOST", "HEARTBEAT", "DELAY"] for line in shown)
     doctor = lfield("doctor")

@@ -65,9 +65,9 @@ def test_a_coordinator_on_a_killed_host_has_an_unknown_outcome(lfield):
     hosts["bravo"].wait_for("far receives")
     hosts["bravo"].signal(signal.SIGKILL)
     assert hosts["alpha"].wait() == 4
-    said = "\n".join(hosts["alpha"].err)
-    assert "outcome unknown: it moved to bravo (transfer 1), and bravo has been unreachable for" in said
-    assert "lost:" not in said
+    text = "\n".join(hosts["alpha"].err)
+    assert "outcome unknown: it moved to bravo (transfer 1), and bravo has been unreachable for" in text
+    assert "lost:" not in text
 
 
 @pytest.mark.few(0)
@@ -235,34 +235,24 @@ def test_hosts_end_with_a_killed_parent(lfield):
 def test_a_mission_that_dies_ends_with_1(lfield):
     program = "coordinator Careless { init(string[] arg) { print(i2s(1 / (arg.length() - 1))); } }\n"
     done = lfield(
-        "up", "--deploy", lfield.mission(program, "//Careless:tom@alpha\n"), "--all", "--until-done"
+        "up", "--deploy", lfield.mission(program, "//Careless:tom@alpha\n"), "--all", "--until-done", status=1
     )
-    assert lfield.status(done) == 1
     assert "alpha | tom died of an uncaught ArithmeticException: division by zero" in done.err
     assert "alpha |     at Careless.init (mission.L:1)" in done.err
     assert "alpha |     hosts visited: alpha" in done.err
 
 
-def test_a_port_in_use_is_reported(lfield):
-    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
-    lfield.keys.give("alpha")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        address = f"127.0.0.1:{taken.getsockname()[1]}"
-        host = lfield("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
-    assert lfield.status(host) == 69
-    remedy = "stop the program that has it, or choose another port"
-    assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
-
-
-def test_a_host_that_finds_its_port_in_use_makes_no_journal(lfield, tmp_path):
+def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
     # The first one may still run, though its folder was moved: no new one may be made in its place.
     deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
     lfield.keys.give("alpha")
+    state = ("--state", tmp_path / "state")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
-        hosts = [lfield(*words, "--state", tmp_path / "state", *fresh) for fresh in ((), ("--fresh",))]
-    assert [lfield.status(host) for host in hosts] == [69, 69]
+        hosts = [lfield(*words, *more, status=69) for more in ((), state, (*state, "--fresh"))]
+    remedy = "stop the program that has it, or choose another port"
+    assert hosts[0].err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
     assert all("the port is in use" in host.said for host in hosts)
     assert not (tmp_path / "state").exists()
 
@@ -271,8 +261,7 @@ def test_all_listens_at_the_map_and_else_on_free_ports(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     (port,) = lfield.ports.take(1)
     words = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
-    done = lfield(*words, f"bravo=127.0.0.1:{port}")
-    assert lfield.status(done) == 0, done.said
+    done = lfield(*words, f"bravo=127.0.0.1:{port}", status=0)
     assert f"bravo | bravo listening on 127.0.0.1:{port}; state not saved" in done.err
     assert any(line.startswith("alpha | alpha listening on 127.0.0.1:") for line in done.err)
 
@@ -344,8 +333,8 @@ def test_program_output_to_a_full_disk_is_reported_once_and_the_mission_continue
     with open("/dev/full", "wb") as full:
         (host,) = lfield.hosts(deployment, ["alpha"], "--until-done", stdout=full).values()
         assert host.wait() == 0
-    told = [line for line in host.err if "program output discarded" in line]
-    assert told == ["program output discarded from here on: No space left on device"]
+    lines = [line for line in host.err if "program output discarded" in line]
+    assert lines == ["program output discarded from here on: No space left on device"]
 
 
 @pytest.mark.few(0)
@@ -354,8 +343,8 @@ def test_all_continues_with_output_to_a_full_disk(lfield):
     with open("/dev/full", "wb") as full:
         done = lfield("up", "--deploy", deployment, "--all", "--until-done", stdout=full)
     assert lfield.status(done) == 0
-    told = [line for line in done.err if "output discarded" in line]
-    assert told == ["lfield: program output discarded from here on: No space left on device"]
+    lines = [line for line in done.err if "output discarded" in line]
+    assert lines == ["lfield: program output discarded from here on: No space left on device"]
 
 
 @pytest.mark.few(0)
@@ -386,8 +375,7 @@ def test_a_host_that_cannot_start_is_in_the_json_log(lfield):
         'agents: {arm: {devices: {fc: {driver: mavlink, endpoint: "serial:/dev/none:57600", '
         "system: 1, kind: copter, safe_state: land, limits: {speed: 5.0}, waivers: [device_watchdog]}}}}"
     )
-    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--volatile", "--json")
-    assert lfield.status(done) == 69
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--volatile", "--json", status=69)
     refused, last = [json.loads(line) for line in done.out]
     assert (refused["host"], refused["code"], refused["exit_status"]) == ("alpha", "devices-unavailable", 69)
     assert (last["code"], last["fields"]["where"]) == ("mission-failed", "alpha")
@@ -403,7 +391,6 @@ def test_a_mission_that_cannot_be_built_is_in_the_json_log(lfield, program, stat
     deployment = lfield.mission(program, "//Arm:arm@alpha\n")
     if not program:
         (lfield.folder / deployment).unlink()
-    done = lfield("up", "--deploy", deployment, "--all", "--json")
-    assert lfield.status(done) == status
+    done = lfield("up", "--deploy", deployment, "--all", "--json", status=status)
     (refused,) = [json.loads(line) for line in done.out]
     assert (refused["code"], refused["exit_status"]) == (code, status)

@@ -54,8 +54,7 @@ def test_a_program_cannot_control_the_terminal(lfield, options):
     assert SHOWN in out.decode()
     assert not any(byte < 32 and byte not in b"\r\n\t" for byte in out)
     assert "\u009b" not in out.decode()
-    piped = lfield(*words)
-    assert lfield.status(piped) == 0, piped.said
+    piped = lfield(*words, status=0)
     assert "\x1b[31mred\x9b2J\u202e" in "\n".join(piped.out)
 
 
@@ -69,8 +68,7 @@ def test_a_bundle_cannot_control_the_terminal(lfield):
         'agents: {arm: {devices: {fc: {driver: mavlink, endpoint: "serial:/dev/tty\\e[31mX:57600", '
         "system: 1, kind: copter, safe_state: land, limits: {speed: 5.0}, waivers: [device_watchdog]}}}}"
     )
-    built = lfield("build", "mission.dL")
-    assert lfield.status(built) == 0, built.said
+    lfield("build", "mission.dL", status=0)
     out, status = on_a_terminal(lfield, "inspect", "mission.lfm")
     assert (status, b"\x1b" in out) == (0, False)
     assert r"serial:/dev/tty\u{1b}[31mX:57600" in out.decode()

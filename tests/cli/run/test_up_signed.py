@@ -26,15 +26,14 @@ def made(lfield, here):
 
     def make(stays: str = "") -> list[str]:
         lfield.mission(PROGRAM, TEAM.format(stays=stays))
-        assert here("build", "mission.dL").status == 0
+        here("build", "mission.dL", status=0)
         return lfield.maps(["alpha", "bravo"])
 
     return make
 
 
 def refused(lfield, *words: str) -> str:
-    host = lfield("up", "mission.lfm", "--host", "alpha", *words)
-    assert lfield.status(host) == 65, host.said
+    host = lfield("up", "mission.lfm", "--host", "alpha", *words, status=65)
     (line,) = host.err
     return line
 
@@ -52,9 +51,9 @@ def test_a_signed_bundle_runs_and_ps_shows_its_signer(lfield, here, made) -> Non
     assert shown.status == 0, shown
     pattern = rf"bundle {digest[1]}, signed by operator \d{{4}}-\d\d-\d\d \d\d:\d\d UTC: alpha, bravo"
     assert re.fullmatch(pattern, shown.out[-1])
-    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["bravo"]["bundle"]
-    assert (told["digest"], told["signed_by"]) == (digest[1], "operator")
-    assert abs(told["signed"] - time.time()) < 600.0
+    data = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["bravo"]["bundle"]
+    assert (data["digest"], data["signed_by"]) == (digest[1], "operator")
+    assert abs(data["signed"] - time.time()) < 600.0
 
 
 @pytest.mark.few(0)
@@ -72,9 +71,8 @@ def test_a_bundle_without_a_valid_signature_does_not_run(lfield, here, made, tmp
     # A person with only the operate right cannot sign, and their builds do not run either.
     mine = lfield.keys.made("person", "olga", Right.OPERATE)
     lfield.keys.put("me", mine)
-    assert here("sign", "mission.lfm").status == 65
-    built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps)
-    assert lfield.status(built) == 65
+    here("sign", "mission.lfm", status=65)
+    built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps, status=65)
     assert "it is not signed" in built.said
     # A signature of another team is refused too.
     foreign = Keyring(tmp_path / "foreign")
@@ -87,12 +85,12 @@ def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, ma
     state = lfield.folder / "kept"
     assert "it is not signed" in refused(lfield, *maps, "--state", state)
     assert not state.exists()
-    assert here("sign", "mission.lfm").status == 0
+    here("sign", "mission.lfm", status=0)
     words = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
     assert [host.wait() for host in [lfield.start(*words, name) for name in ("alpha", "bravo")]] == [0, 0]
     journal = next(path for path in state.rglob("*") if path.is_file() and "alpha" in str(path))
     before = journal.stat().st_ino
-    assert here("build", "mission.dL").status == 0
+    here("build", "mission.dL", status=0)
     assert "it is not signed" in refused(lfield, *maps, "--state", state, "--fresh", "--yes")
     assert journal.stat().st_ino == before
 
@@ -102,8 +100,7 @@ def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) ->
     lfield.write("robot.yaml", "unreachable_after: 5\n")
     words = ("up", "mission.lfm", *maps, "--until-done", "--first-start", "--devices", "robot.yaml")
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
-    unsigned = lfield(*words, "--host", "alpha")
-    assert lfield.status(unsigned) == 65
+    unsigned = lfield(*words, "--host", "alpha", status=65)
     assert "it is not signed" in unsigned.said
     lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
@@ -115,12 +112,12 @@ def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) ->
 
 def test_signed_bundles_that_differ_in_bindings_do_not_link_and_both_are_stopped(lfield, here, made) -> None:
     maps = made("?stays")
-    assert here("sign", "mission.lfm").status == 0
+    here("sign", "mission.lfm", status=0)
     alpha = lfield.start("up", "mission.lfm", *maps, "--first-start", "--host", "alpha")
     alpha.wait_for("listening on")
     lfield.write("mission.devices.yaml", "unreachable_after: 5\n")
     for words in (("build", "mission.dL", "-o", "other.lfm"), ("sign", "other.lfm")):
-        assert here(*words).status == 0
+        here(*words, status=0)
     bravo = lfield.start("up", "other.lfm", *maps, "--host", "bravo")
     bravo.wait_for(r"runs bundle \w{16} and \w+ runs bundle \w{16}: copy one of the two to both")
     stopped = here("estop", "--no-wait", "mission.lfm", *maps)
@@ -143,7 +140,7 @@ def test_hosts_that_build_from_files_may_have_their_own_devices(lfield, made) ->
 
 def test_a_bit_changed_after_signing_is_detected(lfield, here, made) -> None:
     maps = made()
-    assert here("sign", "mission.lfm").status == 0
+    here("sign", "mission.lfm", status=0)
     path = lfield.folder / "mission.lfm"
     data = bytearray(path.read_bytes())
     for place in (60, len(data) // 2, len(data) - 1):

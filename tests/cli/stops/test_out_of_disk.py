@@ -66,10 +66,9 @@ def test_a_team_that_cannot_store_its_manifest_does_not_fly(lfield, alone, optio
     """No command could find it to stop it."""
     endpoint = copter(lfield, alone)
     file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
-    assert lfield.status(lfield("build", file)) == 0
+    lfield("build", file, status=0)
     words = ("up", file.with_suffix(".lfm"), "--all", *options)
-    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start)
-    assert lfield.status(refused) == 73
+    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start, status=73)
     assert "File too large; no command could find what runs, to stop it" in refused.said
 
 

@@ -30,27 +30,24 @@ def maps(lfield, here):
     """The addresses of the hosts of a signed bundle."""
     lfield.mission(PROGRAM, TEAM)
     maps = lfield.maps(["alpha", "bravo"])
-    assert here("build", "mission.dL").status == 0
-    assert here("sign", "mission.lfm").status == 0
+    here("build", "mission.dL", status=0)
+    here("sign", "mission.lfm", status=0)
     return maps
 
 
 def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, here, maps) -> None:
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
     alpha.wait_for(r"^tom not started: waiting for bravo \(no link yet\)")
-    shown = here("ps", "mission.lfm", *maps)
-    assert shown.status == 69
+    shown = here("ps", "mission.lfm", *maps, status=69)
     assert any(re.search(r"alpha +tom +waits for bravo to start", line) for line in shown.out)
     assert any("alpha: tom is not started: waiting for bravo" in line for line in shown.out)
-    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["alpha"]
-    assert told["start"] == {"agents": ["tom"], "hosts": ["bravo"], "without": [], "held": ""}
-    assert told["refused"] == []
+    data = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))["alpha"]
+    assert data["start"] == {"agents": ["tom"], "hosts": ["bravo"], "without": [], "held": ""}
+    assert data["refused"] == []
 
-    waits = here("start", "mission.lfm", *maps)
-    assert waits.status == 1
+    waits = here("start", "mission.lfm", *maps, status=1)
     assert any("alpha: tom is not started: waiting for bravo" in line for line in waits.err)
-    wrong = here("start", "mission.lfm", *maps, "--without", "brovo")
-    assert wrong.status == 64
+    wrong = here("start", "mission.lfm", *maps, "--without", "brovo", status=64)
     assert "the mission has no host 'brovo': did you mean 'bravo'?" in wrong.err[0]
     begun = here("start", "mission.lfm", *maps, "--without", "bravo")
     assert (begun.status, begun.out) == (0, ["alpha: tom started"])
@@ -82,7 +79,7 @@ def test_a_host_with_an_old_bundle_is_named_by_the_printed_digests(lfield, here,
         f"bundle {new}",
         f"bundle {old}",
     }
-    told = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))
-    assert [(one["host"], one["bundle"]) for one in told["alpha"]["refused"]] == [("bravo", old)]
-    assert [(one["host"], one["bundle"]) for one in told["bravo"]["refused"]] == [("alpha", new)]
+    data = json.loads("\n".join(here("ps", "mission.lfm", *maps, "--json").out))
+    assert [(one["host"], one["bundle"]) for one in data["alpha"]["refused"]] == [("bravo", old)]
+    assert [(one["host"], one["bundle"]) for one in data["bravo"]["refused"]] == [("alpha", new)]
     assert alpha.said.count("tom: begins") == 0

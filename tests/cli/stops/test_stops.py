@@ -60,9 +60,8 @@ def test_a_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, here,
     # It was above 2 m, so below 1.8 m it sinks; seven seconds are left to the ground.
     # They would not be enough for a process that has yet to start on a busy computer.
     flown.witness.until(lambda seen: seen.mode == "LAND" and seen.height < 1.8)
-    asked = here("ps", *flown.command)
-    assert asked.status == 0, asked
-    shown = "\n".join(asked.out)
+    result = here("ps", *flown.command, status=0)
+    shown = "\n".join(result.out)
     assert "safe: " in shown
     assert "m up, sinking at 0." in shown
     assert flown.host.wait() == 0, flown.host.said

@@ -40,8 +40,7 @@ def test_a_team_with_a_missing_port_ends_with_69_and_names_it(lfield, alone):
     agents = "".join(f"//Copter:{name}@{name}\n" for name in ("lead", *nowhere))
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
     deployment = lfield.mission(program, agents, bound)
-    team = lfield("up", deployment, "--all", "--until-done", env=alone)
-    assert lfield.status(team) == 69, team.said
+    team = lfield("up", deployment, "--all", "--until-done", env=alone, status=69)
     assert "lead.fc: cannot open serial:/none" in team.said
     assert "NOT SAFE" not in team.said
 
@@ -52,8 +51,7 @@ def test_a_device_silent_while_another_cannot_be_opened_is_named(lfield, alone):
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port, endpoint), env=alone)
     host.wait_for("lead.fc link opened: ArduPilot copter")
-    told = lfield("sim", "fault", "mavlink", "silence=true", env=alone)
-    assert lfield.status(told) == 0, told.said
+    lfield("sim", "fault", "mavlink", "silence=true", env=alone, status=0)
     assert host.wait() == 3, host.said
     assert any(line.startswith("lead.fc NOT SAFE: ") for line in host.err), host.said
     assert "no heartbeat from system 1" in host.said

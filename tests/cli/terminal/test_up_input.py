@@ -59,8 +59,7 @@ def test_lines_are_addressed_to_hosts(lfield):
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
 def test_without_input_the_time_limit_ends_the_read(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=0.5))
-    run = lfield("up", "--deploy", deployment, *options, "--until-done")
-    assert lfield.status(run) == 0
+    run = lfield("up", "--deploy", deployment, *options, "--until-done", status=0)
     assert said(run) == ["d1 said nothing"]
 
 

@@ -118,16 +118,14 @@ def other_file(folder):
 def test_an_invalid_background_is_refused_with_a_sentence(here, lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
     for file in (lfield.folder / "missing.mbtiles", deployment, other_file(lfield.folder)):
-        said = here("watch", "--deploy", deployment, "--tiles", file)
-        assert said.status == 66
-        assert f"cannot read {file}: " in said.err[-1]
+        result = here("watch", "--deploy", deployment, "--tiles", file, status=66)
+        assert f"cannot read {file}: " in result.err[-1]
 
 
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "http"])
 def test_an_invalid_port_is_refused(here, lfield, port):
-    said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), f"--port={port}")
-    assert said.status == 64
-    assert "a port is a number from 1 to 65535" in said.err[-1]
+    result = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), f"--port={port}", status=64)
+    assert "a port is a number from 1 to 65535" in result.err[-1]
 
 
 def test_a_port_in_use_is_refused(here, lfield):
@@ -135,16 +133,15 @@ def test_a_port_in_use_is_refused(here, lfield):
 
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
-        said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), "--port", port)
-    assert said.status == 69
-    assert "the port is in use; stop the program that has it" in said.err[-1]
+        result = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), "--port", port)
+    assert result.status == 69
+    assert "the port is in use; stop the program that has it" in result.err[-1]
 
 
 def test_without_nicegui_the_sentence_names_the_package(here, lfield, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    said = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT))
-    assert said.status == 69
-    assert "pip install 'lfield[watch]'" in said.err[-1]
+    result = here("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), status=69)
+    assert "pip install 'lfield[watch]'" in result.err[-1]
 
 
 def test_a_page_waits_for_a_team_that_does_not_run(lfield, alone):

@@ -81,17 +81,16 @@ def test_a_page_that_cannot_be_served_is_refused_with_a_remedy(
     (folder / "link" / "page.key").unlink()
     (folder / "link" / "page.key").symlink_to(folder / "page" / "page.key")
     (folder / "half" / "page.key").unlink()
-    said = here("watch", "--deploy", deployment, *line.split())
-    assert said.status == status, said
-    assert words in said.err[-1]
+    result = here("watch", "--deploy", deployment, *line.split(), status=status)
+    assert words in result.err[-1]
 
 
 @pytest.mark.process
 def test_the_command_printed_by_keys_page_serves_the_page(here, lfield, alone) -> None:
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)
-    assert here("keys", "init", "authority").status == 0
-    told = here("keys", "page", ADDRESS, "--authority", "authority").out[1].split()[1:]
-    page = lfield.start(*told[:-1], deployment, env=alone)
+    here("keys", "init", "authority", status=0)
+    result = here("keys", "page", ADDRESS, "--authority", "authority").out[1].split()[1:]
+    page = lfield.start(*result[:-1], deployment, env=alone)
     link = page.wait_for(rf"open this link: (https://{ADDRESS}:\d+/\?token=\S+)")[1]
     status, _ = answer_of(link, (lfield.folder / "authority" / "browsers.crt").read_bytes())
     assert status == 303

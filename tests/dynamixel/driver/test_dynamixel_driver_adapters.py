@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import on_bench
 from dynamixel_bench import START, Bench, call
 from hypothesis import given
 from hypothesis import strategies as st
@@ -48,8 +49,8 @@ def test_echoing_adapter_is_used_like_one_without_echo(protocol, ids):
         await call(device, "torque", True)
         goal = [0.5 + 0.1 * number for number in ids]
         await call(device, "moveTo", goal if len(ids) > 1 else goal[0])
-        seen = b.values["positions"] if len(ids) > 1 else [b.values["position"]]
-        assert seen == pytest.approx(goal, abs=0.02)
+        observed = b.values["positions"] if len(ids) > 1 else [b.values["position"]]
+        assert observed == pytest.approx(goal, abs=0.02)
         await device.make_safe()
         await call(device, "torque", False)
         await asyncio.sleep(2.0)
@@ -159,17 +160,13 @@ def test_protocol_1_instruction_equals_an_answer_byte_for_byte():
     assert (status.number, status.error, status.data) == (1, 1, b"")
 
 
-def test_servo_whose_answer_equals_its_ping_is_found():
-    b = bench(1, 1)
+@on_bench(bench, 1, 1, opened=False)
+async def test_servo_whose_answer_equals_its_ping_is_found(b, servo, /):
     b.fault("sag=8.0")
-
-    async def story(servo):
-        b.chain.receive(b"", asyncio.get_running_loop().time())
-        await asyncio.sleep(1.0)
-        assert "AX-12A 1" in await servo.open()
-        assert "voltage" in b.values["fault"]
-
-    b.run(story, opened=False)
+    b.chain.receive(b"", asyncio.get_running_loop().time())
+    await asyncio.sleep(1.0)
+    assert "AX-12A 1" in await servo.open()
+    assert "voltage" in b.values["fault"]
 
 
 @given(

@@ -46,21 +46,17 @@ async def test_ax_without_the_watchdog_waiver_is_refused(b, servo, /):
         await servo.open()
 
 
-def test_stored_setting_is_not_written_at_opening():
-    bench = ax(4)
+@on_bench(ax, 4, opened=False)
+async def test_stored_setting_is_not_written_at_opening(bench, servo, /):
     bench.servos[4].table.put("status_return_level", 1)
-
-    async def story(servo):
-        with pytest.raises(DeviceNotSetUp, match="status_return_level of servo 4 is 1 and must be 2"):
-            await servo.open()
-        assert bench.servos[4].table["status_return_level"] == 1
-        (setting,) = await servo.settings()
-        await servo.write_setting(setting.name, 2)
+    with pytest.raises(DeviceNotSetUp, match="status_return_level of servo 4 is 1 and must be 2"):
         await servo.open()
-        await servo.write_setting(setting.name, 1)
-        assert bench.servos[4].table["status_return_level"] == 1
-
-    bench.run(story, opened=False)
+    assert bench.servos[4].table["status_return_level"] == 1
+    (setting,) = await servo.settings()
+    await servo.write_setting(setting.name, 2)
+    await servo.open()
+    await servo.write_setting(setting.name, 1)
+    assert bench.servos[4].table["status_return_level"] == 1
 
 
 @pytest.mark.parametrize(

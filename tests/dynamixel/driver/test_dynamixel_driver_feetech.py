@@ -111,22 +111,20 @@ async def test_offset_over_half_a_turn_is_taken_the_other_way(bench, servo, /, a
         ("phase", 0x10, "phase of servo 1", 0x0C),
     ],
 )
-def test_wrong_stored_setting_is_refused_and_set_up_writes_it(register, value, setting, right):
-    bench = sts(1)
+@on_bench(sts, 1, opened=False)
+async def test_wrong_stored_setting_is_refused_and_set_up_writes_it(
+    bench, servo, /, register, value, setting, right
+):
     bench.servos[1].table.put(register, value)
-
-    async def story(servo):
-        with pytest.raises(DeviceNotSetUp, match=f"{setting} is {value} and must be {right}"):
-            await servo.open()
-        await servo.write_setting(setting, right)
+    with pytest.raises(DeviceNotSetUp, match=f"{setting} is {value} and must be {right}"):
         await servo.open()
-        bench.servos[1].reboot()
-        await asyncio.sleep(0.2)
-        assert bench.servos[1].table[register] == right
-        await servo.write_setting(setting, value)
-        assert bench.servos[1].table[register] == value
-
-    bench.run(story, opened=False)
+    await servo.write_setting(setting, right)
+    await servo.open()
+    bench.servos[1].reboot()
+    await asyncio.sleep(0.2)
+    assert bench.servos[1].table[register] == right
+    await servo.write_setting(setting, value)
+    assert bench.servos[1].table[register] == value
 
 
 @pytest.mark.parametrize(
@@ -157,16 +155,12 @@ async def test_unsupported_feetech_instruction_is_refused(b, servo, /, instructi
         ("currentPosition", ("moveUntil", 1e7, 0.1)),
     ],
 )
-def test_values_beyond_the_registers_are_refused(fake, protocol, mode, instruction):
-    bench = Bench(1, fake=fake, protocol=protocol, waivers=["device_watchdog"])
-
-    async def story(servo):
-        await call(servo, "mode", mode)
-        await call(servo, "torque", True)
-        with pytest.raises(DeviceError, match=r"cannot be limited|cannot have|only moves from"):
-            await call(servo, *instruction)
-
-    bench.run(story)
+@on_bench(Bench, 1, waivers=["device_watchdog"], given="fake protocol")
+async def test_values_beyond_the_registers_are_refused(bench, servo, /, fake, protocol, mode, instruction):
+    await call(servo, "mode", mode)
+    await call(servo, "torque", True)
+    with pytest.raises(DeviceError, match=r"cannot be limited|cannot have|only moves from"):
+        await call(servo, *instruction)
 
 
 @on_bench(Bench, 1, fake="STS3215", protocol=0, opened=False)
@@ -211,26 +205,24 @@ async def test_servo_with_reduced_torque_is_refused_until_switched_on_again(benc
         ("AX-12A", 1, "brownout@2=true", r"servo 2 has lost its torque without a fault"),
     ],
 )
-def test_overheating_or_torque_loss_in_motion_stops_all_servos(fake, protocol, fault, match):
-    bench = Bench(1, 2, fake=fake, protocol=protocol, waivers=["device_watchdog"])
-
-    async def story(group):
-        await call(group, "torque", True)
-        await call(group, "setProfile", 0.2, 0.0)
-        motion = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5]))
-        await asyncio.sleep(1.0)
-        began = asyncio.get_running_loop().time()
-        bench.fault(fault)
-        with pytest.raises(DeviceError, match=match) as caught:
-            await motion
-        assert caught.value.kind == "DeviceException"
-        if "brownout" in fault:
-            assert asyncio.get_running_loop().time() - began < 1.0
-        place = bench.values["positions"][0]
-        await asyncio.sleep(1.0)
-        assert bench.values["positions"][0] == pytest.approx(place, abs=0.03), "the other servo holds"
-
-    bench.run(story)
+@on_bench(Bench, 1, 2, waivers=["device_watchdog"], given="fake protocol")
+async def test_overheating_or_torque_loss_in_motion_stops_all_servos(
+    bench, group, /, fake, protocol, fault, match
+):
+    await call(group, "torque", True)
+    await call(group, "setProfile", 0.2, 0.0)
+    motion = asyncio.ensure_future(call(group, "moveTo", [1.5, 1.5]))
+    await asyncio.sleep(1.0)
+    began = asyncio.get_running_loop().time()
+    bench.fault(fault)
+    with pytest.raises(DeviceError, match=match) as caught:
+        await motion
+    assert caught.value.kind == "DeviceException"
+    if "brownout" in fault:
+        assert asyncio.get_running_loop().time() - began < 1.0
+    place = bench.values["positions"][0]
+    await asyncio.sleep(1.0)
+    assert bench.values["positions"][0] == pytest.approx(place, abs=0.03), "the other servo holds"
 
 
 @on_bench(Bench, 1)

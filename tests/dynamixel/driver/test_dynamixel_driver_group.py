@@ -69,18 +69,18 @@ async def test_missing_member_is_named_and_its_position_is_nan(bench, group, /):
 @pytest.mark.parametrize("fault", ["lose=0.1", "corrupt=0.1", "noise=0.2"])
 @on_bench(Bench, 1, 2, 3, 4, 5, 6)
 async def test_lost_replies_do_not_stop_a_group(bench, group, /, fault):
-    seen = []
+    observed = []
 
     await stiff(group)
     bench.fault(fault)
     moving = asyncio.ensure_future(call(group, "moveTo", [1.0, -1.0, 0.5, 0.2, 0.7, -0.3]))
     while not moving.done():
         await asyncio.sleep(0.05)
-        seen.append((list(bench.values["positions"]), list(bench.values["missing"])))
+        observed.append((list(bench.values["positions"]), list(bench.values["missing"])))
     await moving
     # An unknown position is NaN, never 0: all move away from 0 and none returns.
     for servo in range(6):
-        way = [abs(positions[servo]) for positions, _ in seen if not math.isnan(positions[servo])]
+        way = [abs(positions[servo]) for positions, _ in observed if not math.isnan(positions[servo])]
         assert all(later >= before - 0.02 for before, later in itertools.pairwise(way))
 
 
@@ -141,15 +141,11 @@ async def test_first_safe_frame_does_not_wait_for_dead_members(bench, group, /):
         await task
 
 
-def test_opening_names_all_missing_servos():
-    bench = Bench(1, 2, 3)
+@on_bench(Bench, 1, 2, 3, opened=False)
+async def test_opening_names_all_missing_servos(bench, group, /):
     bench.fault("dead@1=true", "dead@3=true")
-
-    async def story(group):
-        with pytest.raises(DeviceError, match=r"servo 1 does not answer.*servo 3 does not answer"):
-            await group.open()
-
-    bench.run(story, opened=False)
+    with pytest.raises(DeviceError, match=r"servo 1 does not answer.*servo 3 does not answer"):
+        await group.open()
 
 
 @on_bench(Bench, 1, 2)

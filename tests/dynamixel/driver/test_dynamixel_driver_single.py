@@ -360,12 +360,8 @@ def test_wrong_model_or_absent_servo_is_refused(options, match):
     Bench(**options).run(story, opened=False)
 
 
-def test_unknown_model_number_is_named():
-    bench = Bench()
+@on_bench(Bench, opened=False)
+async def test_unknown_model_number_is_named(bench, servo, /):
     bench.servos[1].table.put("model_number", 4711)
-
-    async def story(servo):
-        with pytest.raises(DeviceError, match="model number 4711, which is not in the tables"):
-            await servo.open()
-
-    bench.run(story, opened=False)
+    with pytest.raises(DeviceError, match="model number 4711, which is not in the tables"):
+        await servo.open()

@@ -5,78 +5,39 @@ from __future__ import annotations
 import struct
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from fake_bus import (
+    ACCESS,
+    ACTION,
+    BAD_CRC,
+    BAD_INSTRUCTION,
+    BAUD,
+    BROADCAST,
+    CLEAR,
+    GOAL,
+    GOAL_VELOCITY,
+    ID,
+    LED,
+    LENGTH,
+    LIMIT,
+    MODE,
+    PING,
+    POSITION,
+    RANGE,
+    READ,
+    REBOOT,
+    REG_WRITE,
+    REGISTERED,
+    RESET,
+    RESULT_FAIL,
+    TORQUE,
+    VELOCITY_LIMIT,
+    WRITE,
+    Bus,
+    parse,
+    sync_read,
+)
 
-from lfield_sim.dynamixel.packets import Instruction, crc16, encode, encode1, unstuff
-from lfield_sim.dynamixel.servo import Servo
-from lfield_sim.dynamixel.servo_chain import ServoChain
-from lfield_sim.dynamixel.servo_model import model_named
-
-PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
-RESET, REBOOT, CLEAR, BROADCAST = 6, 8, 0x10, 0xFE
-ID, BAUD, DELAY, MODE, SECONDARY, VELOCITY_LIMIT, TORQUE, LED, LEVEL = 7, 8, 9, 11, 12, 44, 64, 65, 68
-REGISTERED, HARDWARE, GOAL_VELOCITY, GOAL, POSITION = 69, 70, 104, 116, 132
-RESULT_FAIL, BAD_INSTRUCTION, BAD_CRC, RANGE, LENGTH, LIMIT, ACCESS, ALERT = 1, 2, 3, 4, 5, 6, 7, 128
-
-
-def parse(data: bytes) -> list[tuple[int, int, bytes]]:
-    """Status packets as id, error and data; each must be valid."""
-    found = []
-    while data:
-        end = 7 + int.from_bytes(data[5:7], "little")
-        assert data[:4] == b"\xff\xff\xfd\x00"
-        assert crc16(data[: end - 2]) == int.from_bytes(data[end - 2 : end], "little")
-        body = unstuff(data[7 : end - 2])
-        assert body[0] == 0x55
-        found.append((data[4], body[1], body[2:]))
-        data = data[end:]
-    return found
-
-
-class Bus:
-    """A chain and its time."""
-
-    def __init__(self, *ids: int, model: str = "XM430-W350", **settings: int) -> None:
-        servos = []
-        for id in ids or (1,):
-            servos.append(Servo(model_named(model)))
-            for name, value in {"id": id, **settings}.items():
-                servos[-1].table.put(name, value)
-        self.chain = ServoChain(servos)
-        self.now, self.baud = 1.0, None
-
-    def send(self, raw: bytes) -> bytes:
-        """Send bytes; returns all replies before the next request."""
-        replies = self.chain.receive(raw, self.now, self.baud)
-        self.now = max([self.now + 0.005, *(reply.at for reply in replies)])
-        return b"".join(reply.data for reply in replies)
-
-    def ask(self, id: int, instruction: int, parameters: bytes = b"") -> list[tuple[int, int, bytes]]:
-        """The answers to an instruction."""
-        return parse(self.send(encode(id, instruction, parameters)))
-
-    def read(self, id: int, address: int, length: int) -> bytes:
-        """Registers of a servo that answers without an error."""
-        ((answerer, error, data),) = self.ask(id, READ, struct.pack("<HH", address, length))
-        assert (answerer, error) == (id, 0)
-        return data
-
-    def write(self, id: int, address: int, data: bytes) -> int | None:
-        """The error byte, or None without an answer."""
-        answers = self.ask(id, WRITE, struct.pack("<H", address) + data)
-        return answers[0][1] if answers else None
-
-    def wait(self, seconds: float) -> None:
-        """Advance the time without a packet."""
-        self.now += seconds
-        self.chain.advance(self.now)
-
-
-def sync_read(*ids: int, fast: bool = False) -> bytes:
-    instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
-    return encode(BROADCAST, instruction, struct.pack("<HH", POSITION, 4) + bytes(ids))
-
+from lfield_sim.dynamixel.packets import Instruction, encode
 
 # ---- single servos ----------------------------------------------------------------------------------
 
@@ -299,166 +260,3 @@ def test_invalid_group_reads_are_not_answered():
     wishes = struct.pack("<BHHBHH", 1, 0, 660, 2, 0, 660)
     assert bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, wishes)) == b""
     assert len(bus.ask(BROADCAST, Instruction.BULK_READ, wishes)) == 2
-
-
-# ---- time -------------------------------------------------------------------------------------------
-
-
-def test_answer_takes_transmission_time_and_return_delay():
-    bus = Bus(1, 2)
-    question = encode(1, READ, b"\x84\x00\x04\x00")
-    (reply,) = bus.chain.receive(question, 1.0, 57_600)
-    assert reply.at == pytest.approx(1.0 + (14 + 15) * 10 / 57_600 + 500e-6)
-    first, second = bus.chain.receive(sync_read(1, 2), 2.0, 57_600)
-    assert second.at - first.at == pytest.approx(15 * 10 / 57_600 + 500e-6)
-
-
-def test_flood_of_requests_is_answered_late_and_in_bounds():
-    bus = Bus()
-    flood = encode(1, PING) * 2000
-    replies = bus.chain.receive(flood, 1.0, 57_600)
-    assert replies[1].at > replies[0].at
-    assert replies[-1].at < 2.1
-    assert len(replies) < 300
-
-
-def test_wrong_baud_rate_or_half_a_packet_gets_no_answer():
-    bus = Bus()
-    bus.baud = 115_200
-    assert bus.ask(1, PING) == []
-    bus.baud = 57_600
-    raw = encode(1, PING)
-    assert bus.send(raw[:5]) == b""
-    assert len(parse(bus.send(raw[5:]))) == 1
-    bus.send(raw[:5])
-    bus.wait(0.2)
-    assert bus.send(raw[5:]) == b"", "the rest came too late"
-    assert len(bus.ask(1, PING)) == 1
-
-
-def test_any_packet_on_the_bus_feeds_every_watchdog():
-    bus = Bus(1, 2, bus_watchdog=10)
-    bus.write(1, TORQUE, b"\x01")
-    for _ in range(10):
-        bus.wait(0.15)
-        bus.ask(2, PING)
-    assert bus.read(1, 98, 1) == b"\x0a"
-    broken = encode(2, PING)[:-1] + b"\x00"
-    for _ in range(2):
-        bus.wait(0.15)
-        bus.send(broken)
-    assert bus.read(1, 98, 1) == b"\xff"
-
-
-# ---- protocol 1.0 -----------------------------------------------------------------------------------
-
-
-def test_protocol_1_of_the_fake():
-    bus = Bus(protocol_type=1)
-    assert bus.ask(1, PING) == []
-    assert bus.send(encode1(1, PING)) == bytes.fromhex("FF FF 01 02 00 FC")
-    assert bus.send(encode1(1, READ, b"\x84\x04"))[5:9] == struct.pack("<i", 2048)
-    assert bus.send(encode1(1, WRITE, b"\x41\x09"))[4] == 0x08
-    assert bus.send(encode1(1, 0x77))[4] == 0x40
-    assert bus.send(encode1(BROADCAST, Instruction.SYNC_WRITE, b"\x41\x01\x01\x01")) == b""
-    assert bus.send(encode1(BROADCAST, Instruction.BULK_READ, b"\x00\x01\x01\x41"))[5] == 1
-    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than an answer may be"
-    raw = bytearray(encode1(1, PING))
-    raw[-1] ^= 1
-    assert bus.send(bytes(raw))[4] == 0x10
-
-
-# ---- faults -----------------------------------------------------------------------------------------
-
-
-def test_dead_servo_ends_a_group_read():
-    bus = Bus(1, 2, 3)
-    bus.chain.faults.apply(["dead@2=true"])
-    assert bus.ask(2, PING) == []
-    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1]
-    bus.ask(BROADCAST, WRITE, b"\x41\x00\x01")
-    assert bus.chain.servos[1].table["led"] == 0
-
-
-def test_lost_and_corrupt_replies():
-    bus = Bus(1, 2, 3)
-    bus.chain.faults.apply(["lose@2=1"])
-    assert bus.write(2, LED, b"\x01") is None
-    assert bus.chain.servos[1].table["led"] == 1, "the write was executed"
-    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1, 3], (
-        "the other servos received the request"
-    )
-    assert len(bus.send(sync_read(1, 2, 3, fast=True))) == 16
-    bus.chain.faults.apply(["lose@2=0", "corrupt@1=1"])
-    good, bad = encode(1, 0x55, b"\x00\xfc\x03\x34"), bus.send(encode(1, PING))
-    assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
-
-
-def test_delayed_foreign_and_nonsense_answers():
-    bus = Bus(1)
-    bus.chain.faults.apply(["delay=0.5"])
-    assert bus.chain.receive(encode(1, PING), 5.0)[0].at > 5.5
-    bus.chain.faults.apply(["delay=0", "other=true"])
-    bus.now = 6.0
-    assert bus.ask(1, PING)[0][0] == 2
-    bus.chain.faults.apply(["other=false", "nonsense=true"])
-    assert bus.send(encode(1, PING))[:4] != b"\xff\xff\xfd\x00"
-    bus.chain.faults.apply(["nonsense=false", "noise=1"])
-    assert len(bus.send(encode(1, PING))) > 14
-
-
-def test_overload_trips_and_sets_the_alert_bit():
-    bus = Bus(1, 2)
-    bus.write(1, TORQUE, b"\x01")
-    bus.chain.faults.apply(["overload@1=true"])
-    bus.wait(2.0)
-    assert bus.ask(1, PING)[0][1] == ALERT
-    assert bus.write(1, TORQUE, b"\x05") == ALERT | RANGE
-    assert bus.ask(2, PING)[0][1] == 0
-    assert bus.chain.servos[0].table["torque_enable"] == 0
-    bus.chain.faults.apply(["overload@1=false"])
-    bus.ask(1, REBOOT)
-    bus.wait(0.2)
-    assert bus.ask(1, PING)[0][1] == 0
-
-
-def test_stuck_servo_does_not_move_and_reports_no_error():
-    bus = Bus()
-    bus.chain.faults.apply(["stuck=true"])
-    bus.write(1, TORQUE, b"\x01")
-    bus.write(1, GOAL, struct.pack("<i", 3000))
-    bus.wait(3.0)
-    assert bus.read(1, POSITION, 4) == struct.pack("<i", 2048)
-    assert bus.read(1, HARDWARE, 1) == b"\x00"
-
-
-def test_faults_stay_with_the_servo_when_its_id_changes():
-    bus = Bus()
-    bus.chain.faults.apply(["dead@1=true"])
-    bus.chain.servos[0].table.put("id", 5)
-    assert bus.ask(5, PING) == []
-
-
-# ---- hostile bytes ----------------------------------------------------------------------------------
-
-instructions = st.sampled_from([*Instruction, 0x55, 0x77])
-pieces = st.one_of(
-    st.binary(max_size=60),
-    st.builds(encode, st.sampled_from([1, 2, 9, 100, BROADCAST]), instructions, st.binary(max_size=30)),
-    st.builds(encode1, st.sampled_from([1, 2, 9, BROADCAST]), instructions, st.binary(max_size=30)),
-)
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.lists(st.tuples(pieces, st.floats(0.0, 0.3)), max_size=8), st.sampled_from([1, 2]))
-def test_any_bytes_on_the_bus_are_survived(pieces, protocol):
-    bus = Bus(1, 2, protocol_type=protocol, return_delay_time=0, secondary_id=100)
-    for piece, pause in pieces:
-        bus.wait(pause)
-        assert len(bus.send(piece)) <= 8 * (len(piece) + 1) * 700
-    bus.wait(0.5)
-    servo = bus.chain.servos[0]
-    servo.table.put("status_return_level", 2)
-    ping = encode(servo.id, PING) if servo.protocol == 2 else encode1(servo.id, PING)
-    assert bus.send(ping), "the next packet is answered"
-    assert all(len(codec._buffer) <= 1024 for codec in bus.chain._codecs.values())

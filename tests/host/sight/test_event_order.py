@@ -57,32 +57,28 @@ def clock_lines(running) -> list[str]:
 
 
 @pytest.mark.parametrize("off", [-0.9 * MAX_AHEAD, 0.9 * MAX_AHEAD, -300.0, 5.0])
-def test_logs_of_hosts_with_clocks_minutes_apart_are_merged_in_causal_order(fleet, off: float) -> None:
-    async def story(fleet) -> None:
-        mission, hosts = await walk(fleet, off)
+async def test_logs_of_hosts_with_clocks_minutes_apart_are_merged_in_causal_order(
+    fleet, /, off: float
+) -> None:
+    mission, hosts = await walk(fleet, off)
 
-        async def locate(host: str) -> str:
-            return mission.team.addresses_by_host[host]
+    async def locate(host: str) -> str:
+        return mission.team.addresses_by_host[host]
 
-        log = await log_backlog(fleet.network.transport("desk"), mission.team.hosts, locate, LoopClock())
-        printed = [dated for dated in log if dated.event.kind == "printed"]
-        lines = [dated.event.what.text for dated in printed]
-        assert lines == [f"{part} {n}" for n in range(20) for part in ("before", "visit", "after")]
-        stamps = [dated.event.stamp for dated in printed]
-        assert all(one < other for one, other in pairwise(stamps))
-        # The wall time of each host is still shown.
-        behind = "alpha" if off > 0.0 else "beta"
-        assert {dated.host for dated in printed if dated.within is not None} == {behind}
-        assert [clock_lines(running) for running in hosts] == [[], []]
-
-    fleet(story)
+    log = await log_backlog(fleet.network.transport("desk"), mission.team.hosts, locate, LoopClock())
+    printed = [dated for dated in log if dated.event.kind == "printed"]
+    lines = [dated.event.what.text for dated in printed]
+    assert lines == [f"{part} {n}" for n in range(20) for part in ("before", "visit", "after")]
+    stamps = [dated.event.stamp for dated in printed]
+    assert all(one < other for one, other in pairwise(stamps))
+    # The wall time of each host is still shown.
+    behind = "alpha" if off > 0.0 else "beta"
+    assert {dated.host for dated in printed if dated.within is not None} == {behind}
+    assert [clock_lines(running) for running in hosts] == [[], []]
 
 
-def test_a_clock_far_ahead_is_reported_once_and_not_followed(fleet) -> None:
-    async def story(fleet) -> None:
-        _, (alpha, beta) = await walk(fleet, MAX_AHEAD + 90.0)
-        expected = log_messages.CLOCK_AHEAD.line(host="beta", seconds=MAX_AHEAD + 90.0)
-        assert [clock_lines(alpha), clock_lines(beta)] == [[expected], []]
-        assert alpha.host.hybrid_clock.last / (1 << 16) < (1.7e9 + LoopClock().time()) * 1000.0 + 1000.0
-
-    fleet(story)
+async def test_a_clock_far_ahead_is_reported_once_and_not_followed(fleet, /) -> None:
+    _, (alpha, beta) = await walk(fleet, MAX_AHEAD + 90.0)
+    expected = log_messages.CLOCK_AHEAD.line(host="beta", seconds=MAX_AHEAD + 90.0)
+    assert [clock_lines(alpha), clock_lines(beta)] == [[expected], []]
+    assert alpha.host.hybrid_clock.last / (1 << 16) < (1.7e9 + LoopClock().time()) * 1000.0 + 1000.0

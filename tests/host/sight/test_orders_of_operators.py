@@ -5,6 +5,9 @@ from __future__ import annotations
 import asyncio
 from contextlib import asynccontextmanager
 
+import pytest
+from coroutine_tests import scenario
+
 from lfield.client.capability_query import TeamQueries
 from lfield.client.team_actions import TeamActions
 from lfield.client.team_connection import TeamConnection
@@ -74,31 +77,35 @@ async def operated(fleet, mission, asked=None, dialled=None):
         await asyncio.gather(task, return_exceptions=True)
 
 
-def operate(fleet, story, asked=None, dialled=None) -> None:
-    async def main(fleet) -> None:
-        mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
-        hosts = await fleet.up(mission)
-        async with operated(fleet, mission, asked, dialled) as shown:
-            await story(fleet, shown, hosts)
+@pytest.fixture
+def operate(fleet):
+    """Runs a test with a watched team of two hosts."""
 
-    fleet(main)
+    def run(story, asked=None, dialled=None) -> None:
+        async def main(fleet) -> None:
+            mission = fleet.mission(PROGRAM, TEAM, capabilities=CAPABILITIES)
+            hosts = await fleet.up(mission)
+            async with operated(fleet, mission, asked, dialled) as shown:
+                await story(fleet, shown, hosts)
 
+        fleet(main)
 
-def test_a_stop_is_shown_until_it_is_lifted(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        done = await shown.actions.stop("a child")
-        assert (done.order, done.is_complete, done.unreached) == ("stop", True, {})
-        await fleet.until(lambda: shown.snapshot().stop.hosts == ("alpha", "beta"))
-        stop = shown.snapshot().stop
-        assert stop.reason == "the emergency stop was pressed: a child"
-        assert stop.complete
-        assert (await shown.actions.lift()).is_complete
-        await fleet.until(lambda: not shown.snapshot().stop.stands)
-
-    operate(fleet, story)
+    return run
 
 
-def test_orders_use_open_connections_and_dial_where_there_is_none(fleet) -> None:
+@scenario("operate")
+async def test_a_stop_is_shown_until_it_is_lifted(fleet, shown, hosts, /) -> None:
+    done = await shown.actions.stop("a child")
+    assert (done.order, done.is_complete, done.unreached) == ("stop", True, {})
+    await fleet.until(lambda: shown.snapshot().stop.hosts == ("alpha", "beta"))
+    stop = shown.snapshot().stop
+    assert stop.reason == "the emergency stop was pressed: a child"
+    assert stop.complete
+    assert (await shown.actions.lift()).is_complete
+    await fleet.until(lambda: not shown.snapshot().stop.stands)
+
+
+def test_orders_use_open_connections_and_dial_where_there_is_none(operate) -> None:
     dialled: list[str] = []
 
     async def story(fleet, shown, hosts) -> None:
@@ -114,63 +121,55 @@ def test_orders_use_open_connections_and_dial_where_there_is_none(fleet) -> None
         assert dialled
         assert len(set(dialled)) == 1
 
-    operate(fleet, story, dialled=dialled)
+    operate(story, dialled=dialled)
 
 
-def test_a_pause_is_shown_until_it_ends(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        assert (await shown.actions.pause()).is_complete
-        await fleet.until(lambda: shown.snapshot().paused == ("alpha", "beta"))
-        assert (await shown.actions.resume()).is_complete
-        await fleet.until(lambda: shown.snapshot().paused == ())
-
-    operate(fleet, story)
+@scenario("operate")
+async def test_a_pause_is_shown_until_it_ends(fleet, shown, hosts, /) -> None:
+    assert (await shown.actions.pause()).is_complete
+    await fleet.until(lambda: shown.snapshot().paused == ("alpha", "beta"))
+    assert (await shown.actions.resume()).is_complete
+    await fleet.until(lambda: shown.snapshot().paused == ())
 
 
-def test_an_unreached_host_is_named_by_a_stop_and_in_the_display(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        await hosts[1].host.stop()
-        done = await shown.actions.stop()
-        assert list(done.unreached) == ["beta"]
-        assert not done.is_complete
-        await fleet.until(lambda: shown.snapshot().stop.stands)
-        stop = shown.snapshot().stop
-        assert (stop.hosts, list(stop.unreached), stop.complete) == (("alpha",), ["beta"], False)
-
-    operate(fleet, story)
+@scenario("operate")
+async def test_an_unreached_host_is_named_by_a_stop_and_in_the_display(fleet, shown, hosts, /) -> None:
+    await hosts[1].host.stop()
+    done = await shown.actions.stop()
+    assert list(done.unreached) == ["beta"]
+    assert not done.is_complete
+    await fleet.until(lambda: shown.snapshot().stop.stands)
+    stop = shown.snapshot().stop
+    assert (stop.hosts, list(stop.unreached), stop.complete) == (("alpha",), ["beta"], False)
 
 
-def test_a_query_is_answered_and_a_wrong_one_is_marked(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        answer = await shown.actions.query("Lift where payload >= 2.0")
-        (found,) = answer.found
-        assert [offer.agent for offer in found.offers] == ["arm1"]
-        assert [refusal.reasons for refusal in found.refusals if refusal.subject == "arm2"] == [
-            ("payload 1.2 < 2.0",)
-        ]
-        wrong = await shown.actions.query("Lift where paylod >= 2.0")
-        assert (wrong.found, "^" in wrong.mistakes, "paylod" in wrong.mistakes) == ((), True, True)
-        assert (await shown.actions.query("Lift where where where")).mistakes
-
-    operate(fleet, story)
+@scenario("operate")
+async def test_a_query_is_answered_and_a_wrong_one_is_marked(fleet, shown, hosts, /) -> None:
+    answer = await shown.actions.query("Lift where payload >= 2.0")
+    (found,) = answer.found
+    assert [offer.agent for offer in found.offers] == ["arm1"]
+    assert [refusal.reasons for refusal in found.refusals if refusal.subject == "arm2"] == [
+        ("payload 1.2 < 2.0",)
+    ]
+    wrong = await shown.actions.query("Lift where paylod >= 2.0")
+    assert (wrong.found, "^" in wrong.mistakes, "paylod" in wrong.mistakes) == ((), True, True)
+    assert (await shown.actions.query("Lift where where where")).mistakes
 
 
-def test_a_query_without_any_running_host_is_answered_from_the_files_with_a_note(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        for each in hosts:
-            await each.host.stop()
-        answer = await shown.actions.query("Lift where payload >= 2.0")
-        assert set(answer.unanswered) == {"alpha", "beta"}
-        (found,) = answer.found
-        assert [offer.agent for offer in found.offers] == ["arm1"]
-        assert "from the files" in found.notes[0]
+@scenario("operate")
+async def test_a_query_without_any_running_host_is_answered_from_the_files_with_a_note(
+    fleet, shown, hosts, /
+) -> None:
+    for each in hosts:
+        await each.host.stop()
+    answer = await shown.actions.query("Lift where payload >= 2.0")
+    assert set(answer.unanswered) == {"alpha", "beta"}
+    (found,) = answer.found
+    assert [offer.agent for offer in found.offers] == ["arm1"]
+    assert "from the files" in found.notes[0]
 
-    operate(fleet, story)
 
-
-def test_a_query_without_mission_files_reports_the_reason(fleet) -> None:
-    async def story(fleet, shown, hosts) -> None:
-        answer = await shown.actions.query("Lift")
-        assert answer.mistakes == "the files are elsewhere"
-
-    operate(fleet, story, asked="the files are elsewhere")
+@scenario("operate", asked="the files are elsewhere")
+async def test_a_query_without_mission_files_reports_the_reason(fleet, shown, hosts, /) -> None:
+    answer = await shown.actions.query("Lift")
+    assert answer.mistakes == "the files are elsewhere"

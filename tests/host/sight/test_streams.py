@@ -8,67 +8,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from watched_streams import LIFE, STATUS, append_lines, batch_of, numbers, sample, small, watched
 
 from lfield.clock import ManualClock
 from lfield.host.events.event_log import FREQUENT, MAX_FREQUENT_EVENTS, EventLog, EventRing, size_of
-from lfield.host.events.event_rate_limit import EventRateLimiter, RateLimit
 from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.events.event_subscription import (
     BATCH_BYTES,
-    FIRST_BATCH_BYTES,
     LONGEST_REST,
     MIN_INTERVAL,
     QUIET_INTERVAL,
     READ_TIMEOUT,
-    EventSubscription,
 )
 from lfield.host.events.migration_events import HopStep, MigrationEvents
 from lfield.replication.transfer.effects import MarkMigrated
 from lfield.wire.codec import encode
 from lfield.wire.coordinator_messages import Transfer
-from lfield.wire.events import (
-    KINDS,
-    TELEMETRY,
-    DeviceLatched,
-    DeviceTelemetry,
-    EmergencyStopChanged,
-    EventsDropped,
-    LineLogged,
-)
+from lfield.wire.events import KINDS, TELEMETRY, DeviceLatched, EmergencyStopChanged, LineLogged
 from lfield.wire.fields import MAX_TEXT
-from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, Subscribe
-
-LIFE = 77
-STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
-
-
-def append_lines(stream, count, text="x"):
-    for _ in range(count):
-        stream.append(LineLogged(text), 1.7e9, 1.0)
-
-
-def small(most_events, most_bytes=4 << 20):
-    """A log that keeps few frequent events."""
-    return EventLog(EventRing(most_events, most_bytes))
-
-
-def watched(stream, watch=None, up=0.0):
-    return EventSubscription(stream, LIFE, watch or Subscribe(LIFE), up)
-
-
-def batch_of(watcher, up):
-    return watcher.next_batch(1.7e9 + up, up, lambda: STATUS)
-
-
-def sample(**values):
-    """Telemetry of devices, each a number."""
-    return {name: (value, DeviceTelemetry(name, {"v": value}, 0.1)) for name, value in values.items()}
-
-
-def numbers(batch):
-    return [event.number for event in batch.events]
-
 
 # --- the ring -------------------------------------------------------------------------------------------
 
@@ -267,201 +225,6 @@ def test_only_sent_batches_can_be_acknowledged():
     assert batch_of(watcher, 1.0) is not None
 
 
-# --- slow readers ---------------------------------------------------------------------------------------
-
-
-class FastPrinter:
-    """A host that keeps 1000 lines, and prints 20 between two batches."""
-
-    def __init__(self):
-        self.stream, self.up = small(1000), 0.0
-        append_lines(self.stream, 2000)
-
-    def ask(self, watch):
-        self.watcher = watched(self.stream, watch, self.up)
-
-    def run(self, seconds, *, reads=True, lines=20):
-        """The batches that are sent meanwhile."""
-        sent = []
-        for _ in range(round(seconds / MIN_INTERVAL)):
-            append_lines(self.stream, lines)
-            if batch := batch_of(self.watcher, self.up):
-                sent.append(batch)
-                if reads:
-                    self.watcher.on_ack(batch.batch, self.up)
-            self.up += MIN_INTERVAL + 1e-6
-        return sent
-
-
-def losses(batches):
-    return [batch.lost["state"] for batch in batches if "state" in batch.lost]
-
-
-def states(batches):
-    return [number for batch in batches for number in numbers(batch)]
-
-
-def test_a_reader_that_was_away_gets_one_loss_and_then_all_events():
-    host = FastPrinter()
-    host.ask(Subscribe(LIFE, 3))
-    sent = host.run(5.0)
-    (lost,) = losses(sent)
-    assert [batch.batch for batch in sent if batch.snapshot] == [1]
-    assert states(sent) == list(range(3 + lost + 1, host.stream.latest + 1))
-
-
-def test_a_reader_that_paused_gets_one_loss_and_then_new_events():
-    host = FastPrinter()
-    host.ask(Subscribe())
-    assert losses(host.run(1.0)) == []
-    unread = host.run(READ_TIMEOUT - 1.0, reads=False)
-    assert len(unread) == WINDOW
-    stopped = host.stream.latest
-    host.watcher.on_ack(unread[-1].batch, host.up)
-    sent = host.run(5.0)
-    assert len(losses(sent)) == 1
-    assert sum(batch.snapshot is not None for batch in sent) == 1
-    # At once: it does not wait for the events that it has not read.
-    received = states(sent)
-    assert stopped < received[0] <= stopped + 3 * 20
-    assert received == list(range(received[0], host.stream.latest + 1))
-    assert losses(sent) == [received[0] - 1 - states(unread)[-1]]
-
-
-def test_a_reader_that_paused_misses_no_rare_event():
-    host = FastPrinter()
-    host.ask(Subscribe())
-    unread = host.run(10.0, reads=False)
-    seldom = [
-        EmergencyStopChanged("anna", "fire"),
-        DeviceLatched("a.fc", "land", "fire"),
-        EmergencyStopChanged("anna", "", True),
-    ]
-    for what in seldom:
-        host.stream.append(what, 1.7e9, host.up)
-        unread += host.run(20.0, reads=False)
-    host.watcher.on_ack(unread[-1].batch, host.up)
-    sent = host.run(2.0)
-    received = [event.what for batch in sent for event in batch.events]
-    assert [what for what in received if not isinstance(what, LineLogged)] == seldom
-    # The number of missing events is exact.
-    missing = set(range(states(unread)[-1] + 1, host.stream.latest + 1)) - set(states(sent))
-    assert sum(losses(sent)) == len(missing)
-    assert states(sent) == sorted(states(sent))
-
-
-@pytest.mark.parametrize("lines", [15, 60, 200])
-def test_a_slow_reader_loses_many_events_at_once_and_gets_new_ones(lines):
-    """It reads a batch a second; in the last case more events are dropped meanwhile than a batch has."""
-    host = FastPrinter()
-    host.ask(Subscribe())
-    sent = []
-    for second in range(50):
-        sent += host.run(1.0, reads=False, lines=lines)
-        host.watcher.on_ack(second + 1, host.up)
-        host.stream.append(EmergencyStopChanged("anna", "fire"), 1.7e9, host.up)
-    lost = losses(sent)
-    received = [event for batch in sent for event in batch.events]
-    assert (lost == []) == (lines == 15)
-    # One of two batches has events, and each of the losses is large.
-    assert len(lost) <= len(sent) // 2
-    assert all(missing > 100 for missing in lost)
-    assert sum(isinstance(event.what, LineLogged) for event in received) > 5000
-    assert sum(isinstance(event.what, EmergencyStopChanged) for event in received) >= 38
-
-
-# --- telemetry ------------------------------------------------------------------------------------------
-
-
-def test_telemetry_is_sent_at_the_requested_rate_and_only_if_it_changes():
-    watcher = watched(EventLog(), Subscribe(LIFE, 0, 5.0))
-    received = []
-    for step in range(101):
-        up = step * 0.01
-        if watcher.sample_due <= up + 1e-9:
-            watcher.on_sample(sample(fc=min(step, 50)), 1.0, up)
-        if batch := batch_of(watcher, up):
-            received += [event.what.values["v"] for event in batch.events]
-            watcher.on_ack(batch.batch, up)
-    assert received == [0, 20, 40, 50]
-
-
-def test_a_subscription_without_telemetry_gets_none():
-    watcher = watched(EventLog())
-    assert watcher.sample_due is None
-    watcher.on_sample(sample(fc=1), 1.0, 0.0)
-    assert batch_of(watcher, 0.0).events == []
-
-
-def test_only_the_newest_telemetry_is_sent_and_the_rest_is_counted():
-    watcher = watched(EventLog(), Subscribe(LIFE, 0, 20.0))
-    up = 0.0
-    for n in range(4):
-        watcher.on_sample(sample(fc=n, gps=0), 1.0, up)
-        if n == 0:
-            batch_of(watcher, up)
-            watcher.on_ack(1, up + 0.01)
-        up += 0.05
-    batch = batch_of(watcher, up)
-    assert [event.what.values["v"] for event in batch.events] == [3]
-    assert batch.lost == {"measured": 2}
-
-
-def telemetry_of(trip, seconds=60.0):
-    """Rate of telemetry that changes all the time, for a watcher that acknowledges a batch after
-    `trip(batch)` s."""
-    watcher, up, sent, under_way = watched(EventLog(), Subscribe(LIFE, 0, 20.0)), 0.0, 0, []
-    while up < seconds:
-        watcher.on_sample(sample(fc=up), 1.0, up)
-        if batch := batch_of(watcher, up):
-            sent += bool(batch.events)
-            under_way.append((up + trip(batch), batch.batch))
-        up += 0.01
-        for at, number in under_way:
-            if at <= up:
-                watcher.on_ack(number, up)
-        under_way = [(at, number) for at, number in under_way if at > up]
-    return sent / seconds
-
-
-def test_telemetry_has_its_rate_on_a_fast_path_and_a_share_of_a_slow_one():
-    assert telemetry_of(lambda batch: 0.001) == pytest.approx(20.0, rel=0.15)
-    # One batch at a time is in flight, and is acknowledged a step of 0.01 s late.
-    assert telemetry_of(lambda batch: 0.2) == pytest.approx(1 / (0.2 + 8 * 0.01), rel=0.2)
-    # On a slow radio a batch with telemetry takes 0.2 s more than one without: an eighth of the time.
-    slow = telemetry_of(lambda batch: 0.3 if batch.events else 0.1)
-    assert slow == pytest.approx(1 / (0.3 + 8 * 0.2), rel=0.2)
-
-
-def test_events_precede_telemetry():
-    stream = EventLog()
-    watcher = watched(stream, Subscribe(LIFE, 0, 20.0))
-    append_lines(stream, 60, "x" * 2000)
-    watcher.on_sample(sample(fc=1), 1.0, 0.0)
-    first, up = batch_of(watcher, 0.0), 0.0
-    assert {event.kind for event in first.events} == {"logged"}
-    kinds, batch = [], first
-    while "measured" not in kinds:
-        watcher.on_ack(batch.batch, up + 0.001)
-        up += MIN_INTERVAL
-        batch = batch_of(watcher, up)
-        kinds += [event.kind for event in batch.events]
-    assert kinds.count("logged") == 60 - len(first.events)
-
-
-def test_batches_start_small_and_grow_with_acknowledgements():
-    stream, up, sizes = EventLog(), 0.0, []
-    append_lines(stream, 400, "x" * 500)
-    watcher = watched(stream, Subscribe(LIFE, 0))
-    for _ in range(8):
-        batch = batch_of(watcher, up)
-        sizes.append(sum(map(size_of, batch.events)))
-        watcher.on_ack(batch.batch, up + 0.001)
-        up += MIN_INTERVAL
-    assert sizes[0] <= FIRST_BATCH_BYTES
-    assert 0.8 * BATCH_BYTES <= max(sizes) <= BATCH_BYTES
-
-
 # --- all together ---------------------------------------------------------------------------------------
 
 
@@ -557,100 +320,6 @@ def test_a_reader_that_keeps_up_loses_no_event(steps):
         up += MIN_INTERVAL
     assert read == list(range(1, len(read) + 1))
     assert len(read) >= stream.latest - 40
-
-
-# --- rate limits ----------------------------------------------------------------------------------------
-
-
-def budget_of(burst, rate, unwatched=None):
-    """A rate limiter, and its reports."""
-    reports = []
-    return EventRateLimiter(reports.append, RateLimit(burst, rate), unwatched), reports
-
-
-def test_a_normal_rate_is_not_limited():
-    budget, reports = budget_of(20.0, 10.0)
-    for n in range(1000):
-        budget.refill(n * 0.1)
-        assert budget.try_acquire("left")
-    budget.report_dropped(1000.0)
-    assert reports == []
-
-
-def test_events_over_the_rate_are_counted():
-    (budget, reports), taken = budget_of(20.0, 10.0), 0
-    for n in range(10_000):
-        budget.refill(n * 0.001)
-        taken += budget.try_acquire("left")
-    assert taken == pytest.approx(20 + 100, abs=1)
-    budget.report_dropped(10.0)
-    assert sum(skipped.count for skipped in reports) == 10_000 - taken
-    count = len(reports)
-    budget.report_dropped(12.0)
-    assert len(reports) == count
-
-
-def test_the_dropped_count_is_reported_before_the_next_event():
-    budget, reports = budget_of(2.0, 10.0)
-    assert [budget.try_acquire("printed") for _ in range(5)] == [True, True, False, False, False]
-    assert reports == []
-    budget.refill(1.0)
-    assert budget.try_acquire("printed")
-    assert reports == [EventsDropped("printed", 3)]
-
-
-def test_the_dropped_count_is_reported_on_request_or_once_a_second():
-    budget, reports = budget_of(1.0, 10.0)
-    for _ in range(2):
-        budget.try_acquire("left")
-        budget.try_acquire("left")
-        budget.report_dropped(5.0)
-    assert [skipped.count for skipped in reports] == [1]
-    budget.report_dropped(5.0, at_once=True)
-    assert [skipped.count for skipped in reports] == [1, 2]
-
-
-def test_an_observed_limiter_permits_more():
-    budget, _ = budget_of(9.0, 90.0, RateLimit(2.0, 20.0))
-    assert sum(budget.try_acquire("left") for _ in range(20)) == 2
-    budget.set_observed(on=True)
-    assert sum(budget.try_acquire("left") for _ in range(20)) == 9
-    # A second observer gets no second burst.
-    budget.set_observed(on=True)
-    assert not budget.try_acquire("left")
-    budget.set_observed(on=False)
-    assert sum(budget.try_acquire("left") for _ in range(20)) == 2
-
-
-def test_a_long_event_costs_more():
-    budget, _ = budget_of(10.0, 0.0)
-    assert [budget.try_acquire("printed", 6.0) for _ in range(3)] == [True, True, False]
-
-
-@settings(derandomize=True, deadline=None)
-@given(
-    st.lists(st.tuples(st.sampled_from(["left", "came"]), st.floats(0.0, 3.0)), max_size=60),
-    st.floats(0.1, 30.0),
-)
-def test_every_dropped_event_is_counted_once(asked, rate):
-    (budget, reports), now = budget_of(2.0, rate), 0.0
-    taken = 0
-    for kind, pause in asked:
-        now += pause
-        budget.refill(now)
-        taken += budget.try_acquire(kind)
-        budget.report_dropped(now)
-    budget.report_dropped(now, at_once=True)
-    assert taken + sum(skipped.count for skipped in reports) == len(asked)
-    assert taken <= 2.0 + rate * now + 1e-6
-
-
-def test_a_clock_that_stands_still_fills_nothing():
-    budget, _ = budget_of(2.0, 10.0)
-    budget.refill(5.0)
-    assert [budget.try_acquire("left") for _ in range(3)] == [True, True, False]
-    budget.refill(5.0)
-    assert not budget.try_acquire("left")
 
 
 # --- a host with the highest rate of events --------------------------------------------------------------

@@ -12,6 +12,7 @@ import sys
 from contextlib import asynccontextmanager
 
 import pytest
+from coroutine_tests import scenario
 from mavsdk.asyncio import Autopilot, ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.ftp import FtpAsync
@@ -58,8 +59,8 @@ class Client:
 
     async def ask_for_streams(self):
         """As ground stations do: an ArduPilot sends no telemetry without a request."""
-        wanted = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
-        fields = json.dumps({**wanted, "start_stop": 1})
+        expected = {"target_system": 1, "target_component": 1, "req_stream_id": 0, "req_message_rate": 10}
+        fields = json.dumps({**expected, "start_stop": 1})
         await self.direct.send_message(MavlinkMessage("REQUEST_DATA_STREAM", 0, 0, 1, 1, fields))
         await self.telemetry.set_rate_home(2.0)
 
@@ -152,26 +153,22 @@ def test_takeoff_goto_return_to_launch_and_landing(flavour):
 
 @pytest.mark.few(0)
 @BOTH
-def test_offboard_velocities_and_landing(flavour):
-    async def story(c):
-        await c.in_the_air()
-        await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
-        # PX4 enters OFFBOARD only when setpoints have come for 0.1 s.
-        await asyncio.sleep(0.5)
-        await c.offboard.start()
-        await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.OFFBOARD)
-        await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 4.0, 0.0, 90.0))
-        flown = {"ardupilot": 3.9, "px4": 3.3}[flavour]
-        await until(
-            c.telemetry.subscribe_velocity_ned(), lambda v: v.east_m_s > flown and abs(v.north_m_s) < 0.1
-        )
-        await until(c.telemetry.subscribe_attitude_euler(), lambda a: abs(a.yaw_deg - 90.0) < 2.0)
-        await c.offboard.stop()
-        await until(c.telemetry.subscribe_velocity_ned(), lambda v: abs(v.east_m_s) < 0.1)
-        await c.action.land()
-        await c.landed()
-
-    fly(story, flavour)
+@scenario(fly, given="flavour")
+async def test_offboard_velocities_and_landing(c, /, flavour):
+    await c.in_the_air()
+    await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
+    # PX4 enters OFFBOARD only when setpoints have come for 0.1 s.
+    await asyncio.sleep(0.5)
+    await c.offboard.start()
+    await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.OFFBOARD)
+    await c.offboard.set_velocity_ned(VelocityNedYaw(0.0, 4.0, 0.0, 90.0))
+    flown = {"ardupilot": 3.9, "px4": 3.3}[flavour]
+    await until(c.telemetry.subscribe_velocity_ned(), lambda v: v.east_m_s > flown and abs(v.north_m_s) < 0.1)
+    await until(c.telemetry.subscribe_attitude_euler(), lambda a: abs(a.yaw_deg - 90.0) < 2.0)
+    await c.offboard.stop()
+    await until(c.telemetry.subscribe_velocity_ned(), lambda v: abs(v.east_m_s) < 0.1)
+    await c.action.land()
+    await c.landed()
 
 
 @BOTH
@@ -189,28 +186,26 @@ def test_refused_arming_sends_its_reason_as_status_text(flavour):
 
 
 @pytest.mark.few(0)
-def test_px4_mission_upload_flight_and_clear():
-    async def story(c):
-        items = [
-            MissionItem(LATITUDE + 1e-4, LONGITUDE, 8.0, 10.0, True),
-            MissionItem(LATITUDE + 1e-4, LONGITUDE + 1e-4, 9.0, 10.0, True),
-        ]
-        await c.mission.set_return_to_launch_after_mission(False)
-        await c.mission.upload_mission(MissionPlan(items))
-        held = (await c.mission.download_mission()).mission_items
-        assert [i.relative_altitude_m for i in held] == [8.0, 9.0]
-        assert [i.longitude_deg for i in held] == pytest.approx([LONGITUDE, LONGITUDE + 1e-4])
-        await c.action.arm()
-        await c.mission.start_mission()
-        await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.MISSION)
-        await until(c.mission.subscribe_mission_progress(), lambda p: (p.current, p.total) == (2, 2))
-        assert await c.mission.is_mission_finished()
-        place = await until(c.telemetry.subscribe_position(), lambda _: True)
-        assert place.longitude_deg == pytest.approx(LONGITUDE + 1e-4, abs=3e-5)
-        await c.mission.clear_mission()
-        assert (await c.mission.download_mission()).mission_items == []
-
-    fly(story, "px4")
+@scenario(fly, "px4")
+async def test_px4_mission_upload_flight_and_clear(c, /):
+    items = [
+        MissionItem(LATITUDE + 1e-4, LONGITUDE, 8.0, 10.0, True),
+        MissionItem(LATITUDE + 1e-4, LONGITUDE + 1e-4, 9.0, 10.0, True),
+    ]
+    await c.mission.set_return_to_launch_after_mission(False)
+    await c.mission.upload_mission(MissionPlan(items))
+    held = (await c.mission.download_mission()).mission_items
+    assert [i.relative_altitude_m for i in held] == [8.0, 9.0]
+    assert [i.longitude_deg for i in held] == pytest.approx([LONGITUDE, LONGITUDE + 1e-4])
+    await c.action.arm()
+    await c.mission.start_mission()
+    await until(c.telemetry.subscribe_flight_mode(), lambda mode: mode == FlightMode.MISSION)
+    await until(c.mission.subscribe_mission_progress(), lambda p: (p.current, p.total) == (2, 2))
+    assert await c.mission.is_mission_finished()
+    place = await until(c.telemetry.subscribe_position(), lambda _: True)
+    assert place.longitude_deg == pytest.approx(LONGITUDE + 1e-4, abs=3e-5)
+    await c.mission.clear_mission()
+    assert (await c.mission.download_mission()).mission_items == []
 
 
 @pytest.mark.few(0)
@@ -285,13 +280,11 @@ def test_parameters_are_set_read_and_listed(flavour):
 
 
 @pytest.mark.few(0)
-def test_unknown_parameter_times_out():
-    async def story(c):
-        with pytest.raises(ParamError) as failed:
-            await c.parameters.get_param_int("NO_SUCH")
-        assert failed.value.result == ParamResult.TIMEOUT
-
-    fly(story, "px4")
+@scenario(fly, "px4")
+async def test_unknown_parameter_times_out(c, /):
+    with pytest.raises(ParamError) as failed:
+        await c.parameters.get_param_int("NO_SUCH")
+    assert failed.value.result == ParamResult.TIMEOUT
 
 
 @pytest.mark.few(1)

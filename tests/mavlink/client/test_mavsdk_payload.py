@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import scenario
 from mavsdk.asyncio.plugins.camera import CameraAsync
 from mavsdk.asyncio.plugins.gimbal import GimbalAsync
 from mavsdk.plugins.camera import CameraError, CameraResult, Mode
@@ -94,12 +95,10 @@ def test_a_camera_takes_pictures_series_and_videos(flavour):
 
 
 @pytest.mark.few(0)
-def test_a_full_card_refuses_pictures():
-    async def story(c):
-        camera = CameraAsync(c.system)
-        await until(camera.subscribe_camera_list(), lambda listed: listed.cameras)
-        with pytest.raises(CameraError) as refused:
-            await camera.take_photo(CAMERA)
-        assert refused.value.result == CameraResult.ERROR
-
-    fly(story, "px4", "--fitted", FITTED["px4"], "--fault", "card=1")
+@scenario(fly, "px4", "--fitted", FITTED["px4"], "--fault", "card=1")
+async def test_a_full_card_refuses_pictures(c, /):
+    camera = CameraAsync(c.system)
+    await until(camera.subscribe_camera_list(), lambda listed: listed.cameras)
+    with pytest.raises(CameraError) as refused:
+        await camera.take_photo(CAMERA)
+    assert refused.value.result == CameraResult.ERROR

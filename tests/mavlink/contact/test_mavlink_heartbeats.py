@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -19,8 +20,7 @@ def without_heartbeats(link, packet):
 
 @on_bench("bench", flavour="px4")
 async def test_flight_without_heartbeats_lands_and_is_reported_at_rest(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     b.filter = without_heartbeats
     await fc.execute("goTo", [3.0, 0.0, -5.0])
     await asyncio.sleep(7.0)

@@ -10,6 +10,7 @@ import pytest
 from coroutine_tests import on_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from takeoff import up
 
 from lfield.clock import ManualClock
 from lfield.driver import DeviceBinding
@@ -105,8 +106,7 @@ def ack(number, result, **fields):
 
 @on_bench("bench")
 async def test_late_acknowledgement_does_not_answer_the_next_command(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [4.0])
+    await up(fc, 4.0)
     # An acceptance of a command that is not pending; a takeoff in the air is refused.
     b.links[0].on_data(PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
     await asyncio.sleep(0.1)
@@ -161,8 +161,7 @@ def test_flight_over_a_bad_radio_completes(bench, fault):
     b = bench(faults=(fault,))
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         await fc.execute("goTo", [5.0, 0.0, -5.0])
         await fc.execute("land", [])
 
@@ -192,8 +191,7 @@ def test_change_of_vehicle_type_is_reported_and_arming_refused(bench):
 
 @on_bench("bench")
 async def test_vehicle_does_not_move_after_a_link_loss(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     await fc.execute("setVelocity", [2.0, 0.0, 0.0])
     b.cut = True
     before = len(b.sent)
@@ -209,8 +207,7 @@ async def test_vehicle_does_not_move_after_a_link_loss(b, fc, /):
 async def test_late_mode_acknowledgement_does_not_confirm_the_safe_state(b, fc, /):
     lost = []
 
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [4.0])
+    await up(fc, 4.0)
     link = b.links[0]
     send = link.send
 

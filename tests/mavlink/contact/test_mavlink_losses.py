@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from coroutine_tests import scenario
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -106,54 +107,47 @@ def test_late_mode_acknowledgement_does_not_confirm_a_hold(flown, kind, seed):
     flown(work, flavour="ardupilot", kind=kind, systems=(seed,))
 
 
-def test_refused_guided_mode_is_reported_with_its_result(flown, monkeypatch):
-    async def work(b, fc):
-        await fc.execute("hold", [])
-        monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: MavResult.FAILED)
-        with pytest.raises(DeviceError, match="GUIDED refused: FAILED"):
-            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-
-    flown(work, flavour="ardupilot")
+@scenario("flown", flavour="ardupilot")
+async def test_refused_guided_mode_is_reported_with_its_result(b, fc, /, monkeypatch):
+    await fc.execute("hold", [])
+    monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: MavResult.FAILED)
+    with pytest.raises(DeviceError, match="GUIDED refused: FAILED"):
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
 
 
-def test_accepted_offboard_without_mode_report_is_believed(flown):
-    async def work(b, fc):
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        b.filter = without(*SHOWS_MODE)
-        loop = asyncio.get_running_loop()
-        for _ in range(3):
-            start = loop.time()
-            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-            assert 0.2 < loop.time() - start < 0.35
-        assert b.autopilot.mode == "OFFBOARD"
-        # The driver is still in control, although the last reported mode differs.
-        await fc.execute("setVelocity", [0.0, 0.0, 0.0])
-        assert b.values["mode"] != "OFFBOARD"
-
-    flown(work)
+@scenario("flown")
+async def test_accepted_offboard_without_mode_report_is_believed(b, fc, /):
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    b.filter = without(*SHOWS_MODE)
+    loop = asyncio.get_running_loop()
+    for _ in range(3):
+        start = loop.time()
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+        assert 0.2 < loop.time() - start < 0.35
+    assert b.autopilot.mode == "OFFBOARD"
+    # The driver is still in control, although the last reported mode differs.
+    await fc.execute("setVelocity", [0.0, 0.0, 0.0])
+    assert b.values["mode"] != "OFFBOARD"
 
 
-def test_offboard_rejected_by_status_text_is_refused(flown):
+@scenario("flown")
+async def test_offboard_rejected_by_status_text_is_refused(b, fc, /):
     """The first status text is lost."""
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    await asyncio.sleep(2.0)
+    fc.motion.stream.start = lambda target, until: None
+    are_texts = []
 
-    async def work(b, fc):
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        await asyncio.sleep(2.0)
-        fc.motion.stream.start = lambda target, until: None
-        are_texts = []
+    def lose_the_first(link, packet):
+        (message,) = Reader().feed(packet)
+        are_texts.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
+        if not are_texts[-1] or sum(are_texts) > 1:
+            link.on_data(packet)
 
-        def lose_the_first(link, packet):
-            (message,) = Reader().feed(packet)
-            are_texts.append(message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT)
-            if not are_texts[-1] or sum(are_texts) > 1:
-                link.on_data(packet)
-
-        b.filter = lose_the_first
-        with pytest.raises(DeviceError, match="OFFBOARD was refused"):
-            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        assert sum(are_texts) >= 3
-
-    flown(work)
+    b.filter = lose_the_first
+    with pytest.raises(DeviceError, match="OFFBOARD was refused"):
+        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+    assert sum(are_texts) >= 3
 
 
 def losing(b, *kinds):
@@ -174,72 +168,63 @@ COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_
 SETPOINT = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 
-def test_setpoints_continue_until_a_hold_in_unconfirmed_offboard(flown):
+@scenario("flown")
+async def test_setpoints_continue_until_a_hold_in_unconfirmed_offboard(b, fc, /):
     """A vehicle that only accepted OFFBOARD needs setpoints as one that reported it."""
-
-    async def work(b, fc):
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        b.filter = without(*SHOWS_MODE)
-        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        lost = losing(b, *COMMANDS)
-        asyncio.get_running_loop().call_later(2.2, lost.clear)
-        holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
-        await asyncio.sleep(2.0)
-        assert b.autopilot.mode == "OFFBOARD"
-        await holding
-        assert b.autopilot.mode == "AUTO.LOITER"
-        b.sent.clear()
-        await asyncio.sleep(1.0)
-        kinds = [message.get_msgId() for data in b.sent for message in Reader().feed(data)]
-        assert SETPOINT not in kinds
-
-    flown(work)
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    b.filter = without(*SHOWS_MODE)
+    await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+    lost = losing(b, *COMMANDS)
+    asyncio.get_running_loop().call_later(2.2, lost.clear)
+    holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
+    await asyncio.sleep(2.0)
+    assert b.autopilot.mode == "OFFBOARD"
+    await holding
+    assert b.autopilot.mode == "AUTO.LOITER"
+    b.sent.clear()
+    await asyncio.sleep(1.0)
+    kinds = [message.get_msgId() for data in b.sent for message in Reader().feed(data)]
+    assert SETPOINT not in kinds
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("shown", [False, True])
 @pytest.mark.parametrize("late", [0.0, 0.6])
-def test_failsafe_before_a_hold_does_not_block_later_velocities(flown, late, shown):
+@scenario("flown")
+async def test_failsafe_before_a_hold_does_not_block_later_velocities(b, fc, /, late, shown):
     """Setpoints and the command were lost until PX4's failsafe; its text may arrive after the mode."""
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    if not shown:
+        b.filter = without(*SHOWS_MODE)
+    await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+    loop, reader = asyncio.get_running_loop(), Reader()
 
-    async def work(b, fc):
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        if not shown:
-            b.filter = without(*SHOWS_MODE)
+    def passes(link, packet):
+        (message,) = reader.feed(packet)
+        text = message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT
+        loop.call_later(late if text else 0.0, link.on_data, packet)
+
+    b.filter = passes
+    lost = losing(b, *COMMANDS, SETPOINT)
+    await asyncio.sleep(0.4)
+    holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
+    await b.until(lambda: b.autopilot.mode != "OFFBOARD")
+    lost.clear()
+    await holding
+    await asyncio.sleep(0.2)
+    for _ in range(12):
         await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        loop, reader = asyncio.get_running_loop(), Reader()
-
-        def passes(link, packet):
-            (message,) = reader.feed(packet)
-            text = message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT
-            loop.call_later(late if text else 0.0, link.on_data, packet)
-
-        b.filter = passes
-        lost = losing(b, *COMMANDS, SETPOINT)
-        await asyncio.sleep(0.4)
-        holding = asyncio.ensure_future(fc.execute("setMode", ["AUTO.LOITER"]))
-        await b.until(lambda: b.autopilot.mode != "OFFBOARD")
-        lost.clear()
-        await holding
         await asyncio.sleep(0.2)
-        for _ in range(12):
-            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-            await asyncio.sleep(0.2)
-        assert not fc.taken_over()
-
-    flown(work)
+    assert not fc.taken_over()
 
 
-def test_failsafe_right_after_a_hold_takes_control(flown):
+@scenario("flown")
+async def test_failsafe_right_after_a_hold_takes_control(b, fc, /):
     """Its text arrives in the time of late texts; the heartbeat shows that the failsafe is still active."""
-
-    async def work(b, fc):
-        await fc.execute("setVelocity", [0.5, 0.0, 0.0])
-        await fc.execute("setMode", ["AUTO.LOITER"])
-        await asyncio.sleep(0.3)
-        b.autopilot.critical = True
-        b.autopilot.say("Failsafe activated\t")
-        await asyncio.sleep(3.0)
-        assert fc.taken_over()
-
-    flown(work)
+    await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+    await fc.execute("setMode", ["AUTO.LOITER"])
+    await asyncio.sleep(0.3)
+    b.autopilot.critical = True
+    b.autopilot.say("Failsafe activated\t")
+    await asyncio.sleep(3.0)
+    assert fc.taken_over()

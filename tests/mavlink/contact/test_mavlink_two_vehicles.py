@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -109,8 +110,7 @@ def test_second_vehicle_is_ignored_while_the_first_flies(bench, flavour):
     with_twin(b, twin)
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         twin.there = True
         twin.fake.autopilot.vehicle.place = (700.0, 0.0, 0.0)
         b.links[0].sent_to.clear()
@@ -141,8 +141,7 @@ def test_second_vehicle_does_not_replace_one_silent_in_flight(bench, flavour, la
         b.links[0].send_to = lambda data, address: (
             b.links[0].send(data) if address == FIRST else twin.receive(data)
         )
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         twin.there = not later
         await asyncio.sleep(2.0)
         silent = True
@@ -198,8 +197,7 @@ def test_second_vehicle_behind_a_router_does_not_end_a_flight(bench, flavour, he
 
     async def mission(fc):
         join()
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         twin.fake.advance(head_start or STEP)
         twin.fake.autopilot.vehicle.place = (700.0, 0.0, 0.0)
         twin.there = True
@@ -262,8 +260,7 @@ def test_flight_continues_after_a_change_of_address(bench):
     b.filter = passes
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         flight = asyncio.ensure_future(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(3.0)
         address[0] = SECOND
@@ -350,8 +347,7 @@ def test_heartbeats_of_a_non_autopilot_are_ignored_and_reported(bench, kind, aut
     b._fakes = [*b._fakes, beats]
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         assert b.values["armed"]
         await fc.execute("land", [])
 

@@ -7,6 +7,7 @@ import re
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -52,8 +53,7 @@ def test_repeated_packet_is_distinguished_from_a_new_one():
 
 @on_bench("bench", links=2)
 async def test_flight_continues_when_either_of_two_links_fails(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [40.0, 0.0, -5.0]))
     await asyncio.sleep(2.0)
     b.links[0].cut = True
@@ -117,8 +117,7 @@ def test_open_fails_when_no_link_opens(bench):
 @on_bench("bench", systems=(1, 2))
 async def test_two_vehicles_on_one_link_fly_at_the_same_time(b, one, two, /):
     async def fly(fc, height, north):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [height])
+        await up(fc, height)
         await fc.execute("goTo", [north, 0.0, -height])
 
     await asyncio.gather(fly(one, 4.0, 10.0), fly(two, 7.0, -10.0))

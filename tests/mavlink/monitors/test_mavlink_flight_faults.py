@@ -7,17 +7,13 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
 
 STACKS = ("ardupilot", "px4")
 ONLY_POSITION = 0x0DF8
-
-
-async def up(fc, height=8.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 async def fails(b, work):
@@ -66,7 +62,7 @@ def reposition(b, north, east, height):
 @on_bench("bench")
 async def test_one_foreign_setpoint_is_a_takeover_within_two_seconds(b, fc, /, known):
     """ArduCopter follows the last setpoint of any sender without a report; one setpoint is enough."""
-    await up(fc)
+    await up(fc, 8.0)
 
     def interferes():
         data = foreign(b, setpoint(-20.0, -20.0, -8.0))
@@ -92,7 +88,7 @@ async def test_one_foreign_setpoint_is_a_takeover_within_two_seconds(b, fc, /, k
 
 @on_bench("bench")
 async def test_continuous_foreign_setpoints_end_the_motion(b, fc, /):
-    await up(fc)
+    await up(fc, 8.0)
 
     async def interfere():
         while True:
@@ -109,7 +105,7 @@ async def test_continuous_foreign_setpoints_end_the_motion(b, fc, /):
 
 @on_bench("bench", flavour="px4", limits={"speed": 3.0})
 async def test_foreign_reposition_of_px4_in_flight_is_a_takeover(b, fc, /):
-    await up(fc)
+    await up(fc, 8.0)
     began = at(6.0, lambda: foreign(b, reposition(b, -20.0, 0.0, 8.0)))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
@@ -120,7 +116,7 @@ async def test_foreign_reposition_of_px4_in_flight_is_a_takeover(b, fc, /):
 
 @on_bench("bench", flavour="px4", limits={"speed": 3.0})
 async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
-    await up(fc)
+    await up(fc, 8.0)
 
     async def interfere():
         await asyncio.sleep(6.01)
@@ -141,7 +137,7 @@ async def test_foreign_setpoints_to_px4_in_offboard_are_a_takeover(b, fc, /):
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", faults=("loss=0.2", "delay=0.25"), limits={"speed": 3.0}, ttl=1.0, given="flavour")
 async def test_own_goals_on_a_bad_link_are_no_takeover(b, fc, /, flavour):
-    await up(fc)
+    await up(fc, 8.0)
     for goal in ((12.0, 0.0, -8.0), (0.0, 9.0, -5.0), (0.0, 0.0, -8.0)):
         await fc.execute("goTo", list(goal))
     await fc.execute("land", [])
@@ -157,7 +153,7 @@ async def test_own_goals_on_a_bad_link_are_no_takeover(b, fc, /, flavour):
 @pytest.mark.parametrize("goal", [(60.0, 0.0, -8.0), (60.0, 0.0, -20.0)])
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
 async def test_weak_motor_ends_a_motion_before_the_ground(b, fc, /, flavour, goal):
-    await up(fc)
+    await up(fc, 8.0)
     began = at(5.0, lambda: b.faults.apply(["motor_power=0.6"]))
     ended, reason = await fails(b, fc.execute("goTo", list(goal)))
     assert ended - began < 2.5
@@ -173,7 +169,7 @@ async def test_weak_motor_ends_a_motion_before_the_ground(b, fc, /, flavour, goa
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0}, given="flavour")
 async def test_forced_disarm_in_flight_is_a_crash_and_blocks_arming(b, fc, /, flavour):
-    await up(fc)
+    await up(fc, 8.0)
     at(5.0, lambda: b.autopilot.disarm(force=True))
     _, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert "its motors went off in the air" in reason
@@ -217,7 +213,7 @@ async def test_ordinary_landings_and_descents_are_no_crashes(b, fc, /, flavour):
 @pytest.mark.parametrize("flavour", STACKS)
 @on_bench("bench", limits={"speed": 3.0, "radius": 100.0}, given="flavour")
 async def test_gps_loss_ends_a_motion_within_two_seconds(b, fc, /, flavour):
-    await up(fc)
+    await up(fc, 8.0)
     began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
     ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
     assert ended - began < 2.0
@@ -237,7 +233,7 @@ async def test_gps_loss_ends_a_motion_within_two_seconds(b, fc, /, flavour):
 @pytest.mark.parametrize("state", ["hold", "return", "land"])
 @on_bench("bench", given="flavour safe_state=state")
 async def test_safe_state_without_position_is_a_landing(b, fc, /, flavour, state):
-    await up(fc)
+    await up(fc, 8.0)
     b.faults.apply(["gps_loss=true"])
     await asyncio.sleep(1.5)
     await fc.make_safe()
@@ -247,7 +243,7 @@ async def test_safe_state_without_position_is_a_landing(b, fc, /, flavour, state
 @pytest.mark.parametrize("fault", ["gps_glitch=33", "compass_failure=true"])
 @on_bench("bench", limits={"speed": 3.0})
 async def test_gps_glitch_or_compass_failure_does_not_end_a_motion(b, fc, /, fault):
-    await up(fc)
+    await up(fc, 8.0)
     at(3.0, lambda: b.faults.apply([fault]))
     await fc.execute("goTo", [30.0, 0.0, -8.0])
     assert b.lock_outs == [] == b.breaches
@@ -258,8 +254,7 @@ def test_refusal_after_a_crash_waits_until_the_motors_are_off(bench):
     b = bench()
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [15.0])
+        await up(fc, 15.0)
         asyncio.get_running_loop().call_later(2.0, b.faults.apply, ["motor_failure=true"])
         with pytest.raises(DeviceError, match="Crash: Disarming"):
             async with asyncio.timeout(20.0):

@@ -7,14 +7,10 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
-
-
-async def up(fc, height=6.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 async def out_of_the_fence(b, fc, *, outwards=(3.0, 0.0, 0.0)):
@@ -38,7 +34,7 @@ def contains(packet, kind):
 async def test_px4_fence_breach_takes_control_until_release(b, fc, /, action):
     await fc.execute("fenceAction", [action])
     b.autopilot.parameters["GF_MAX_HOR_DIST"] = 15.0
-    await up(fc)
+    await up(fc, 6.0)
     reason = await out_of_the_fence(b, fc)
     assert "its failsafe, instead of OFFBOARD, has it (Geofence: exceeding maximum distance" in reason
     assert "Failsafe activated" in reason
@@ -61,7 +57,7 @@ async def test_px4_fence_breach_takes_control_until_release(b, fc, /, action):
 @on_bench("bench", flavour="px4", ttl=3.5, limits={"speed": 3.0})
 async def test_px4_fence_ends_an_orbit_and_keeps_control(b, fc, /):
     """The fence is set during the orbit: earlier commands would be refused earlier."""
-    await up(fc)
+    await up(fc, 6.0)
     asyncio.get_running_loop().call_later(20.0, lambda: b.autopilot.parameters.update(GF_MAX_HOR_DIST=8.0))
     with pytest.raises(DeviceError, match=r"to AUTO.LOITER, which its failsafe chose.*Geofence: exc"):
         await fc.execute("orbit", [0.0, 0.0, -6.0, 12.0, 2.0, 3.0])
@@ -73,7 +69,7 @@ async def test_px4_fence_ends_an_orbit_and_keeps_control(b, fc, /):
 
 @on_bench("bench", flavour="px4")
 async def test_status_text_after_the_mode_change_is_awaited(b, fc, /):
-    await up(fc)
+    await up(fc, 6.0)
     loop = asyncio.get_running_loop()
 
     def later(link, packet):
@@ -92,7 +88,7 @@ async def test_failsafe_in_the_same_hold_mode_is_detected(b, fc, /, kept):
     """PX4 has lost its station while it holds its commanded position: the mode does not change."""
     lost = dialect.MAVLINK_MSG_ID_STATUSTEXT
 
-    await up(fc)
+    await up(fc, 6.0)
     await fc.execute("goTo", [3.0, 0.0, -6.0])
     if kept == "heartbeats":
         b.filter = lambda link, packet: None if contains(packet, lost) else link.on_data(packet)
@@ -143,7 +139,7 @@ async def test_failsafe_during_an_ardupilot_landing_takes_control(b, fc, /):
 
 @on_bench("bench", flavour="px4")
 async def test_failsafe_keeps_control_after_a_guard_restart(b, fc, /):
-    await up(fc)
+    await up(fc, 6.0)
     await fc.execute("setMode", ["AUTO.LOITER"])
     fc.guard_restarted(True)
     assert fc.taken_over()
@@ -153,7 +149,7 @@ async def test_failsafe_keeps_control_after_a_guard_restart(b, fc, /):
 
 @on_bench("bench", flavour="px4")
 async def test_status_text_of_an_inactive_failsafe_is_no_takeover(b, fc, /):
-    await up(fc)
+    await up(fc, 6.0)
     for text in (
         "GCS Failsafe Cleared",
         "Failsafe warning: battery low",
@@ -174,8 +170,7 @@ def test_battery_failsafe_keeps_control_until_release(bench):
     b.autopilot.parameters |= {"BATT_FS_LOW_ACT": 1, "BATT_LOW_MAH": 660}
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [6.0])
+        await up(fc, 6.0)
         asyncio.get_running_loop().call_later(3.0, b.faults.apply, ["battery=0.19"])
         with pytest.raises(
             DeviceError, match=r"went to LAND, which its failsafe chose, Battery 1 is low .*, Batt"

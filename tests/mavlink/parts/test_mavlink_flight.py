@@ -7,17 +7,13 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.vehicle_state import SOURCES
 from lfield_mavlink.link.dialect import Writer, dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.mavlink.link.codec import PacketWriter as FakeWriter
-
-
-async def up(fc, height=5.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 def refusal(error) -> tuple[str, str]:

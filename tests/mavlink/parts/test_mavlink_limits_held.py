@@ -7,6 +7,7 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 
@@ -95,8 +96,7 @@ async def test_return_with_a_climb_above_the_limit_is_refused(b, fc, /, flavour)
     name, height = RETURNS[flavour]
     mode = {"ardupilot": "RTL", "px4": "AUTO.RTL"}[flavour]
 
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [4.0])
+    await up(fc, 4.0)
     words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; reduce {name}"
     for order in (["returnHome", []], ["setMode", [mode]]):
         with pytest.raises(DeviceError, match=words):

@@ -9,6 +9,7 @@ import pytest
 from coroutine_tests import on_bench
 from hypothesis import given
 from hypothesis import strategies as st
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.limits import LONGEST, LimitWatch, Verdict
@@ -161,8 +162,7 @@ async def test_px4_rover_overspeed_is_compensated(b, fc, /):
 
 @on_bench("limited", limits={"speed": 3.0})
 async def test_changed_speed_is_reported_and_commanded_again(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
     await asyncio.sleep(3.0)
     b.autopilot.pace.change(7.0)  # by another ground station
@@ -182,8 +182,7 @@ def test_repeated_overspeed_stays_corrected_for_the_motion(limited, monkeypatch)
     monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: set_speed(self, 1.5 * speed))
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         for goal in (70.0, 0.0):
             await fc.execute("goTo", [goal, 0.0, -5.0])
 
@@ -202,8 +201,7 @@ def test_overspeed_without_effective_correction_is_a_breach(limited, monkeypatch
     monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: MavResult.ACCEPTED)
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         b.autopilot.pace.own = lambda: 7.0
         flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(6.0)
@@ -215,8 +213,7 @@ def test_overspeed_without_effective_correction_is_a_breach(limited, monkeypatch
 
 @on_bench("limited", limits={"speed": 3.0})
 async def test_lost_correction_is_repeated_without_a_breach(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
     await asyncio.sleep(3.0)
     send, lost = b.links[0].send, []
@@ -241,8 +238,7 @@ def test_excess_of_the_radius_holds_and_ends_the_motion(limited, monkeypatch):
     b, guide = limited(limits={"radius": 20.0}), Autopilot.guide
 
     async def mission(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
         astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=SetpointControl.PLACE)
         monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
         # Its target reports are dropped: else the driver would report a takeover.
@@ -264,8 +260,7 @@ def test_excess_of_the_radius_holds_and_ends_the_motion(limited, monkeypatch):
 
 @on_bench("limited", limits={"speed": 3.0})
 async def test_excess_under_pilot_control_is_only_reported(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     b.autopilot.enter("RTL")
     b.autopilot.parameters["RTL_ALT"] = 500
     b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
@@ -279,8 +274,7 @@ async def test_excess_under_pilot_control_is_only_reported(b, fc, /):
 @on_bench("limited", flavour="px4", limits={"speed": 3.0})
 async def test_px4_hold_targets_the_stopping_position(b, fc, /):
     """In OFFBOARD, which PX4 leaves by itself when setpoints stop."""
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
     await asyncio.sleep(5.0)
     sent = len(b.sent)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.vehicle_state import VehicleState
@@ -16,12 +17,6 @@ from lfield_mavlink.setpoints.motion_orders import Circle, ProgressPatience
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.body.goals import Reach
 from lfield_sim.autopilot.ground_vehicle import Wheels
-
-
-async def up(fc, height=5.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
-
 
 # -- heights ------------------------------------------------------------------------------------------
 

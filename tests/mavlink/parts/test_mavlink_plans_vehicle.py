@@ -6,10 +6,10 @@ import asyncio
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.services.plan_items import Item, PlanKind, waypoints
-from lfield_sim.mavlink.link.signing import MessageSigning as Gate
 
 BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
@@ -22,11 +22,6 @@ def at(bench, north, east):
 
 def route(bench, *places):
     return [number for north, east, height in places for number in (*at(bench, north, east), height)]
-
-
-async def fly_up(fc, height=5.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 async def until(condition, seconds=60.0):
@@ -45,7 +40,7 @@ async def test_mission_is_flown_paused_and_finished(b, fc, /, flavour):
     assert await fc.execute("missionWaypoints", []) == pytest.approx(values, abs=1e-6)
     await until(lambda: b.values.get("missionItem") == 0, 5.0)
     assert b.values["missionReached"] == -1
-    await fly_up(fc)
+    await up(fc)
     await fc.execute("startMission", [])
     await until(lambda: b.values["missionReached"] == 0)
     assert b.values["missionItem"] == 1
@@ -107,7 +102,7 @@ def test_invalid_mission_start_and_upload_are_refused(bench, flavour):
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
 async def test_foreign_mission_is_checked_against_the_limits(b, fc, /, flavour):
-    await fly_up(fc)
+    await up(fc)
     # Like another ground station: without the checks of uploadMission.
     await fc.plans.upload(PlanKind.MISSION, waypoints(route(b, (90.0, 0.0, 5.0)), yaw=0.0))
     with pytest.raises(DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"):
@@ -164,7 +159,7 @@ async def test_fence_breach_is_published(b, fc, /):
     await fc.execute("fenceAction", ["report"])
     assert b.autopilot.parameters["FENCE_ENABLE"] == 1.0
     assert int(b.autopilot.parameters["FENCE_TYPE"]) & 4
-    await fly_up(fc)
+    await up(fc)
     await until(lambda: b.values.get("fenceBreached") is False, 5.0)
     # A goal beyond it is ignored, so the test moves the vehicle.
     with pytest.raises(DeviceError, match=r"no progress .* its own fence has zones, which may be the reason"):
@@ -256,67 +251,6 @@ async def test_link_quality_and_clock_offset_are_published(b, fc, /):
     assert b.values["packetsBroken"] >= 1
 
 
-# -- signing ----------------------------------------------------------------------------------------------
-
-
-def signed(bench, tmp_path, **options):
-    """A bench whose vehicle and driver use the same key."""
-    path = tmp_path / "alpha.key"
-    path.write_bytes(b"k" * 32)
-    path.chmod(0o600)
-    b = bench(options={"signing_key": str(path)}, **options)
-    fake = b.fakes[1]
-    fake.gate = gate = Gate(1, lambda: b.autopilot.uptime)
-    gate.key = b"k" * 32
-    return b, gate
-
-
-def test_vehicle_with_signing_is_flown(bench, tmp_path, monkeypatch):
-    async def at_once(work, *given):
-        """Virtual time does not wait for threads, and timestamps are written during the flight."""
-        return work(*given)
-
-    monkeypatch.setattr(asyncio, "to_thread", at_once)
-    b, _ = signed(bench, tmp_path)
-
-    async def mission(fc):
-        await fly_up(fc)
-        await asyncio.sleep(2.0)
-        assert b.values["signaturesGood"] > 100
-        assert b.values["signaturesBad"] == b.values["unsignedRefused"] == 0
-        packet = bytes(b.sent[-1])
-        b.links[0].on_data(packet)
-        await asyncio.sleep(2.0)
-        assert b.values["position"][2] == pytest.approx(-5.0, abs=1.0)
-
-    b.run(mission)
-    assert all(packet[2] & 1 for packet in b.sent)
-
-
-def test_vehicle_without_the_key_is_not_accepted(bench, tmp_path):
-    b, gate = signed(bench, tmp_path)
-    gate.key = None
-
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="no heartbeat"):
-            await fc.open()
-        await asyncio.sleep(2.0)
-        assert b.values["unsignedRefused"] > 0
-
-    b.run(mission, opened=False)
-
-
-def test_vehicle_without_the_key_is_accepted_with_a_waiver(bench, tmp_path):
-    b, gate = signed(bench, tmp_path, waivers=("device_watchdog", "unsigned"))
-    gate.key = None
-
-    async def mission(fc):
-        await asyncio.sleep(1.0)
-        assert b.values["armed"] is False
-
-    b.run(mission)
-
-
 def plan_item(bench, number, north=0.0, east=0.0, height=8.0, frame=6, parameters=(0.0, 0.0, 0.0, 0.0)):
     """An item at metres from home, and at a height above it."""
     return Item(number, frame, *bench.fakes[1].place.at(north, east), height, parameters)
@@ -359,7 +293,7 @@ ACCEPTED = [("ardupilot", n) for n in (30, 31, 36, 82, 84, 85, 94)] + [("px4", n
 @pytest.mark.parametrize(("flavour", "number"), ACCEPTED)
 @on_bench("bench", limits={"altitude": 20.0, "radius": 50.0}, given="flavour")
 async def test_uploaded_items_beyond_the_limits_are_not_started(b, fc, /, flavour, number):
-    await fly_up(fc)
+    await up(fc)
     for bad in (plan_item(b, number, 1000.0), plan_item(b, number, 5.0, height=200.0)):
         await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 5.0), bad])
         with pytest.raises(DeviceError, match=r"startMission: .*(1|the arc of item 1)[, ].*refused"):
@@ -378,7 +312,7 @@ async def test_items_inside_the_limits_are_flown_to_the_end(b, fc, /, flavour, n
         await fc.execute("arm", [])
     else:
         await fc.plans.upload(PlanKind.MISSION, plan)
-        await fly_up(fc)
+        await up(fc)
     await fc.execute("startMission", [])
     await until(lambda: b.values["missionReached"] == len(plan) - 1, 90.0)
     assert b.values["position"][0] == pytest.approx(10.0, abs=1.5)
@@ -391,7 +325,7 @@ async def test_items_inside_the_limits_are_flown_to_the_end(b, fc, /, flavour, n
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
 async def test_mission_changed_during_its_start_is_held(b, fc, /, flavour):
-    await fly_up(fc)
+    await up(fc)
     await fc.plans.upload(PlanKind.MISSION, [plan_item(b, 16, 20.0)])
     download = fc.plans.download
 
@@ -438,7 +372,7 @@ def test_return_is_checked_against_the_limits(bench, flavour):
                 await fc.execute(name, values)
 
     async def mission(fc):
-        await fly_up(fc)
+        await up(fc)
         parameters["RTL_RETURN_ALT" if px4 else "RTL_ALT"] = 20.0 if px4 else 2000.0
         await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 20.0), plan_item(b, 5100, 90.0)])
         await refused(fc, "rally point 1 refused: 90.0 m from home")
@@ -464,7 +398,7 @@ def test_return_is_checked_against_the_limits(bench, flavour):
 @BOTH
 @on_bench("bench", limits={"radius": 50.0}, given="flavour")
 async def test_rally_point_beyond_the_limits_is_refused(b, fc, /, flavour):
-    await fly_up(fc)
+    await up(fc)
     with pytest.raises(DeviceError, match=r"setRallyPoints: rally point 1 refused: .* limit of 50 m"):
         await fc.execute("setRallyPoints", [route(b, (10.0, 0.0, 5.0), (90.0, 0.0, 5.0))])
     await fc.plans.upload(PlanKind.RALLY, [plan_item(b, 5100, 90.0)])

@@ -8,6 +8,7 @@ import re
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
@@ -15,11 +16,6 @@ from lfield_mavlink.parts.motion_control import Motion
 from lfield_mavlink.parts.standstill import StandstillCheck
 
 SINKS = re.compile(r"\d+\.\d m up, sinking at \d\.\d m/s")
-
-
-async def up(fc, height=5.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 async def watched(fc, seconds=120.0):

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 
@@ -56,18 +57,17 @@ async def safe(fc):
 async def test_stop_of_a_silent_vehicle_is_not_confirmed(b, fc, /, before):
     b.cut = True
     await asyncio.sleep(before)
-    begun = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     with pytest.raises(DeviceError, match="no heartbeat for"):
         await fc.make_safe()
-    assert asyncio.get_running_loop().time() - begun < 3.0
+    assert asyncio.get_running_loop().time() - start < 3.0
     b.cut = False
     await fc.make_safe()
 
 
 @on_bench("bench")
 async def test_stop_of_a_silent_vehicle_under_pilot_control_fails(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [4.0])
+    await up(fc, 4.0)
     b.autopilot.command_mode("LOITER")
     await asyncio.sleep(2.0)
     b.cut = True
@@ -79,15 +79,14 @@ async def test_stop_of_a_silent_vehicle_under_pilot_control_fails(b, fc, /):
 
 @on_bench("bench")
 async def test_stop_of_a_disarmed_vehicle_takes_one_heartbeat(b, fc, /):
-    begun = asyncio.get_running_loop().time()
+    start = asyncio.get_running_loop().time()
     await fc.make_safe()
-    assert asyncio.get_running_loop().time() - begun <= 1.0
+    assert asyncio.get_running_loop().time() - start <= 1.0
 
 
 @on_bench("bench")
 async def test_stop_of_a_flying_vehicle_lands_at_once(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [4.0])
+    await up(fc, 4.0)
     making = asyncio.create_task(fc.make_safe())
     await asyncio.sleep(0.02)
     assert b.autopilot.mode == "LAND"

@@ -7,6 +7,7 @@ import itertools
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.driver.settings import mismatched
 from lfield.errors import DeviceError, DeviceNotSetUp
@@ -199,21 +200,16 @@ def test_setup_writes_the_speed_limit_to_the_autopilot(bench):
     assert read(faster, "WPNAV_SPEED", "RTL_SPEED") == [1000, 400]
 
 
-def test_setup_reports_a_parameter_that_cannot_be_written(bench):
-    b = bench(set_up=False)
-
+@on_bench("bench", set_up=False, opened=False)
+async def test_setup_reports_a_parameter_that_cannot_be_written(b, fc, /):
     class Fixed(dict):
         def __setitem__(self, name, value):
             if name != "FS_GCS_ENABLE":
                 super().__setitem__(name, value)
 
     b.autopilot.parameters = Fixed(b.autopilot.parameters)
-
-    async def story(fc):
-        with pytest.raises(DeviceError, match="FS_GCS_ENABLE could not be set to 5: it is 0"):
-            await set_up(fc)
-
-    b.run(story, opened=False)
+    with pytest.raises(DeviceError, match="FS_GCS_ENABLE could not be set to 5: it is 0"):
+        await set_up(fc)
 
 
 @on_bench("bench")
@@ -224,16 +220,12 @@ async def test_settings_are_not_written_while_armed(b, fc, /):
     assert written(b) == []
 
 
-def test_open_fails_without_a_reported_failsafe_parameter(bench):
-    b = bench()
+@on_bench("bench", opened=False)
+async def test_open_fails_without_a_reported_failsafe_parameter(b, fc, /):
     without(b, b"FS_GCS_ENABLE")
-
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="it does not report FS_GCS_ENABLE") as error:
-            await fc.open()
-        assert error.value.kind == "DeviceTimeoutException"
-
-    b.run(mission, opened=False)
+    with pytest.raises(DeviceError, match="it does not report FS_GCS_ENABLE") as error:
+        await fc.open()
+    assert error.value.kind == "DeviceTimeoutException"
 
 
 def test_older_parameter_name_is_found(bench):
@@ -266,8 +258,7 @@ async def test_changed_failsafe_parameter_blocks_arming(b, fc, /):
 @pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.0), ("px4", 0.5, 2.0)])
 @on_bench("bench", waivers=(), given="flavour ttl")
 async def test_autopilot_failsafe_acts_when_the_driver_is_silent(b, fc, /, flavour, ttl, within):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     b.driver.quiet()
     sent = len(b.sent)
     await asyncio.sleep(within)
@@ -282,8 +273,7 @@ async def test_autopilot_failsafe_acts_when_the_driver_is_silent(b, fc, /, flavo
 
 @on_bench("bench", ttl=1.0, waivers=(), faults=("loss=0.2",))
 async def test_driver_heartbeats_prevent_the_failsafe_with_losses(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     await asyncio.sleep(60.0)
     assert b.autopilot.mode == "GUIDED"
 

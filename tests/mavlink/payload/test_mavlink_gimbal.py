@@ -123,29 +123,21 @@ async def test_beyond_its_range_nothing_is_sent_and_at_its_end_it_is_an_error(b,
 
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
-def test_without_a_gimbal_it_is_an_error_that_says_what_is_missing(bench, flavour):
-    b = bench(flavour=flavour, payload=Payload(frozenset()))
-
-    async def mission(fc):
-        for instruction, arguments in (
-            ("pointGimbal", [0.0, 0.0]), ("acquireGimbal", []), ("releaseGimbal", []), ("gimbalAttitude", [])
-        ):  # fmt: skip
-            with pytest.raises(DeviceError, match=f"{instruction} refused: no gimbal"):
-                await fc.execute(instruction, arguments)
-        assert b.autopilot.payload.gimbal.pitch_goal == 0.0
-
-    b.run(mission)
+@on_bench("bench", payload=Payload(frozenset()), given="flavour")
+async def test_without_a_gimbal_it_is_an_error_that_says_what_is_missing(b, fc, /, flavour):
+    for instruction, arguments in (
+        ("pointGimbal", [0.0, 0.0]), ("acquireGimbal", []), ("releaseGimbal", []), ("gimbalAttitude", [])
+    ):  # fmt: skip
+        with pytest.raises(DeviceError, match=f"{instruction} refused: no gimbal"):
+            await fc.execute(instruction, arguments)
+    assert b.autopilot.payload.gimbal.pitch_goal == 0.0
 
 
-def test_reports_that_are_lost_are_requested_again(bench):
-    b = bench(faults=("loss=0.2",))
-
-    async def mission(fc):
-        for pitch in (-0.3, -0.6, 0.0):
-            await fc.execute("pointGimbal", [pitch, 0.0])
-            assert b.autopilot.payload.gimbal.pitch == pytest.approx(pitch, abs=0.06)
-
-    b.run(mission)
+@on_bench("bench", faults=("loss=0.2",))
+async def test_reports_that_are_lost_are_requested_again(b, fc, /):
+    for pitch in (-0.3, -0.6, 0.0):
+        await fc.execute("pointGimbal", [pitch, 0.0])
+        assert b.autopilot.payload.gimbal.pitch == pytest.approx(pitch, abs=0.06)
 
 
 def _attitude(flags, yaw):

@@ -7,6 +7,7 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
@@ -83,8 +84,7 @@ def test_servo_that_does_not_move_is_an_error(bench):
 
 @on_bench("bench")
 async def test_payload_works_during_a_flight(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [5.0])
+    await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
     await asyncio.sleep(0.5)
     await fc.execute("closeGripper", [])

@@ -7,6 +7,7 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -26,8 +27,7 @@ def targets(b, since):
 
 async def away(fc):
     """Starts a motion to a far goal."""
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     flight = asyncio.create_task(fc.execute("goTo", [150.0, 0.0, -8.0]))
     await asyncio.sleep(6.0)
     return flight
@@ -135,8 +135,7 @@ async def test_target_waits_for_an_obstructed_vehicle(b, fc, /):
 
 @on_bench("px4")
 async def test_hover_between_motions_uses_setpoints(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     await fc.execute("goTo", [5.0, 0.0, -8.0])
     place = b.autopilot.vehicle.place
     await asyncio.sleep(60.0)
@@ -172,8 +171,7 @@ async def test_lost_setpoints_do_not_end_offboard(b, fc, /, loss):
 )
 @on_bench("px4")
 async def test_autonomous_px4_motion_needs_a_waiver(b, fc, /, what, values):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     before = len(b.sent)
     with pytest.raises(DeviceError) as error:
         await fc.execute(what, values)
@@ -190,8 +188,7 @@ def test_px4_return_is_flown_with_waiver_or_as_safe_state(px4, given):
     b = px4(**given)
 
     async def story(fc):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [8.0])
+        await up(fc, 8.0)
         await fc.execute("returnHome", [])
         assert not b.autopilot.armed
 
@@ -200,8 +197,7 @@ def test_px4_return_is_flown_with_waiver_or_as_safe_state(px4, given):
 
 @on_bench("bench", waivers=("device_watchdog",))
 async def test_ardupilot_return_needs_no_waiver(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     await fc.execute("returnHome", [])
 
 
@@ -211,8 +207,7 @@ async def test_pilot_mode_of_a_flying_arducopter_needs_a_waiver(b, fc, /, mode):
     """With bit 4 of FS_OPTIONS its failsafe would not act in a pilot mode when this computer fails."""
     await fc.execute("setMode", [mode])
     await fc.execute("setMode", ["GUIDED"])
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     with pytest.raises(DeviceError) as error:
         await fc.execute("setMode", [mode])
     assert "waivers: {autonomous_motion: REASON}" in error.value.reason
@@ -221,8 +216,7 @@ async def test_pilot_mode_of_a_flying_arducopter_needs_a_waiver(b, fc, /, mode):
 
 @on_bench("bench", waivers=("device_watchdog", "autonomous_motion"))
 async def test_pilot_mode_is_entered_with_a_waiver(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     await fc.execute("setMode", ["LOITER"])
     assert b.autopilot.mode == "LOITER"
 

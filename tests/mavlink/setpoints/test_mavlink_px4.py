@@ -7,6 +7,7 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
@@ -26,11 +27,6 @@ def sent(b, kind, since=0):
     """The messages of a kind that the driver sent."""
     reader = Reader()
     return [m for data in b.sent[since:] for m in reader.feed(data) if m.get_msgId() == kind]
-
-
-async def up(fc, height=5.0):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [height])
 
 
 @on_bench("px4")

@@ -7,6 +7,7 @@ import math
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield_sim.autopilot.vehicle import Response
 
@@ -133,8 +134,7 @@ def test_px4_rover_keeps_a_low_speed_in_every_motion(bench, way):
 @pytest.mark.few(0)
 @on_bench("bench", flavour="px4", limits={"speed": 0.5})
 async def test_slow_orbit_reaches_its_circle(b, fc, /):
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     await fc.execute("orbit", [0.0, 0.0, -8.0, 12.0, 0.5, 0.1])
 
 
@@ -160,5 +160,5 @@ def test_rover_mission_does_not_overshoot_its_speed(bench, asked, own):
                 fastest = max(fastest, math.hypot(*b.autopilot.vehicle.velocity[:2]))
         return fastest
 
-    wanted = asked or own
-    assert 0.85 * wanted < b.run(story) <= wanted * STILL_AIR
+    expected = asked or own
+    assert 0.85 * expected < b.run(story) <= expected * STILL_AIR

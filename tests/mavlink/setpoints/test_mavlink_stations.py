@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 from coroutine_tests import on_bench
+from takeoff import up
 
 from lfield.errors import DeviceError
 from lfield.testing.driver_bench import bind
@@ -107,8 +108,7 @@ def test_failsafe_acts_in_time_after_death_of_host_and_guard(bench, flavour, kin
 @on_bench("bench")
 async def test_ardupilot_mission_ends_after_death_of_host_and_guard(b, fc, /):
     other = asyncio.create_task(beats(b, *QGC))
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
     await fc.execute("startMission", [])
@@ -203,8 +203,7 @@ def test_armed_vehicle_gets_heartbeats_only_after_the_safe_state(bench):
 async def test_fakes_continue_a_mission_beside_another_station(b, fc, /, flavour):
     """As measured: therefore a separate station id and setpoints are needed."""
     other = asyncio.create_task(beats(b, *QGC))
-    await fc.execute("arm", [])
-    await fc.execute("takeoff", [8.0])
+    await up(fc, 8.0)
     latitude, longitude, _ = b.values["globalPosition"]
     await fc.execute("uploadMission", [[latitude + 2e-3, longitude, 8.0]])
     await fc.execute("startMission", [])
@@ -258,8 +257,7 @@ def test_open_refuses_colliding_station_ids(bench):
 @on_bench("bench", systems=(1, 2))
 async def test_each_vehicle_of_a_link_has_its_own_station(b, one, two, /):
     for fc in (one, two):
-        await fc.execute("arm", [])
-        await fc.execute("takeoff", [5.0])
+        await up(fc)
     reader = Reader()
     sent = {(m.get_srcSystem(), getattr(m, "target_system", 0)) for data in b.sent for m in reader.feed(data)}
     assert sent == {(128, 0), (128, 1), (129, 0), (129, 2)}

@@ -6,13 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from loop_bench import LoopBench
+
 from lfield.authority.identity import ANONYMOUS
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.zenoh.config import ZenohConfig
 from lfield.net.zenoh.transport import ZenohTransport
 from lfield.testing.transport_kit import MAX_BLOCK
 
-PATIENCE = 60.0
 ROUTER = Path(__file__).with_name("router_process.py")
 
 
@@ -55,54 +56,35 @@ class Router:
         self.process.stdout.close()
 
 
-class ZenohBench:
+def running_router():
+    """A fixture: a router that is killed at the end."""
+    router = Router()
+    yield router
+    router.kill()
+
+
+class ZenohBench(LoopBench):
     """Two transports with a session each; `near` dials, `far` listens."""
 
-    address = "zenoh:alpha:0"
+    address, interval = "zenoh:alpha:0", 0.0005
 
     def __init__(self, near: ZenohConfig, far: ZenohConfig, timeout: float = 5.0, **options) -> None:
-        self.loop = asyncio.new_event_loop()
+        super().__init__(asyncio.new_event_loop())
         links = TcpTransport(MAX_BLOCK, **options)
         self.near, self.far = (ZenohTransport(config, links.new_link, timeout) for config in (near, far))
-        self.transport, self._is_tls = self, "tls" in options
-        self.links, self.listeners, self.notes = [], [], []
+        self._is_tls, self.notes = "tls" in options, []
         for transport in (self.near, self.far):
             transport.log_to(self.notes.append)
 
     async def listen(self, address: str, on_link):
-        def tracked(link):
-            self.links.append(link)
-            return on_link(link)
-
-        self.listeners.append(await self.far.listen(address, tracked))
-        return self.listeners[-1]
+        return await self.listen_with(self.far, address, on_link)
 
     async def connect(self, address: str, handler, host=""):
-        link = await self.near.connect(address, handler)
-        self.links.append(link)
+        link = await self.connect_with(self.near, address, handler)
         # The kit sends at both ends at once; before its handshake the accepting end of TLS sends nothing.
         while self._is_tls and any(each.who == ANONYMOUS and not each.closed for each in self.links):
-            await asyncio.sleep(0.0005)
+            await asyncio.sleep(self.interval)
         return link
 
-    def wait(self, work):
-        return self.loop.run_until_complete(work)
-
-    def until(self, done) -> None:
-        async def poll() -> None:
-            async with asyncio.timeout(PATIENCE):
-                while not done():
-                    await asyncio.sleep(0.0005)
-
-        self.wait(poll())
-
-    def write(self, link, data: bytes) -> None:
-        link.write(data)
-
     def close(self) -> None:
-        for opened in self.listeners + self.links:
-            opened.close()
-        self.until(lambda: all(len(link.handler.ends) == 1 for link in self.links))
-        self.near.close()
-        self.far.close()
-        self.loop.close()
+        super().close(self.near, self.far)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
-from fabric import PATIENCE, Router, ZenohBench, free_endpoint
+from fabric import Router, ZenohBench, free_endpoint, running_router
+from loop_bench import PATIENCE
 from lying_router import ChangingRelay, Injector
 
 from lfield.errors import AddressError, HandshakeError, MissingZenoh, NoListener, WireError, ZenohUnreachable
@@ -24,13 +25,7 @@ from lfield.wire.messages import Ping
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.process
-
-
-@pytest.fixture
-def router():
-    made = Router()
-    yield made
-    made.kill()
+router = pytest.fixture(running_router)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 from certificates import Team
-from fabric import Router, ZenohBench, free_endpoint
+from fabric import Router, ZenohBench, free_endpoint, running_router
 
 from lfield.net.tls import TlsIdentity
 from lfield.net.zenoh.config import ZenohConfig
@@ -10,13 +10,7 @@ from lfield.testing.transport_kit import TransportKit
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.process
-
-
-@pytest.fixture(scope="module")
-def router():
-    made = Router()
-    yield made
-    made.kill()
+router = pytest.fixture(running_router, scope="module")
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -35,6 +38,15 @@ class Page:
         self.process.stdin.write(f"{words}\n")
         self.process.stdin.flush()
 
+    @contextmanager
+    def suspended(self) -> Iterator[None]:
+        """The server does not answer."""
+        os.kill(self.process.pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(self.process.pid, signal.SIGCONT)
+
     def close(self) -> None:
         self.process.terminate()
         self.process.communicate(timeout=60)
@@ -58,3 +70,12 @@ def page_of() -> Iterator[Callable[..., Page]]:
     yield begin
     for page in pages:
         page.close()
+
+
+@pytest.fixture
+def page(browser: Browser, page_of: Callable[..., Page]) -> Page:
+    """A page that the browser has opened, and whose next link has been read."""
+    opened = page_of()
+    browser.open(opened.link)
+    opened.line()
+    return opened

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from base64 import b64encode
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import TypeVar
@@ -115,6 +116,21 @@ class Browser:
     def thing(self, id: str) -> Thing:
         self.wait(lambda: self.all(id))
         return Thing(self, id)
+
+    def confirm(self, order: str) -> None:
+        """Press a button, and confirm the order."""
+        self.thing(order).click()
+        self.thing("yes").click()
+
+    @contextmanager
+    def phone(self, width: int, height: int) -> Iterator[None]:
+        """The window is that of a phone."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": True}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        try:
+            yield
+        finally:
+            self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
     def evaluate(self, expression: Callable[[], T]) -> T:
         """The value of an expression; it is evaluated again if the page is redrawn meanwhile."""

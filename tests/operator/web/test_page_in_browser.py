@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
-
 import pytest
 from real_browser import needs_browser
 from selenium.webdriver.common.action_chains import ActionChains
@@ -17,9 +14,7 @@ from lfield.operator.web.page_snapshots import MAX_LOG_LINES
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
 
-def test_two_copters_move_on_the_page(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_two_copters_move_on_the_page(browser, page):
     for agent in ("lead", "wing"):
         row, marker = (
             browser.text(f"place-{agent}"),
@@ -38,10 +33,7 @@ def test_two_copters_move_on_the_page(browser, page_of):
     assert browser.errors == []
 
 
-def test_an_input_line_is_entered_for_an_agent_that_waits(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
+def test_an_input_line_is_entered_for_an_agent_that_waits(browser, page):
     assert not browser.driver.find_elements(By.CSS_SELECTOR, ".panel.input")
     page.do("read bravo wing")
     browser.says("input-bravo", "wing at bravo waits for a line")
@@ -61,64 +53,7 @@ def test_the_page_contacts_only_its_own_server(browser, page_of):
     assert browser.errors == []
 
 
-def test_stop_is_one_press_and_shows_confirmations(browser, page_of):
-    page = page_of()
-    page.do("stubborn wing")
-    browser.open(page.link)
-    page.line()
-    browser.thing("stop").click()
-    assert page.line() == "pressed stop"
-    browser.says("confirmed-lead.fc", "safe")
-    browser.says("unconfirmed-wing.fc", "NOT CONFIRMED: it has not answered")
-    browser.says("latch-wing-fc", "not confirmed")
-    browser.says("halt", "1 not confirmed")
-    page.do("latch wing")
-    browser.says("confirmed-wing.fc", "safe")
-    browser.says("halt", "every device is safe, not yet at rest")
-    browser.says("halt", "every device is safe and at rest")
-    # The reports continue after the stop.
-    browser.says("latch-lead-fc", "at rest")
-    first = browser.text("place-lead")
-    browser.wait(lambda: browser.text("place-lead") != first)
-
-
-def test_a_stop_is_incomplete_while_a_host_has_not_answered(browser, page_of):
-    page = page_of()
-    page.do("hang bravo")
-    browser.open(page.link)
-    browser.thing("stop").click()
-    browser.says("asked-bravo", "bravo has not answered yet")
-    browser.says("confirmed-lead.fc", "safe, at rest")
-    assert "Stopped: 1 not confirmed" in browser.text("halt")
-    assert "every device" not in browser.text("halt")
-    assert "bravo not answered yet" in browser.text("state")
-
-
-def test_lift_and_resume_ask_for_confirmation(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
-    assert not browser.thing("lift").is_enabled()
-    browser.thing("stop").click()
-    assert page.line() == "pressed stop"
-    browser.wait(lambda: browser.thing("lift").is_enabled())
-    browser.thing("lift").click()
-    browser.thing("no").click()
-    browser.thing("pause").click()
-    assert page.line() == "pressed pause", "a lift that was not meant is not done"
-    browser.says("host-alpha", "paused")
-    browser.thing("resume").click()
-    browser.thing("yes").click()
-    assert page.line() == "pressed resume"
-    browser.thing("lift").click()
-    browser.thing("yes").click()
-    assert page.line() == "pressed lift"
-    browser.wait(lambda: not browser.all("halt"))
-
-
-def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, page):
     browser.says("host-alpha", "bundle 5cde09b1f2a37c44")
     reason = "alpha runs bundle 5cde09b1f2a37c44 and carol runs bundle 77aa0c31d5e8b902"
     page.do(f"refuse carol {reason}")
@@ -128,150 +63,14 @@ def test_a_delayed_start_names_hosts_reasons_and_bundles(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_dead_host_is_shown_with_its_last_state(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.do("kill bravo")
-    browser.says("host-bravo", "nobody listens there")
-    browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
-    browser.says("host-bravo", "last contact")
-    place, age = browser.text("place-wing"), browser.text("vehicle-wing")
-    browser.wait(lambda: browser.text("vehicle-wing") != age)
-    assert browser.text("place-wing") == place
-    assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
-    # The coordinator there is as grey as the vehicle.
-    greys = (
-        "return [...document.querySelectorAll('.mind.old path, .marker.old .dart')]"
-        ".map((each) => getComputedStyle(each).fill)"
-    )
-    seen: list[list[str]] = []
-    browser.wait(lambda: len(seen.append(browser.driver.execute_script(greys)) or seen[-1]) == 2)
-    assert len(set(seen[-1])) == 1
-    browser.thing("stop").click()
-    browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
-
-
-def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
-    page = page_of()
-    page.do("kill alpha")
-    page.do("kill bravo")
-    browser.open(page.link)
-    browser.says("host-bravo", "nobody listens there")
-    browser.thing("stop").click()
-    for host in ("alpha", "bravo"):
-        browser.says(f"unreached-{host}", f"{host} NOT REACHED: nobody listens there")
-    browser.says("halt", "Stop pressed: 2 not confirmed")
-    browser.says("state", "STOP has NOT REACHED alpha, bravo")
-    assert browser.all("latch-lead-fc") == [], "it does not look as if it had stopped"
-    browser.thing("pause").click()
-    browser.says("order-pause", "alpha NOT REACHED")
-    browser.thing("resume").click()
-    browser.thing("yes").click()
-    browser.says("order-resume", "bravo NOT REACHED")
-    assert browser.all("order-pause") == []
-    browser.thing("lift").click()
-    browser.thing("yes").click()
-    browser.says("order-lift", "alpha NOT REACHED")
-    browser.wait(lambda: not browser.all("halt"))
-
-
-@pytest.mark.few(0)
-def test_the_last_state_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    browser.thing("stop").click()
-    browser.says("halt", "every device is safe and at rest")
-    page.do("kill bravo")
-    browser.says("halt", "Stopped at alpha; unreachable: bravo")
-    browser.says("before-bravo", "s ago, wing.fc safe")
-    assert "old" in browser.thing("before-bravo").get_attribute("class")
-    assert browser.all("confirmed-wing.fc") == []
-    browser.says("latch-wing-fc", "was safe")
-    assert "old" in browser.thing("latch-wing-fc").get_attribute("class")
-    browser.says("state", "STOPPED")
-    browser.thing("lift").click()
-    browser.thing("yes").click()
-    browser.says("order-lift", "bravo NOT REACHED")
-    browser.says("order-lift", "done at alpha")
-    browser.wait(lambda: "STOPPED" not in browser.text("state"))
-    assert "alpha NOT REACHED" not in browser.text("halt")
-    browser.says("halt", "No stop is active on the linked hosts")
-
-
-@pytest.mark.few(0)
-def test_a_press_is_shown_at_once_on_a_server_that_does_not_answer(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
-    os.kill(page.process.pid, signal.SIGSTOP)
-    try:
-        browser.thing("stop").click()
-        browser.says("asking-stop", "STOP pressed: waiting for the hosts")
-        browser.says("trouble", "last known values")
-        browser.says("failed", "STOP possibly not executed")
-        assert browser.all("asking-stop") == []
-        browser.thing("stop").click()
-        browser.says("asking-stop", "STOP pressed: waiting for the hosts")
-    finally:
-        os.kill(page.process.pid, signal.SIGCONT)
-    assert page.line() == "pressed stop"
-    browser.says("halt", "Stopped")
-    browser.wait(lambda: not browser.all("failed") and not browser.all("asking-stop"))
-
-
-@pytest.mark.few(0)
-def test_a_stop_that_the_page_gave_up_is_executed_late_and_reported(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
-    os.kill(page.process.pid, signal.SIGSTOP)
-    try:
-        browser.thing("stop").click()
-        browser.says("failed", "STOP possibly not executed")
-    finally:
-        os.kill(page.process.pid, signal.SIGCONT)
-    assert page.line() == "pressed stop"
-    browser.says("halt", "s late")
-    browser.wait(lambda: not browser.all("failed"))
-
-
-@pytest.mark.few(0)
-@pytest.mark.parametrize("order", ["lift", "resume"])
-def test_a_releasing_order_that_the_page_gave_up_is_not_executed(browser, page_of, order):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
-    browser.thing("stop").click()
-    assert page.line() == "pressed stop"
-    browser.wait(lambda: browser.thing("lift").is_enabled())
-    os.kill(page.process.pid, signal.SIGSTOP)
-    try:
-        browser.thing(order).click()
-        browser.thing("yes").click()
-        browser.says("failed", "possibly not executed")
-    finally:
-        os.kill(page.process.pid, signal.SIGCONT)
-    browser.says("failed", "not executed: it did not reach the server in time; check the state")
-    browser.says("halt", "Stopped")
-    browser.thing(order).click()
-    browser.thing("yes").click()
-    assert page.line() == f"pressed {order}", "the first that is done"
-    browser.wait(lambda: not browser.all("failed"))
-
-
-@pytest.mark.few(0)
-def test_stopped_and_paused_are_shown_together(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_stopped_and_paused_are_shown_together(browser, page):
     browser.thing("stop").click()
     browser.thing("pause").click()
     browser.says("state", "STOPPED · paused at alpha, bravo")
 
 
 @pytest.mark.few(0)
-def test_a_host_held_by_a_vote_is_named(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_a_host_held_by_a_vote_is_named(browser, page):
     browser.says("state", "2 of 2 hosts linked")
     assert "vote" not in browser.text("state") + browser.text("host-alpha")
     page.do("vote alpha")
@@ -332,9 +131,7 @@ def test_a_denied_button_shows_the_reason(browser, page_of):
 @pytest.mark.few(0)
 def test_on_a_phone_the_page_is_one_column_and_stop_stays_visible(browser, page_of):
     page = page_of("--count", 6)
-    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    try:
+    with browser.phone(390, 844):
         browser.open(page.link)
         browser.thing("vehicle-copter6")
         assert browser.driver.execute_script("return document.documentElement.scrollWidth") <= 390
@@ -349,14 +146,9 @@ def test_on_a_phone_the_page_is_one_column_and_stop_stays_visible(browser, page_
         browser.says("place-copter6", ",")
         browser.thing("stop").click()
         browser.says("halt", "Stopped")
-    finally:
-        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_the_page_is_operable_by_keyboard_alone(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
+def test_the_page_is_operable_by_keyboard_alone(browser, page):
 
     def press(*keys: str) -> str:
         """The focused element after these keys."""
@@ -378,21 +170,18 @@ def test_the_page_is_operable_by_keyboard_alone(browser, page_of):
     assert press(Keys.ENTER, Keys.TAB) == "yes"
     press(Keys.ENTER)
     assert page.line() == "pressed lift"
-    seen = [press(Keys.TAB) for _ in range(24)]
-    assert "query" in seen
-    assert "stop" in seen, "it goes round, and there is no trap"
+    observed = [press(Keys.TAB) for _ in range(24)]
+    assert "query" in observed
+    assert "stop" in observed, "it goes round, and there is no trap"
 
 
-def test_an_invalid_query_is_answered_with_its_mistakes(browser, page_of):
-    browser.open(page_of().link)
+def test_an_invalid_query_is_answered_with_its_mistakes(browser, page):
     browser.thing("query").send_keys("Lift whree payload", Keys.ENTER)
     browser.says("answer", 'nobody knows what "Lift whree payload" is')
 
 
 @pytest.mark.few(0)
-def test_an_answer_ages_and_offers_of_a_dead_host_are_grey(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_an_answer_ages_and_offers_of_a_dead_host_are_grey(browser, page):
     browser.thing("query").send_keys("Lift", Keys.ENTER)
     browser.says("answer", "Lift, asked 0.")
     browser.says("answer", "Lift, asked 1.")
@@ -424,9 +213,7 @@ def test_coordinators_are_visible_below_their_vehicles_on_a_phone(browser, page_
     page = page_of()
     page.do("place lead -50 0")
     page.do("place wing 50 20")
-    size = {"width": 360, "height": 740, "deviceScaleFactor": 1, "mobile": True}
-    browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    try:
+    with browser.phone(360, 740):
         browser.open(page.link)
         low = """
 const place = document.querySelector("[data-testid=marker-lead]").getCTM().f;
@@ -438,13 +225,9 @@ return document.querySelector(".map").clientHeight - place;
             browser.wait(lambda before=before: browser.text("place-lead") != before)
             # The diamond is 27 pixels below, and half of it is 6.
             assert browser.driver.execute_script(low) >= 33
-    finally:
-        browser.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
-def test_printed_text_is_shown_and_never_executed(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_printed_text_is_shown_and_never_executed(browser, page):
     page.do("say alpha <img src=x onerror=document.title='run'> {{ 6 * 7 }}")
     browser.says("log", "<img src=x onerror=document.title='run'> {{ 6 * 7 }}")
     assert browser.driver.title == "first-flight"
@@ -480,9 +263,7 @@ def test_a_link_opens_one_browser_and_the_next_link_is_printed(browser, page_of)
 
 
 @pytest.mark.few(0)
-def test_two_pages_watch_at_once(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_two_pages_watch_at_once(browser, page):
     first = browser.driver.current_window_handle
     browser.driver.switch_to.new_window("tab")
     try:
@@ -495,9 +276,7 @@ def test_two_pages_watch_at_once(browser, page_of):
     browser.says("halt", "Stopped")
 
 
-def test_a_page_without_its_server_shows_it(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
+def test_a_page_without_its_server_shows_it(browser, page):
     page.close()
     browser.says("trouble", "last known values")
     browser.says("state", "updated")
@@ -506,10 +285,7 @@ def test_a_page_without_its_server_shows_it(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_a_suspended_page_catches_up(browser, page_of):
-    page = page_of()
-    browser.open(page.link)
-    page.line()
+def test_a_suspended_page_catches_up(browser, page):
     page.do("say alpha before it sleeps")
     browser.says("log", "before it sleeps")
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "frozen"})
@@ -526,9 +302,8 @@ def test_a_suspended_page_catches_up(browser, page_of):
 
 
 @pytest.mark.few(0)
-def test_automatic_reload_of_the_page_is_off(browser, page_of):
+def test_automatic_reload_of_the_page_is_off(browser, page):
     """A page that cannot reach its server must stay: it has the last known state, and STOP."""
-    browser.open(page_of().link)
     browser.wait(lambda: browser.driver.execute_script("return !window.socket.connected"))
     place = browser.text("place-lead")
     browser.wait(lambda: browser.text("place-lead") != place)

@@ -5,7 +5,7 @@ from itertools import combinations, permutations
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_mobility_transitions import PROGRAM, TOUR, Host, seal, transfer
+from mobility_hosts import PROGRAM, TOUR, Host, seal, transfer
 
 from lfield.journal.records import CoordinatorRecord
 from lfield.replication.transfer.core import Mobility

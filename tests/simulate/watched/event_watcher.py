@@ -92,10 +92,13 @@ class EventWatcher:
         return {event.number: event for event in self.states}
 
 
-def fleet_of(folder: Path, program: str = PROGRAM, team: str = TEAM, seed: int = 1) -> Fleet:
+def fleet_of(folder: Path, seconds: float, program: str = PROGRAM, team: str = TEAM, seed: int = 1) -> Fleet:
+    """A team that has run for `seconds`."""
     (folder / "mission.L").write_text(program)
     (folder / "mission.dL").write_text(team)
-    return Fleet(load_mission(folder / "mission.dL", simulate=True), seed)
+    fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), seed)
+    fleet.run(seconds)
+    return fleet
 
 
 def watch(fleet: Fleet, host: str, message: Subscribe | None = None, **options: bool) -> EventWatcher:

@@ -15,8 +15,7 @@ from lfield.wire.subscription_messages import WINDOW, EventAck, Subscribe
 
 
 def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     alpha, beta = watch(fleet, "alpha"), watch(fleet, "beta")
     fleet.run(30.0)
     came = {(e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.MigrationArrived)}  # type: ignore[union-attr]
@@ -44,8 +43,7 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
 
 
 def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(5.0)
+    fleet = fleet_of(tmp_path, 5.0)
     watcher = watch(fleet, "alpha")
     fleet.run(10.0)
     ended = [event.what for event in watcher.of(events.PortalCallEnded)]
@@ -61,8 +59,7 @@ def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) 
 
 
 def test_every_line_of_log_and_output_is_one_event_and_vice_versa(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(0.001)
+    fleet = fleet_of(tmp_path, 0.001)
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(20.0)
     lines = "".join(text for _, host, text in fleet.log if host == "alpha").splitlines()
@@ -78,8 +75,7 @@ def test_every_line_of_log_and_output_is_one_event_and_vice_versa(tmp_path: Path
 
 
 def test_events_are_numbered_without_a_gap_from_the_start(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(6.0)
+    fleet = fleet_of(tmp_path, 6.0)
     watcher = watch(fleet, "alpha", Subscribe(1, 0, 5.0))
     fleet.run(6.0)
     assert watcher.batches[0].snapshot is not None
@@ -91,8 +87,7 @@ def test_events_are_numbered_without_a_gap_from_the_start(tmp_path: Path) -> Non
 
 
 def test_an_emergency_stop_causes_the_latches_of_all_devices(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha")
     fleet.run(1.0)
     watcher.order(EmergencyStop(token_bytes(16), "people on the field"))
@@ -114,8 +109,7 @@ def test_an_emergency_stop_causes_the_latches_of_all_devices(tmp_path: Path) -> 
 
 
 def test_a_pause_and_its_end_are_reported_with_the_person(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha")
     watcher.order(Pause(token_bytes(16)))
     fleet.run(6.0)
@@ -131,8 +125,7 @@ def test_a_pause_and_its_end_are_reported_with_the_person(tmp_path: Path) -> Non
 
 
 def test_broken_links_and_restarted_hosts_are_reported(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha")
     fleet.run(0.1)
     fleet.crash("beta")
@@ -144,8 +137,7 @@ def test_broken_links_and_restarted_hosts_are_reported(tmp_path: Path) -> None:
 
 
 def test_positions_of_agents_are_sent_at_the_requested_rate(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     often, seldom = (
         watch(fleet, "alpha", Subscribe(telemetry=5.0)),
         watch(fleet, "alpha", Subscribe(telemetry=1.0)),
@@ -168,8 +160,7 @@ def test_positions_of_agents_are_sent_at_the_requested_rate(tmp_path: Path) -> N
 
 
 def test_a_watcher_that_reconnects_continues_at_its_last_event(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     first = watch(fleet, "alpha")
     fleet.run(3.0)
     first.reads = False
@@ -185,8 +176,7 @@ def test_a_watcher_that_reconnects_continues_at_its_last_event(tmp_path: Path) -
 
 
 def test_a_restarted_host_sends_all_its_events_to_a_watcher_of_the_earlier_life(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     before = watch(fleet, "alpha")
     fleet.run(1.0)
     life = before.batches[0].incarnation
@@ -201,8 +191,7 @@ def test_a_restarted_host_sends_all_its_events_to_a_watcher_of_the_earlier_life(
 
 
 def test_a_watcher_that_stops_reading_gets_a_window_and_then_the_end(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
     other = watch(fleet, "alpha", Subscribe(telemetry=10.0))
     fleet.run(50.0)
@@ -218,8 +207,7 @@ def test_a_watcher_that_stops_reading_gets_a_window_and_then_the_end(tmp_path: P
 
 
 def test_a_slow_watcher_loses_only_telemetry_and_is_informed(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha", Subscribe(telemetry=20.0), reads=False)
     for _ in range(20):
         fleet.run(2.0)
@@ -233,16 +221,14 @@ def test_a_slow_watcher_loses_only_telemetry_and_is_informed(tmp_path: Path) -> 
 
 
 def test_a_watcher_beyond_the_limit_is_refused(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(2.0)
+    fleet = fleet_of(tmp_path, 2.0)
     watchers = [watch(fleet, "alpha") for _ in range(17)]
     fleet.run(0.5)
     assert [watcher.refused for watcher in watchers] == [*[""] * 16, "16 others watch alpha already"]
 
 
 def test_repeated_subscriptions_do_not_keep_a_host_busy(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(2.0)
+    fleet = fleet_of(tmp_path, 2.0)
     watcher = watch(fleet, "alpha")
     for _ in range(500):
         watcher.say(Subscribe())
@@ -253,8 +239,7 @@ def test_repeated_subscriptions_do_not_keep_a_host_busy(tmp_path: Path) -> None:
 
 
 def test_a_host_that_ends_reports_it_and_the_rest_of_its_devices(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher = watch(fleet, "alpha")
     fleet.run(0.2)
     fleet.stop("alpha")
@@ -266,8 +251,7 @@ def test_a_host_that_ends_reports_it_and_the_rest_of_its_devices(tmp_path: Path)
 
 
 def test_portal_calls_are_not_reported_without_a_watcher(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(10.0)
+    fleet = fleet_of(tmp_path, 10.0)
     core = fleet.lives["alpha"].core
     assert core.machine.hooks.observer is None
     watcher = watch(fleet, "alpha", Subscribe(1))
@@ -293,8 +277,7 @@ coordinator Walker {
 
 
 def test_too_frequent_events_are_counted(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
-    fleet.run(0.001)
+    fleet = fleet_of(tmp_path, 0.001, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(12.0)
     skipped: dict[str, int] = {}
@@ -310,8 +293,7 @@ def test_too_frequent_events_are_counted(tmp_path: Path) -> None:
 
 def test_an_exception_of_a_portal_is_reported_with_its_end(tmp_path: Path) -> None:
     program = PROGRAM.replace("fc.takeoff(height);", "int none = 0; print(i2s(1 / none));")
-    fleet = fleet_of(tmp_path, program)
-    fleet.run(0.001)
+    fleet = fleet_of(tmp_path, 0.001, program)
     watcher = watch(fleet, "alpha", Subscribe(1))
     fleet.run(6.0)
     (ended,) = watcher.of(events.PortalCallEnded)
@@ -330,8 +312,7 @@ def test_a_run_is_the_same_with_and_without_a_watcher(tmp_path: Path, seed: int)
     """A watcher does not change the actions of the team: no log line, and no time."""
 
     def logged(*, watched: bool) -> list[tuple[str, str]]:
-        fleet = fleet_of(tmp_path, seed=seed)
-        fleet.run(2.0)
+        fleet = fleet_of(tmp_path, 2.0, seed=seed)
         if watched:
             watch(fleet, "alpha", Subscribe(telemetry=20.0))
         fleet.run(15.0)

@@ -71,8 +71,7 @@ def boot(fleet: Fleet, watcher: EventWatcher) -> None:
 def test_events_lead_to_the_state_of_a_snapshot(
     tmp_path: Path, steps: Sequence[Callable[[Fleet, EventWatcher], None]]
 ) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     watcher, states = watch(fleet, "alpha", Subscribe(telemetry=5.0)), []
     for step in steps:
         step(fleet, watcher)
@@ -83,8 +82,7 @@ def test_events_lead_to_the_state_of_a_snapshot(
 
 
 def test_a_request_for_a_snapshot_is_no_subscription(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path)
-    fleet.run(8.0)
+    fleet = fleet_of(tmp_path, 8.0)
     host = fleet.lives["alpha"].host
     assert asked(fleet).linked
     fleet.run(5.0)

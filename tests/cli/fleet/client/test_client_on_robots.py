@@ -40,8 +40,7 @@ def active(here, robots, lfield):
     team.up()
     lfield.write("mission.access.yaml", "calls:\n  others: {Post: [count]}\n")
     lfield.mission(PROGRAM, TEAM)
-    pushed = here("push", "mission.dL")
-    assert pushed.status == 0, pushed.err
+    here("push", "mission.dL", status=0)
     return team
 
 
@@ -61,7 +60,7 @@ def test_the_program_of_the_page_starts_calls_and_stops(active, lfield, alone) -
 
 
 def test_a_client_without_rights_is_refused_and_the_mission_continues(active, lfield, here) -> None:
-    assert here("start").status == 0
+    here("start", status=0)
     keys = lfield.keys.folder / "eve"
     lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
 
@@ -149,7 +148,7 @@ def test_rights_and_the_access_file_limit_an_assistant(active, assistant, lfield
     assert all("'assistants'" in waits[host] for host in active.hosts)
     active.services["alpha"].wait_for("start of assistant of operator refused")
     lfield.write("mission.access.yaml", "calls:\n  others: {Post: all}\nassistants: [operator]\n")
-    assert here("push", "mission.dL").status == 0
+    here("push", "mission.dL", status=0)
     log = active.services["bravo"]
     (_, started), counted, (_, stored) = assistant()(
         ("start", {}),

@@ -46,7 +46,7 @@ def test_a_resume_does_not_end_the_hold_and_the_end_of_the_hold_no_pause(lfield,
     second = told(here("push", "second.dL", "--stage", "--json"))["bundle"]
     lfield.mission(PROGRAM.replace("TEXT", 'write("1");'), TEAM, name="first")
     assert told(here("push", "first.dL", "--json"))["outcome"] == "activated"
-    assert here("start").status == 0
+    here("start", status=0)
     team.kill("bravo")
 
     def reason() -> str:
@@ -57,13 +57,13 @@ def test_a_resume_does_not_end_the_hold_and_the_end_of_the_hold_no_pause(lfield,
     # A restart of the service forgets neither.
     team.kill("alpha")
     team.up("alpha")
-    assert here("pause", "first.dL").status == 0
-    assert here("resume", "first.dL").status == 69
+    here("pause", "first.dL", status=0)
+    here("resume", "first.dL", status=69)
     assert ("held" in reason(), "paused" in reason()) == (True, False)
-    assert here("pause", "first.dL").status == 0
-    assert here("rollback", "--lost", "bravo").status == 0
+    here("pause", "first.dL", status=0)
+    here("rollback", "--lost", "bravo", status=0)
     while "held" in reason():
         pass
     assert "paused" in reason()
-    assert here("resume", "first.dL").status == 0
+    here("resume", "first.dL", status=0)
     assert reason() == ""

@@ -8,18 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from fabric import PATIENCE, Router
+from fabric import running_router
+from loop_bench import PATIENCE
 from robots import told
 
 pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
 pytestmark = pytest.mark.process
-
-
-@pytest.fixture
-def router() -> Iterator[Router]:
-    made = Router()
-    yield made
-    made.kill()
+router = pytest.fixture(running_router)
 
 
 def command_lines() -> Iterator[bytes]:

@@ -16,7 +16,7 @@ def test_uploads_of_several_operators_do_not_remove_each_other(lfield, here, rob
         # No piece of one is a piece of another.
         lines = "".join(f'write("{number}{n:07d} {n**7 * (number + 1):030d}");\n' for n in range(800))
         lfield.mission(program().replace(PADDING, lines), TEAM, name=f"m{number}")
-        assert here("build", f"m{number}.dL", "-o", f"m{number}.lfm").status == 0
+        here("build", f"m{number}.dL", "-o", f"m{number}.lfm", status=0)
     desks = [lfield.start("push", f"m{number}.lfm", "--stage", "--json") for number in range(4)]
     for desk in desks:
         desk.wait()

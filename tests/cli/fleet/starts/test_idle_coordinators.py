@@ -20,7 +20,7 @@ def test_a_start_without_the_home_of_the_only_coordinator_reports_idle(lfield, h
     assert (began.status, told(began)["started"]) == (1, False)
     assert "tom" in told(began)["waits"]["alpha"]
     # The remedy of the message.
-    assert here("start").status == 0
+    here("start", status=0)
 
 
 @pytest.mark.few(0)
@@ -29,8 +29,8 @@ def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, h
     team.up()
     team.mission(rounds=100, pause=1.0)
     old = told(here("push", "mission.dL", "--json"))["bundle"]
-    assert here("start").status == 0
-    assert here("stop").status == 0
+    here("start", status=0)
+    here("stop", status=0)
     # No vote activates another bundle now. A state of the service that was restored from a backup does.
     team.mission(text="call")
     new = told(here("push", "mission.dL", "--stage", "--json"))["bundle"]
@@ -44,8 +44,8 @@ def test_a_start_with_a_parked_coordinator_reports_idle_and_the_remedy(lfield, h
     (host,) = told(began)["waits"]
     assert "tom" in told(began)["waits"][host]
     assert any(line.startswith(f"{host}: coordinator tom is parked") for line in here("status").out)
-    assert here("stop", "--discard").status == 0
-    assert here("start").status == 0
+    here("stop", "--discard", status=0)
+    here("start", status=0)
 
 
 def encoded(digest: str) -> str:

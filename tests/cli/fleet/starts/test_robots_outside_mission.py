@@ -22,11 +22,11 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
     began = here("start", "--json")
     assert (began.status, told(began)["started"]) == (0, True)
     assert told(here("status", "--json"))["carol"]["run"]["phase"] == "stopped"
-    assert here("stop", "--discard").status == 0
+    here("stop", "--discard", status=0)
     # To leave it out makes no difference.
     began = here("start", "--without", "carol", "--json")
     assert (began.status, told(began)["started"]) == (0, True)
-    assert here("stop", "--discard").status == 0
+    here("stop", "--discard", status=0)
 
     team.mission(text="call")
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
@@ -35,8 +35,8 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
 
     # Nor does it matter that it is off.
     team.kill("carol")
-    assert here("start").status == 0
-    assert here("stop", "--without", "carol", "--discard").status == 0
+    here("start", status=0)
+    here("stop", "--without", "carol", "--discard", status=0)
     assert told(here("rollback", "--json"))["outcome"] == "activated"
 
 
@@ -44,15 +44,14 @@ def test_start_asks_for_robots_or_mission_if_a_local_mission_runs_too(lfield, he
     team = robots("alpha", "bravo")
     team.up()
     team.mission()
-    assert here("push", "mission.dL").status == 0
+    here("push", "mission.dL", status=0)
     other = lfield.mission(program(rounds=1000, pause=1.0), TEAM, name="other")
     running = lfield.start("up", "--deploy", other, "--all", "--sim")
     running.wait_for("visit 1")
     # Both have hosts of these names.
-    refused = here("start")
-    assert refused.status == 64
+    refused = here("start", status=64)
     assert str(team.inventory) in refused.err[0]
-    assert here("start", "other.dL").status == 0
+    here("start", "other.dL", status=0)
     began = here("start", "--inventory", team.inventory, "--json")
     assert (began.status, told(began)["started"]) == (0, True)
     running.signal(signal.SIGINT)

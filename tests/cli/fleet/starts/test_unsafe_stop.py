@@ -17,8 +17,8 @@ def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield
     team = robots("alpha", "bravo")
     team.up()
     team.mission(rounds=1000, pause=0.2)
-    assert here("push", "mission.dL").status == 0
-    assert here("start").status == 0
+    here("push", "mission.dL", status=0)
+    here("start", status=0)
     pid = team.state("bravo")["run"]["pid"]
     # It cannot answer the order.
     os.kill(pid, signal.SIGSTOP)
@@ -31,8 +31,7 @@ def test_a_host_killed_during_a_stop_is_reported_and_nothing_is_discarded(lfield
     assert (found["alpha"]["trouble"], found["alpha"]["discarded"]) == ("", [])
     assert told(here("status", "bravo", "--json"))["bravo"]["refusal"]
     # An operator who has read it repeats the command, which prints the acknowledgement.
-    again = here("stop", "--discard", "--json")
-    assert again.status == 0
+    again = here("stop", "--discard", "--json", status=0)
     found = told(again)
     assert (found["bravo"]["trouble"], found["bravo"]["checked"]) == ("", "killed by signal 9")
     assert found["alpha"]["discarded"] == ["tom"]

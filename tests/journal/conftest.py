@@ -1,0 +1,16 @@
+"""A journal on a real disk, in a folder of the test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from journal_bench import FileBench
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[FileBench]:
+    made = FileBench(tmp_path)
+    yield made
+    made.end()
