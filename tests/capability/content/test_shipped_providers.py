@@ -13,9 +13,14 @@ from lfield.text.source_text import Diagnostics, Source
 STOCK = sorted(REGISTRY.providers)
 #: The tool that a primitive of a vehicle needs.
 TOOLS = {
-    "Grip": "gripper", "Lift": "winch", "Photograph": "camera", "PhotographSeries": "camera", "Film": "camera",
-    "Aim": "gimbal", "TrackPlace": "gimbal",
-}  # fmt: skip
+    "Grip": "gripper",
+    "Lift": "winch",
+    "Photograph": "camera",
+    "PhotographSeries": "camera",
+    "Film": "camera",
+    "Aim": "gimbal",
+    "TrackPlace": "gimbal",
+}
 
 
 def signature(type_name: str) -> Signature:
