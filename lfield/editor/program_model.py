@@ -242,7 +242,8 @@ class ProgramModel:
         else:
             found += bodies
         places = {(one.code, one.span.start, one.span.source): one for one in reversed(found)}
-        return sorted(places.values(), key=lambda one: (one.span.source.name, one.span.line, one.span.start))
+        ordered = reversed(places.values())
+        return sorted(ordered, key=lambda one: (one.span.source.name, one.span.line, one.span.start))
 
     def complete_program(self) -> CheckedProgram | None:
         """The program with all its bodies, for a check of its deployment; None if it has errors."""

@@ -121,7 +121,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.few(4)
 @pytest.mark.parametrize(("name", "option"), list(cases()))
-def test_an_undecodable_word_causes_no_internal_error(folder: Path, name: str, option: str) -> None:
+def test_an_undecodable_word_causes_no_internal_error(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, option: str
+) -> None:
+    # `lfield mcp` reads its input to the end.
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO()))
     for words in lines(name, option):
         status, told = said(words)
         assert status in exit_status.MEANINGS, (words, told)
