@@ -74,7 +74,7 @@ class Actuators:
         progress = Progress(patience, clock.monotonic())
 
         def is_out(report: Any) -> bool:
-            left = abs(report.line_length - goal)
+            left: float = abs(report.line_length - goal)
             if progress.is_over(left, False, clock.monotonic(), speed):
                 problem = patience.message.format(seconds=patience.bound(False, speed), left=left)
                 raise self._vehicle.error(f"winch gave up: {problem}")
