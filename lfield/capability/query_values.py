@@ -103,12 +103,6 @@ def bind(query: OfferQuery, values: Sequence[Bindable]) -> OfferQuery:
     return replace(query, condition=condition, order=order)
 
 
-def has_parameters(query: OfferQuery) -> bool:
-    """Whether values are needed before it can be answered."""
-    expressions = [*([query.condition] if query.condition else []), *(key.value for key in query.order)]
-    return any(True for expression in expressions for _ in parameters(expression.tree))
-
-
 def parameters(tree: ConditionExpr) -> Iterator[ConditionParameter]:
     """The parameters in a tree, from left to right."""
     match tree:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any
@@ -18,13 +17,8 @@ from lfield.wire.fields import short_digest
 from lfield.wire.observer_messages import BundleStatus, DirectoryEntry, JournalStatus
 
 
-def status_json(hosts: Mapping[str, HostState]) -> str:
-    """The state of every host, or the error where it did not answer."""
-    return json.dumps(status_data(hosts), indent=2)
-
-
 def status_data(hosts: Mapping[str, HostState]) -> dict[str, Any]:
-    """The same as data that JSON can hold."""
+    """The state of every host as JSON data, or the error where it did not answer."""
     return {
         name: host.error.as_data() if host.error is not None else _host_data(host)
         for name, host in hosts.items()

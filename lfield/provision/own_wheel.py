@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import hashlib
-import json
 import sys
 import zipfile
 from asyncio.subprocess import DEVNULL, PIPE
@@ -137,12 +136,6 @@ def _contents(installed: Distribution) -> Iterator[tuple[str, bytes]]:
         if file.hash is not None and file.hash.mode == "sha256" and file.hash.value.rstrip("=") != digest:
             raise ProvisionError("", f"{text} of {installed.name} was changed", "install it again")
         yield text, data
-
-
-def is_editable(installed: Distribution) -> bool:
-    """Whether its files are links to a checkout."""
-    text = installed.read_text("direct_url.json")
-    return bool(text and json.loads(text).get("dir_info", {}).get("editable"))
 
 
 async def run_pip(*arguments: str, what: str) -> None:

@@ -92,10 +92,6 @@ class PersonPortals:
                 found.setdefault((record.owner, record.name), []).append(method)
         return found
 
-    def has_side_effects(self, method: int) -> bool:
-        """Whether a portal (by index) may have side effects."""
-        return method in self._scheduler.effectful_methods
-
     def start(
         self, call: PendingCall, resource: Agent, method: int, arguments: Sequence[EncodedValue]
     ) -> None:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from scripted_snapshots import states_of
 
 from lfield.cli.views import team_status_view
-from lfield.client.status_json import status_json
+from lfield.client.status_json import status_data
 from lfield.errors import AddressError
 from lfield.wire.coordinator_messages import CoordinatorState
 from lfield.wire.observer_messages import (
@@ -107,7 +107,7 @@ def test_all_fields_of_a_host_are_in_json_and_in_the_table(capsys):
         bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
     )
     answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
-    assert json.loads(status_json(states_of(answers))) == {
+    assert json.loads(json.dumps(status_data(states_of(answers)))) == {
         "alpha": {
             "host": "alpha",
             "address": "127.0.0.1:1",
@@ -215,7 +215,7 @@ def test_delays_and_the_silence_limit_are_shown(capsys):
         lease=1.46,
     )
     answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
-    data = json.loads(status_json(states_of(answers)))
+    data = json.loads(json.dumps(status_data(states_of(answers))))
     assert (data["alpha"]["late"], data["alpha"]["silence"]) == (0.0312, 0.2)
     assert (data["carol"]["late"], data["carol"]["silence"]) == (None, None)
     team_status_view.show(states_of(answers))
@@ -238,7 +238,7 @@ def test_round_trip_loss_and_bytes_of_each_link_are_shown(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [], observers=watched
     )
-    data = json.loads(status_json(states_of({"alpha": status})))["alpha"]
+    data = json.loads(json.dumps(status_data(states_of({"alpha": status}))))["alpha"]
     assert (data["linked"], data["away"]) == (["bravo", "delta", "echo", "golf"], {"carol": 3.5})
     figures = {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999, "kinds": kinds}
     unknown = {**dict.fromkeys(("round_trip", "loss", "sent", "received")), "kinds": {}}
@@ -272,7 +272,7 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
             links[2:4] = [LinkStatus(others[2], None, 0.001, 0.25, 10, 10), LinkStatus(others[3], 40.0)]
         answers[name] = Status(name, f"{name}:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
     states = states_of(answers)
-    data = json.loads(status_json(states))
+    data = json.loads(json.dumps(status_data(states)))
     assert sum(len(host["links"]) + len(host["away"]) for host in data.values()) == 800
     team_status_view.show(states)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -285,7 +285,7 @@ def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
 def test_reservations_are_shown_with_their_remaining_time(capsys):
     reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
-    data = json.loads(status_json(states_of({"alpha": status})))
+    data = json.loads(json.dumps(status_data(states_of({"alpha": status}))))
     assert data["alpha"]["reserved"] == [
         {"resource": "near", "agent": "tom", "generation": 2, "held": 12.25, "left": 4.5}
     ]
@@ -299,7 +299,7 @@ def test_pending_calls_are_shown(capsys):
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
     )
-    data = json.loads(status_json(states_of({"alpha": status})))
+    data = json.loads(json.dumps(status_data(states_of({"alpha": status}))))
     assert data["alpha"]["begun"][0] == {
         "agent": "tom",
         "generation": 1,

@@ -17,11 +17,6 @@ class QueryText:
     text: str
     pieces: tuple[tuple[int, tree.Literal_], ...]
 
-    @property
-    def is_literal(self) -> bool:
-        """Whether it is one literal, and not the use of a constant."""
-        return len(self.pieces) == 1 and self.pieces[0][1].span.text.startswith('"')
-
     def place(self, start: int, end: int) -> Span:
         """Where some characters are in the program.
 

@@ -1,5 +1,10 @@
 """The in-memory network with the conformance kit, its latency and its partitions."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from typing import Any
+
 import pytest
 from memory_network import MemoryNetwork
 
@@ -18,33 +23,33 @@ class MemoryBench:
         self.network = MemoryNetwork(ManualClock(), max_block=MAX_BLOCK)
         self.transport = self.network.transport("a")
 
-    def wait(self, work):
+    def wait(self, work: Coroutine[Any, Any, Any]) -> Any:
         try:
             work.send(None)
         except StopIteration as done:
             return done.value
         raise AssertionError("a coroutine of the in-memory transport suspended")
 
-    def until(self, done) -> None:
+    def until(self, done: Callable[[], bool]) -> None:
         self.network.run()
         assert done()
 
-    def write(self, link, data: bytes) -> None:
+    def write(self, link: Any, data: bytes) -> None:
         link.write(data)
 
 
 class TestMemory(TransportKit):
     @pytest.fixture
-    def bench(self):
+    def bench(self) -> MemoryBench:
         return MemoryBench()
 
 
 @pytest.fixture
-def memory():
+def memory() -> MemoryBench:
     return MemoryBench()
 
 
-def test_a_message_arrives_after_the_latency_in_order(memory):
+def test_a_message_arrives_after_the_latency_in_order(memory: Any) -> None:
     clock = memory.network._clock
     pair = Pair(memory)
     memory.network.latency = 0.5
@@ -59,7 +64,7 @@ def test_a_message_arrives_after_the_latency_in_order(memory):
     assert memory.network.next_due() is None
 
 
-def test_a_partition_loses_messages_in_flight_and_prevents_links(memory):
+def test_a_partition_loses_messages_in_flight_and_prevents_links(memory: Any) -> None:
     pair = Pair(memory)
     other = memory.network.transport("b")
     near = Recorder()
