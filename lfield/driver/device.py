@@ -234,9 +234,8 @@ class Device:
         self._reports.note(self.binding.name, text)
 
     def breach(self, reason: str) -> None:
-        """Reports that it exceeds a limit and cannot be corrected: the guard holds it safe.
-
-        No effect while it is latched; the first reason is kept.
+        """Reports that it exceeds a limit and cannot be corrected: the guard holds it safe. No effect while
+        it is latched; the first reason is kept.
         """
         self._reports.breach(self.binding.name, reason)
 
