@@ -34,6 +34,9 @@ ROUNDING = 1.0 + 1e-9
 class CanAxis(Device):
     """One axis: the instructions of axis.yaml for every protocol."""
 
+    #: Far beyond what a frame can carry.
+    largest = 1e12
+
     def __init__(
         self,
         binding: DeviceBinding,

@@ -40,6 +40,9 @@ T = TypeVar("T")
 class Members(Device):
     """The servos of one device. Subclasses override `publish_readings`."""
 
+    #: Far beyond every register.
+    largest = 1e12
+
     def __init__(
         self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, chain: Chain
     ) -> None:

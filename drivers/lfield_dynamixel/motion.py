@@ -227,5 +227,7 @@ class MovingMembers(Members):
 
     def _check_speed(self, what: str, speed: float) -> None:
         limit = self.binding.limits.get("speed", math.inf)
-        if not abs(speed) <= limit * ROUNDED:  # refuses NaN as well
+        if not math.isfinite(speed):
+            raise self.error(f"{what} requires a finite number, not {speed}")
+        if abs(speed) > limit * ROUNDED:
             raise self.error(f"{what} of {speed:g} rad/s is above the limit of {limit:g} rad/s")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import math
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,8 +57,6 @@ from lfield_mavlink.watchdog import Watchdog
 SETTLES = 6.0
 #: Requests for its unique id before it is armed, and seconds for a second answer.
 ASKED, SECOND = 2, 0.2
-#: The largest number in an instruction: MAVLink transmits 32-bit floats, in other units too.
-LARGEST = 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +75,9 @@ class LinkViews:
 
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that uses MAVLink 2; `send` sends a message."""
+
+    #: MAVLink transmits 32-bit floats, in other units too.
+    largest = 1e12
 
     def __init__(
         self,
@@ -296,8 +296,6 @@ class MavlinkVehicle(Contact):
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> Any:
         """See `Device`. The telemetry that caused an exception is published before it is raised."""
-        if any(LARGEST < abs(number) < math.inf for number in _numbers(arguments)):
-            raise self.error(f"{instruction} refused: a number is beyond {LARGEST:g}")
         try:
             return await super().execute(instruction, arguments)
         except DeviceError:
@@ -361,12 +359,3 @@ class MavlinkVehicle(Contact):
     def stop_setpoints(self) -> None:
         """Stops the setpoint stream."""
         self.motion.stream.stop()
-
-
-def _numbers(arguments: Sequence[object]) -> Iterator[float]:
-    """The reals among the arguments of an instruction, also those in arrays."""
-    for argument in arguments:
-        if isinstance(argument, float):
-            yield argument
-        elif isinstance(argument, list | tuple):
-            yield from _numbers(argument)

@@ -33,6 +33,7 @@ def row(vehicles):
 def last_on_a_strip(team):
     """The vehicle that the coordinator has visited last, in the middle of its strip, and the other of two."""
     team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
+    team.run(2.0)  # for its first visits
     chosen = re.findall(r"(\w+) takes part", "\n".join(line.text for line in team.log))
 
     victim = next(hop.target for hop in reversed(team.hops) if hop.target != "base").replace("copter", "m")

@@ -10,6 +10,7 @@ Call a blocking vendor library through `asyncio.to_thread`.
 from __future__ import annotations
 
 import asyncio
+import math
 import re
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from inspect import Parameter as MethodParameter
@@ -22,7 +23,7 @@ from lfield.driver.contract import WATCHDOG, Manifest, Reports
 from lfield.driver.frame import Frame, arguments_from_team, values_to_team
 from lfield.driver.recording import WireLog
 from lfield.driver.settings import Setting, mismatched
-from lfield.driver.value_types import VALUE_CHECKS, ValueCheck, conform
+from lfield.driver.value_types import VALUE_CHECKS, ValueCheck, conform, exceeds
 from lfield.errors import DeviceError, DeviceNotSetUp, PluginError
 from lfield.manifest import DeviceValue, Instruction, Parameter
 from lfield.text import log_messages
@@ -54,9 +55,8 @@ class Device:
     Authors override `_open` and, except for a pure sensor, `_make_safe`. Optional: `_set_watchdog` (the
     device has a watchdog), `_touched` (opening starts with queries only), `_moving` (coming to rest takes
     time), `_taken_over` and `_guard_restarted` (others may control the device), `_safe_action` (the log names
-    another action than the safe state), `_frame` (its own frame
-    differs from its binding), `_settings`, `_write_setting`, `_in_use` and `_serial` (it stores settings that
-    a binding needs).
+    another action than the safe state), `_frame` (its own frame differs from its binding), `_settings`,
+    `_write_setting`, `_in_use` and `_serial` (it stores settings that a binding needs).
 
     A device with many instructions may have `parts`: objects created in its constructor, whose `do_...`
     methods are used as well. A part receives what it needs (often the device), keeps its own state and can be
@@ -65,6 +65,8 @@ class Device:
 
     #: Objects that implement further instructions; each instruction is implemented once.
     parts: Sequence[object] = ()
+    #: A real beyond it in an instruction is refused: its wire cannot transmit it.
+    largest = math.inf
 
     def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
         self.binding, self.manifest, self.clock = binding, manifest, clock
@@ -108,6 +110,8 @@ class Device:
         """Executes an instruction and returns its result. Raises DeviceError if it was not executed."""
         call = self._calls.get(instruction) or self._call(instruction)
         values: list[object] = [c(value) for c, value in zip(call.arguments, arguments, strict=True)]
+        if exceeds(values, self.largest):
+            raise self.error(f"{instruction} refused: a number is beyond {self.largest:g}")
         if call.places:
             if (frame := self._frame()) is None:
                 raise self.error(f"{instruction} refused: the position in the team's frame is not known yet")
@@ -143,8 +147,7 @@ class Device:
         await self._make_safe(self.safe_state)
 
     def moving(self) -> str:
-        """How it still moves in its safe state, such as `4.2 m up, sinking at 0.7 m/s`; '' when it is at
-        rest.
+        """How it still moves in its safe state, such as `4.2 m up, sinking at 0.7 m/s`; '' at rest.
 
         Called a few times per second: uses known data, sends nothing and never waits. A device under foreign
         control is not at rest while it moves.
@@ -231,9 +234,8 @@ class Device:
         self._reports.note(self.binding.name, text)
 
     def breach(self, reason: str) -> None:
-        """Reports that it exceeds a limit and cannot be corrected: the guard holds it safe.
-
-        No effect while it is latched; the first reason is kept.
+        """Reports that it exceeds a limit and cannot be corrected: the guard holds it safe. No effect while
+        it is latched; the first reason is kept.
         """
         self._reports.breach(self.binding.name, reason)
 

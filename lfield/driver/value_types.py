@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 
 from lfield.manifest import DeviceValue
@@ -67,6 +68,19 @@ def _array(item: ValueCheck, type_name: str) -> ValueCheck:
         return [item(part) for part in value]  # type: ignore[misc]  # all int, or all float
 
     return check
+
+
+def exceeds(values: Sequence[object], largest: float) -> bool:
+    """Whether a finite real among the values, also in arrays, is larger than `largest` in magnitude."""
+    return any(largest < abs(number) < math.inf for number in _reals(values))
+
+
+def _reals(values: Sequence[object]) -> Iterator[float]:
+    for value in values:
+        if isinstance(value, float):
+            yield value
+        elif isinstance(value, list):
+            yield from _reals(value)
 
 
 #: The function that `conform` uses for each type.

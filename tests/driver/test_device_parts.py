@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.driver import Device, DeviceBinding
+from lfield.driver import Device, DeviceBinding, DeviceError
 from lfield.driver.device import check_methods
 from lfield.driver.manifest_file import load_manifest
 from lfield.errors import PluginError
@@ -58,6 +58,15 @@ def test_part_executes_an_instruction_of_the_device():
     asyncio.run(lamp.execute("light", [True]))
     assert lamp.on
     assert lamp.reports.values == {"angle": 1.0}
+
+
+@pytest.mark.parametrize("value", [1e9, -1e9, (1 << 63) - 1])
+def test_number_beyond_the_largest_of_the_wire_is_refused(value):
+    lamp = Lamp(Neck)
+    lamp.largest = 1e6
+    with pytest.raises(DeviceError, match=r"turn refused: a number is beyond 1e\+06"):
+        asyncio.run(lamp.execute("turn", [value]))
+    assert lamp.reports.values == {}
 
 
 def test_missing_instruction_method_is_an_error():

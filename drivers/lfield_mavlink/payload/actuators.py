@@ -11,14 +11,16 @@ from typing import Any
 
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.parts.progress import Progress
 from lfield_mavlink.payload.state_reports import RELAYS, SERVOS, WINCH, StateReports
+from lfield_mavlink.setpoints.motion_orders import ProgressPatience
 
 #: Pulse of a servo in microseconds: centre, and range to each side.
 PULSE_MIDDLE, PULSE_RANGE = 1500.0, 500.0
 #: Tolerance of a winch in metres.
 LINE_TOLERANCE = 0.1
-#: Seconds within which a winch must finish.
-WINDING = 10.0
+#: Seconds for which a line may not move, and the longest winding.
+STUCK_TIME, LONGEST_WINDING = 10.0, 3600.0
 
 
 class Actuators:
@@ -54,16 +56,31 @@ class Actuators:
         """Pays line out (above 0) or in (below 0), at a speed."""
         if not (math.isfinite(length) and math.isfinite(speed) and speed > 0.0):
             raise self._vehicle.error("winch requires a finite length and a speed above 0")
+        if abs(length) > LONGEST_WINDING * speed:
+            raise self._vehicle.error(
+                f"winch refused: {length:g} m at {speed:g} m/s take longer than {LONGEST_WINDING:g} s"
+            )
         before = await self._reports.request(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
         await self._vehicle.command(
             "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, component="winch"
         )
         if before is not None:
-            goal, bound = before.line_length + length, abs(length) / speed + WINDING
-            await self._reports.confirm(
-                "winch", WINCH, lambda now: abs(now.line_length - goal) <= LINE_TOLERANCE, bound
-            )
+            await self._winding(before.line_length + length, speed)
+
+    async def _winding(self, goal: float, speed: float) -> None:
+        """Waits until so much line is out. Raises DeviceError for one that does not move, as at its end."""
+        clock, patience = self._vehicle.clock, ProgressPatience(STUCK_TIME, closer=LINE_TOLERANCE)
+        progress = Progress(patience, clock.monotonic())
+
+        def is_out(report: Any) -> bool:
+            left: float = abs(report.line_length - goal)
+            if progress.is_over(left, False, clock.monotonic(), speed):
+                problem = patience.message.format(seconds=patience.bound(False, speed), left=left)
+                raise self._vehicle.error(f"winch gave up: {problem}")
+            return left <= LINE_TOLERANCE
+
+        await self._reports.confirm("winch", WINCH, is_out, 2.0 * LONGEST_WINDING)
 
     async def do_stop_winch(self) -> None:
         """Holds the line: a speed of 0, since a relaxed winch releases it."""

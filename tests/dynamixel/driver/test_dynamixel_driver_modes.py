@@ -205,6 +205,20 @@ def test_rounding_never_exceeds_the_speed_limit(drive_mode):
         bench.run(story)
 
 
+@on_bench(in_mode, 0)
+async def test_huge_and_infinite_numbers_are_refused_without_a_limit(bench, servo, /):
+    await call(servo, "torque", True)
+    for instruction in ("moveTo", "setPosition", "calibrate", "setVelocity", "setCurrent"):
+        if mode := {"setVelocity": "velocity", "setCurrent": "current"}.get(instruction):
+            await call(servo, "mode", mode)
+        for number in (math.inf, -math.inf, math.nan, 1.7e308, -1e300, 1e12):
+            with pytest.raises(DeviceError):
+                await call(servo, instruction, number)
+    for highest in (math.inf, 1.7e308, 1e12):
+        with pytest.raises(DeviceError):
+            await call(servo, "setRange", 0.0, highest)
+
+
 @on_bench(in_mode, 0, lowest=-0.3, highest=0.3)
 async def test_range_ends_are_reachable_despite_rounding(bench, servo, /):
     await call(servo, "setRange", -math.pi, math.pi)

@@ -48,6 +48,14 @@ async def test_winch_ends_when_the_line_is_out(b, fc, /):
 
 
 @on_bench("bench")
+async def test_winch_at_the_end_of_its_line_gives_up(b, fc, /):
+    start = asyncio.get_running_loop().time()
+    with pytest.raises(DeviceError, match="winch gave up: no progress for 10 s"):
+        await fc.execute("winch", [1000.0, 5.0])
+    assert asyncio.get_running_loop().time() - start < 60.0
+
+
+@on_bench("bench")
 async def test_cancelled_winch_holds_its_line(b, fc, /):
     winding = asyncio.ensure_future(fc.execute("winch", [10.0, 1.0]))
     await b.until(lambda: b.autopilot.payload.line > 2.0)
@@ -98,6 +106,8 @@ async def test_payload_works_during_a_flight(b, fc, /):
     [
         ("winch", [math.nan, 1.0]),
         ("winch", [1.0, 0.0]),
+        ("winch", [1.0, 1e-9]),
+        ("winch", [1e13, 1e13]),
         ("setServo", [0, 0.0]),
         ("setServo", [1, math.nan]),
         ("setServo", [1, 1.5]),
