@@ -39,6 +39,7 @@ class CallWatch(Part):
     def __init__(self, context: HostContext, machine: Machine, reachability: HostReachability) -> None:
         self._machine, self._reachability, self._clock = machine, reachability, context.clock
         self._hosts, self._out = context.team.hosts, context.effects.append
+        self._unreachable_after = context.unreachable_after
         self._waits: dict[str, _Wait] = {}
         #: The hosts that wait for calls here.
         self._watchers: dict[CallKey, str] = {}
@@ -90,10 +91,16 @@ class CallWatch(Part):
         agent, numbers = wait.agent, wait.calls[host]
         if self._reachability.is_linked(host):
             self._out(Send(host, WatchCalls(agent.id, agent.generation, numbers)))
-        elif self._reachability.lost_reason(host):
+        elif self._is_given_up(host):
             self._machine.pending_calls.on_ended_elsewhere(agent.id, agent.generation, numbers)
         else:
             self._out(OpenLink(host))
+
+    def _is_given_up(self, host: str) -> bool:
+        """Whether a host was unlinked for so long that the departure for it fails at once."""
+        down_for = self._reachability.down_for(host)
+        may_return = 0.0 < down_for < self._unreachable_after
+        return bool(self._reachability.lost_reason(host)) and not may_return
 
     def _update_due(self) -> None:
         self.due = min((wait.repeat_at for wait in self._waits.values()), default=None)

@@ -271,7 +271,8 @@ class Coordinators(Part):
         """Start a hop: send a frozen coordinator to the host of a resource.
 
         `down_for`: seconds without a link to that host. With a `lost_reason` the call fails, unless the
-        coordinator fetches a result: that may still be there.
+        coordinator fetches a result: that may still be there. One that waits for the first of several results
+        has waited for that host already, and does not miss the others' results meanwhile.
         """
         if self.write_trouble and self._refuse_if_not_durable(agent):
             return
@@ -280,6 +281,8 @@ class Coordinators(Part):
             if lost_reason:
                 self._executor.resume(agent, UNREACHABLE, lost_reason)
                 return
+            since -= down_for
+        elif self._machine.itinerary.head(agent) == "next":
             since -= down_for
         self.apply_effects(self.mobility.depart(agent.id, target, self._block_maker(agent), since))
         self._packed = 0

@@ -43,6 +43,9 @@ class HostReachability(Protocol):
     def lost_reason(self, host: str) -> str:
         """Why a call need not wait for a host, '' if it may be reached in time."""
 
+    def down_for(self, host: str) -> float:
+        """For how many seconds a formerly linked host has had no link; 0 for one never linked."""
+
 
 class CallWatcher(Protocol):
     """Reports calls on other hosts that have ended; implemented by `CallWatch`."""

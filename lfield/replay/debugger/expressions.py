@@ -1,7 +1,8 @@
 """Expressions of L over the variables and device readings of a moment: `battery < 0.3 && leg == 2`.
 
 Names are variables of the frame, of the frames below, fields of the agent, and readings of devices
-(`battery`, `fc.battery`, `lead.fc.battery`). Calls are not evaluated: they could have side effects.
+(`battery`, `fc.battery`, `lead.fc.battery`). Of calls only `length()` is evaluated: others could have side
+effects.
 """
 
 from __future__ import annotations
@@ -40,6 +41,17 @@ _COMPARISONS: Mapping[str, Callable[[Any, Any], object]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
+#: The parts of expressions that are evaluated, and why no others are.
+_EVALUATED = (
+    syntax.Literal_,
+    syntax.Unary,
+    syntax.Binary,
+    syntax.Member,
+    syntax.Index,
+    syntax.Name,
+    syntax.This,
+)
+_ONLY_READ = "the debugger reads values, and calls nothing but length(), since a call could change them"
 #: Operators whose results are true or false.
 _CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
 #: What an expression without a value has; null is a value. AWAY: its coordinator is on another host.
@@ -147,12 +159,16 @@ class WatchExpression:
         if mistakes or tree is None or not stream.at_end():
             why = mistakes[0].message if mistakes else "it is not one expression"
             raise UsageError(f"'{text}' cannot be evaluated: {why}")
+        if not all(isinstance(node, _EVALUATED) for node in _nodes(tree)):
+            raise UsageError(f"'{text}' cannot be evaluated: {_ONLY_READ}")
         self._tree = tree
 
     @property
     def names(self) -> set[str]:
         """The names that may be those of variables: of `lead.fc.battery` the first part."""
-        return set(_names(self._tree))
+        nodes = list(_nodes(self._tree))
+        this = {"this" for node in nodes if isinstance(node, syntax.This)}
+        return this | {node.name for node in nodes if isinstance(node, syntax.Name)}
 
     @property
     def may_be_condition(self) -> bool:
@@ -204,6 +220,8 @@ def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
             return _computed(sign, _plain(tree.left, scope), _plain(tree.right, scope))
         case syntax.Binary(operator=sign) if sign in _COMPARISONS:
             return _compared(sign, _plain(tree.left, scope), _plain(tree.right, scope))
+        case syntax.Call(function=syntax.Member() as function):
+            return _plain(function, scope)
         case syntax.Member(name="length") if (found := _variable(tree.object, scope)) is not None:
             return _length(found, scope)
         case syntax.Name() | syntax.Member() | syntax.Index() | syntax.This():
@@ -280,22 +298,23 @@ def _variable(tree: syntax.Expr, scope: WatchScope) -> FoundValue | None:
     return found
 
 
-def _names(tree: syntax.Expr) -> Iterator[str]:
+def _nodes(tree: syntax.Expr) -> Iterator[syntax.Expr]:
+    """The parts of an expression, and itself. Of calls only `length()` is evaluated and has parts."""
     match tree:
-        case syntax.Name(name=name):
-            yield name
-        case syntax.This():
-            yield "this"
+        case syntax.Call(function=syntax.Member(name="length") as length, arguments=[]):
+            yield from _nodes(length)
+            return
         case syntax.Unary():
-            yield from _names(tree.operand)
+            yield from _nodes(tree.operand)
         case syntax.Binary():
-            yield from _names(tree.left)
-            yield from _names(tree.right)
+            yield from _nodes(tree.left)
+            yield from _nodes(tree.right)
         case syntax.Member():
-            yield from _names(tree.object)
+            yield from _nodes(tree.object)
         case syntax.Index():
-            yield from _names(tree.array)
-            yield from _names(tree.index)
+            yield from _nodes(tree.array)
+            yield from _nodes(tree.index)
+    yield tree
 
 
 def _path(tree: syntax.Expr) -> tuple[str, ...]:

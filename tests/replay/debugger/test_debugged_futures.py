@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.cli.debugging.command_line import DebuggerCommands
+from lfield.errors import UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
 from lfield.replay.debugger.team_timeline import TeamTimeline
 from lfield.testing.recorded_run import record_mission
@@ -68,6 +69,7 @@ def test_a_future_shows_its_call_and_its_result(lifting):
         ("right.lift() started", False),
     ]
     assert printed(debugger, "bad == null") == ["bad == null = false"]
+    assert printed(debugger, "lifts.length() == 2") == ["lifts.length() == 2 = true"]
     assert debugger.step_over()
     shown = "".join(printed(debugger, "lifts"))
     assert "left.lift() returned" in shown
@@ -95,3 +97,12 @@ def test_steps_stop_in_the_program_and_not_in_the_library(lifting):
     assert debugger.stack()[0].line.line == AWAIT
     assert debugger.step_over(backward=True)
     assert debugger.stack()[0].line.line == RACE
+
+
+@pytest.mark.parametrize(
+    "text", ["bad.done()", "lifts[0].await() > 0.5", "!enough(1.0)", "lifts.length(1) == 2"]
+)
+def test_a_condition_that_calls_a_method_is_refused(lifting, text):
+    """It would never hold: only the program calls methods."""
+    with pytest.raises(UsageError):
+        Debugger(lifting).condition(text)

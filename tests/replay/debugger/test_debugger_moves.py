@@ -217,6 +217,7 @@ def test_a_reading_of_another_host_has_its_name(debugger):
         lambda debugger: debugger.condition_target("nosuch < 3"),
         lambda debugger: debugger.condition_target("5"),
         lambda debugger: debugger.condition_target("leg + 1"),
+        lambda debugger: debugger.condition_target("f(1)"),
         lambda debugger: debugger.change_target("nosuch"),
         lambda debugger: debugger.hop_target("nosuch"),
         lambda debugger: debugger.event_target(["nosuch"]),
@@ -281,7 +282,7 @@ def test_an_expression_has_the_value_that_the_program_computes(debugger, text, v
 @pytest.mark.parametrize(
     "text",
     [
-        "nothing", "leg.x", "1 / 0", "1.0 / 0.0", 'leg < "a"', "f(1)", "first.nothing", '"a" * 3', '"%s" % 1',
+        "nothing", "leg.x", "1 / 0", "1.0 / 0.0", 'leg < "a"', "first.nothing", '"a" * 3', '"%s" % 1',
         "true + 1", "leg == true", "leg == first", "9223372036854775807 + 1", "!5", "leg && true", "-true",
     ],
 )  # fmt: skip

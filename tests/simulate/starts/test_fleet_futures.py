@@ -53,6 +53,17 @@ def test_an_unreachable_host_loses_the_race(tmp_path: Path) -> None:
     assert team.count_logged("gives 1") == 1
 
 
+def test_an_unreachable_host_does_not_delay_the_winner(tmp_path: Path) -> None:
+    """Its branch fails 10 s after its link was lost, and the coordinator does not wait for it again."""
+    team = Team(tmp_path, 60.0, 15.0, RACE)
+    team.until("sets 2")
+    team.cut("bravo", "carol")
+    team.cut("bravo", "alpha")
+    team.until("gives 2")
+    team.run(0.5)
+    assert team.count_logged("boss: came back 0 20") == 1
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_call_on_a_crashed_host_is_lost_and_not_begun_twice(tmp_path: Path, times: int) -> None:
     team = Team(tmp_path, 8.0, 12.0, NEXT)
