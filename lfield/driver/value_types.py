@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from lfield.manifest import DeviceValue
@@ -72,15 +72,13 @@ def _array(item: ValueCheck, type_name: str) -> ValueCheck:
 
 def exceeds(values: Sequence[object], largest: float) -> bool:
     """Whether a finite real among the values, also in arrays, is larger than `largest` in magnitude."""
-    return any(largest < abs(number) < math.inf for number in _reals(values))
-
-
-def _reals(values: Sequence[object]) -> Iterator[float]:
     for value in values:
         if isinstance(value, float):
-            yield value
-        elif isinstance(value, list):
-            yield from _reals(value)
+            if largest < abs(value) < math.inf:
+                return True
+        elif isinstance(value, list) and exceeds(value, largest):
+            return True
+    return False
 
 
 #: The function that `conform` uses for each type.

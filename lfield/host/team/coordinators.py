@@ -282,7 +282,7 @@ class Coordinators(Part):
                 self._executor.resume(agent, UNREACHABLE, lost_reason)
                 return
             since -= down_for
-        elif self._machine.itinerary.head(agent) == "next":
+        elif down_for and self._machine.itinerary.head(agent) == "next":
             since -= down_for
         self.apply_effects(self.mobility.depart(agent.id, target, self._block_maker(agent), since))
         self._packed = 0
