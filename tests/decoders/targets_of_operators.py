@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from targets_of_links import TOKENS, example, pack, sealed, unpack
 
 from lfield.cli.views import event_view, team_state_view, team_status_view
 from lfield.client.event_json import event_json
-from lfield.client.status_json import status_json
+from lfield.client.status_json import status_data
 from lfield.driver import MissionFileError, PlanRequest
 from lfield.errors import LfieldError, WireError
 from lfield.geodata.area_file import check_shape, is_area_file, read_area_file
@@ -62,7 +63,7 @@ def _shown(hosts: Mapping[str, HostState]) -> None:
         team_status_view.team_tables(hosts)
     )
     _require_plain(text.getvalue())
-    assert status_json(hosts)
+    assert json.dumps(status_data(hosts))
 
 
 def _statuses() -> Sequence[bytes]:
