@@ -106,7 +106,7 @@ def test_all_fields_of_a_host_are_in_json_and_in_the_table(capsys):
         ],
         bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
     )
-    answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
+    answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "no program listens there")}
     assert json.loads(json.dumps(status_data(states_of(answers)))) == {
         "alpha": {
             "host": "alpha",
@@ -186,7 +186,7 @@ def test_all_fields_of_a_host_are_in_json_and_in_the_table(capsys):
                 }
             },
         },
-        "bravo": {"error": "cannot use 127.0.0.1:2: nobody listens there", "code": "address"},
+        "bravo": {"error": "cannot use 127.0.0.1:2: no program listens there", "code": "address"},
     }
     team_status_view.show(states_of(answers))
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
@@ -214,7 +214,11 @@ def test_delays_and_the_silence_limit_are_shown(capsys):
         silence=0.2,
         lease=1.46,
     )
-    answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
+    answers = {
+        "alpha": flying,
+        "bravo": AddressError("127.0.0.1:2", "no program listens there"),
+        "carol": idle,
+    }
     data = json.loads(json.dumps(status_data(states_of(answers))))
     assert (data["alpha"]["late"], data["alpha"]["silence"]) == (0.0312, 0.2)
     assert (data["carol"]["late"], data["carol"]["silence"]) == (None, None)

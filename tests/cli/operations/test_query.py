@@ -330,13 +330,13 @@ def test_live_values_have_an_age(told):
 def test_uncallable_agents_and_silent_hosts_are_reported(told):
     answers = {
         "alpha": directory(arm1=("motor: latched", {})),
-        "bravo": AddressError("10.0.0.9:8181", "nobody listens there; is its host up?"),
+        "bravo": AddressError("10.0.0.9:8181", "no program listens there; is its host up?"),
     }
     status, out, err = told(answers, "Lift where speed >= 0.5", "--explain")
     assert status == 1
     assert out[0] == "from the running team: 1 of 2 hosts answered"
     assert out[6:8] == ["  arm1: motor: latched", "  arm2: its host bravo does not answer"]
-    assert err == ["bravo: cannot use 10.0.0.9:8181: nobody listens there; is its host up?"]
+    assert err == ["bravo: cannot use 10.0.0.9:8181: no program listens there; is its host up?"]
 
 
 def test_refusals_of_hosts_are_reported(told):

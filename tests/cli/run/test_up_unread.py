@@ -92,7 +92,7 @@ def test_a_host_with_unread_output_continues_to_fly_and_answers(lfield, alone, u
     result = lfield("ps", *words, env=alone, status=0)
     assert "safe state" not in result.said
 
-    pressed = lfield("estop", *words, "--no-wait", "--reason", "nobody reads", env=alone, status=0)
+    pressed = lfield("estop", *words, "--no-wait", "--reason", "the output is not read", env=alone, status=0)
     assert pressed.out == ["alpha: lead.fc: safe"]
 
     lines = read_some(reading)

@@ -43,11 +43,15 @@ def test_an_event_waits_for_a_possible_cause() -> None:
 
 def test_an_unreachable_host_is_reported_once_for_each_reason() -> None:
     desk = Desk()
-    for why in ("nobody listens", "nobody listens", "it was refused"):
+    for why in ("no program listens", "no program listens", "it was refused"):
         desk.ears.on_unlinked("beta", why)
     desk.ears.on_linked("beta")
     desk.ears.on_linked("beta")
-    assert desk.said() == ["unreachable: nobody listens", "unreachable: it was refused", "reachable again"]
+    assert desk.said() == [
+        "unreachable: no program listens",
+        "unreachable: it was refused",
+        "reachable again",
+    ]
 
 
 def test_lost_events_and_a_restart_are_reported() -> None:
@@ -90,7 +94,7 @@ def test_feed_is_complete_when_each_host_has_sent_all_or_is_unreachable() -> Non
     first, second = alpha.batch(1.0, LinkUp("a")), alpha.batch(1.0, LinkUp("b"))
     desk.ears.on_batch("alpha", replace(first, latest=2), 0.0)
     assert not desk.ears.is_complete
-    desk.ears.on_unlinked("beta", "nobody listens")
+    desk.ears.on_unlinked("beta", "no program listens")
     assert not desk.ears.is_complete
     desk.ears.on_batch("alpha", second, None)
     assert desk.ears.is_complete

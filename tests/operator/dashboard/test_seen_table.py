@@ -34,7 +34,7 @@ def test_table_shows_lines_of_agents_and_last_states_of_dead_hosts() -> None:
     at = AgentActivity("boss", "in a portal", "mission.L", 12, "two.lift")
     picture.feed("alpha", alpha.batch(5.0, AgentStarted("boss", 1), at), 5.0, 0.0)
     picture.feed("beta", beta.batch(5.0, DeviceLatched("two.fc", "land", "x")), 5.0, 0.0)
-    picture.on_unlinked("beta", "nobody listens there")
+    picture.on_unlinked("beta", "no program listens there")
     shown = lines(picture, 15.0)
     assert [line.split() for line in shown if " boss " in line] == [
         ["alpha", "boss", "Boss", "in", "a", "portal", "mission.L:12,", "waits", "for", "two.lift", "0"]

@@ -135,7 +135,7 @@ class Script:
         names = [self.host_of(number) for number in range(self.count)]
         number = self.presses.on_order(order, names, self.now())
         for name in set(names) - self.hung:
-            nobody = AddressError(f"{name}:8181", "nobody listens there")
+            nobody = AddressError(f"{name}:8181", "no program listens there")
             self.presses.on_answer(number, name, nobody if name in self.dead else EmergencyStopResult({}))
         return set(names) - self.dead - self.hung
 
@@ -241,7 +241,7 @@ class Script:
             name: HostState(
                 name,
                 name in live,
-                "" if name in live else "nobody listens there",
+                "" if name in live else "no program listens there",
                 0.1 if name in live else self.now() - self.frozen[name],
                 seconds,
                 paused=self.paused,

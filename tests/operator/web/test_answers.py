@@ -22,7 +22,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     )
     refused = Rejection("rover", ("payload 0.2 < 2.0",))
     found = PrimitiveAnswer(primitive(), (copter, both), 2, (refused,), ("only the best",))
-    answer = QueryAnswer("Lift", (found,), {"charlie": "nobody listens"}, units={"payload": "kg"})
+    answer = QueryAnswer("Lift", (found,), {"charlie": "no program listens"}, units={"payload": "kg"})
     told = json.loads(query_json(answer))
     (lift,) = told["found"]
     first, second = lift["offers"]
@@ -32,7 +32,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     assert (first["hosts"], second["hosts"]) == (["bravo"], ["alpha"])
     assert second["parts"] == ["arm1 at alpha: Grip"]
     assert lift["refusals"] == "rover: payload 0.2 < 2.0"
-    assert told["unreachable"] == {"charlie": "nobody listens"}
+    assert told["unreachable"] == {"charlie": "no program listens"}
 
 
 def primitive() -> Primitive:

@@ -295,7 +295,7 @@ def test_a_suspended_page_catches_up(browser, page):
     assert page.line() == "counted"
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
     browser.says("log", "line 1099")
-    browser.says("host-bravo", "nobody listens there")
+    browser.says("host-bravo", "no program listens there")
     assert len(browser.thing("log").parts("time", bool)) == MAX_LOG_LINES
     browser.says("log-gap", "missing here")
     browser.wait(lambda: "updated" not in browser.text("state"))

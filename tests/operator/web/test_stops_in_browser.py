@@ -61,7 +61,7 @@ def test_lift_and_resume_ask_for_confirmation(browser, page):
 @pytest.mark.few(0)
 def test_a_dead_host_is_shown_with_its_last_state(browser, page):
     page.do("kill bravo")
-    browser.says("host-bravo", "nobody listens there")
+    browser.says("host-bravo", "no program listens there")
     browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
     browser.says("host-bravo", "last contact")
     place, age = browser.text("place-wing"), browser.text("vehicle-wing")
@@ -77,7 +77,7 @@ def test_a_dead_host_is_shown_with_its_last_state(browser, page):
     browser.wait(lambda: len(seen.append(browser.driver.execute_script(greys)) or seen[-1]) == 2)
     assert len(set(seen[-1])) == 1
     browser.thing("stop").click()
-    browser.says("unreached-bravo", "NOT REACHED: nobody listens there")
+    browser.says("unreached-bravo", "NOT REACHED: no program listens there")
 
 
 def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
@@ -85,10 +85,10 @@ def test_a_stop_that_reaches_no_host_is_shown_while_it_holds(browser, page_of):
     page.do("kill alpha")
     page.do("kill bravo")
     browser.open(page.link)
-    browser.says("host-bravo", "nobody listens there")
+    browser.says("host-bravo", "no program listens there")
     browser.thing("stop").click()
     for host in ("alpha", "bravo"):
-        browser.says(f"unreached-{host}", f"{host} NOT REACHED: nobody listens there")
+        browser.says(f"unreached-{host}", f"{host} NOT REACHED: no program listens there")
     browser.says("halt", "Stop pressed: 2 not confirmed")
     browser.says("state", "STOP has NOT REACHED alpha, bravo")
     assert browser.all("latch-lead-fc") == [], "it does not look as if it had stopped"

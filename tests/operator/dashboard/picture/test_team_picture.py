@@ -67,11 +67,11 @@ def test_the_last_state_of_a_dead_host_ages() -> None:
     story = Story()
     story.tell("alpha", snapshot=snapshot("alpha", device("one.fc", battery=0.5)))
     story.tell("alpha", HostStopping("it was told to end"))
-    story.picture.on_unlinked("alpha", "nobody listens at alpha:8181")
+    story.picture.on_unlinked("alpha", "no program listens at alpha:8181")
     story.now += 60.0
     alpha, vehicle = story.seen.hosts["alpha"], story.seen.vehicles["one"]
     assert (alpha.linked, alpha.age, alpha.ending) == (False, 60.0, "it was told to end")
-    assert alpha.trouble == "nobody listens at alpha:8181"
+    assert alpha.trouble == "no program listens at alpha:8181"
     assert (vehicle.fresh, vehicle.battery, vehicle.link) == (False, 0.5, 60.0)
 
 
