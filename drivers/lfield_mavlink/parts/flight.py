@@ -110,6 +110,10 @@ class Flight:
         why = await self._readiness.do_why_not_ready()
         return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
 
+    async def do_foreign_control(self) -> str:
+        """Who has control instead of this program; '' for nobody."""
+        return self._motion.foreign_control
+
     async def _await_home(self) -> None:
         """Home moves to where it is armed: requests it again, since the message may have been lost."""
         vehicle, since = self._vehicle, self._vehicle.clock.monotonic()

@@ -82,6 +82,12 @@ class Motion:
         own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
 
+    @property
+    def foreign_control(self) -> str:
+        """Describes the controller that has replaced this program, '' for none."""
+        unknown = f"the vehicle is in {self._state.mode}, which this program did not select"
+        return "" if self.ours else self.monitor.foreign or f"{unknown}; {self.failsafe.holding}"
+
     def claim(self, *modes: str) -> None:
         """Sets the modes that this program has selected."""
         self._commanded = frozenset(modes)
@@ -96,11 +102,7 @@ class Motion:
         """Ends the last motion for a new one. Raises DeviceError under foreign control."""
         self._vehicle.check_link()
         self._vehicle.check_identity()
-        if not self.ours:
-            why = self.monitor.foreign or (
-                f"the vehicle is in {self._state.mode}, which this program did not select; "
-                f"{self.failsafe.holding}"
-            )
+        if why := self.foreign_control:
             raise self._vehicle.error(f"{what} refused: {why}. release() takes control again")
         self.monitor.check_start(what)
         self._vehicle.assume_control()
@@ -394,7 +396,4 @@ class Motion:
 
     async def slow_down(self, speed: float, why: str) -> None:
         """Slows it down or, if setpoints contain the speed, holds. Raises DeviceError."""
-        if self.speed.can_slow_down:
-            await self.speed.slow_down(speed)
-        else:
-            await self.halt(why)
+        await (self.speed.slow_down(speed) if self.speed.can_slow_down else self.halt(why))

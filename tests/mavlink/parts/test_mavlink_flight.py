@@ -209,6 +209,7 @@ async def test_failsafe_ends_the_flight_and_keeps_control_until_release(b, fc, /
     await up(fc)
     flight = asyncio.create_task(fc.execute("goTo", [100.0, 0.0, -5.0]))
     await asyncio.sleep(2.0)
+    assert await fc.execute("foreignControl", []) == ""
     b.autopilot.go_home()
     with pytest.raises(DeviceError, match="goTo ended early: the vehicle went to RTL"):
         await flight
@@ -216,8 +217,12 @@ async def test_failsafe_ends_the_flight_and_keeps_control_until_release(b, fc, /
         await fc.execute("goTo", [0.0, 0.0, -5.0])
     await fc.make_safe()
     assert b.autopilot.mode == "RTL"
+    assert "a pilot or a failsafe has it" in await fc.execute("foreignControl", [])
     await fc.execute("release", [])
+    assert await fc.execute("foreignControl", []) == ""
     await fc.execute("goTo", [0.0, 0.0, -5.0])
+    await fc.make_safe()
+    assert await fc.execute("foreignControl", []) == "", "its own safe state"
 
 
 def test_accepted_command_without_effect_is_an_error(bench, monkeypatch):
