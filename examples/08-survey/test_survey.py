@@ -19,8 +19,12 @@ NARROW = [(-7.0, 12.0), (7.0, 12.0), (7.0, 48.0), (-7.0, 48.0)]
 
 def flown(team):
     """The vehicle of each strip, by the log."""
-    lines = "\n".join(line.text for line in team.log)
-    return {int(number): who for number, who in re.findall(r"strip (\d+) is flown by (\w+)", lines)}
+    return {int(number): who for number, who in re.findall(r"strip (\d+) is flown by (\w+)", log(team))}
+
+
+def log(team):
+    """The lines of all hosts."""
+    return "\n".join(line.text for line in team.log)
 
 
 def row(vehicles):
@@ -34,9 +38,8 @@ def last_on_a_strip(team):
     """The vehicle that the coordinator has visited last, in the middle of its strip, and the other of two."""
     team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
     team.run(2.0)  # for its first visits
-    chosen = re.findall(r"(\w+) takes part", "\n".join(line.text for line in team.log))
-
-    victim = next(hop.target for hop in reversed(team.hops) if hop.target != "base").replace("copter", "m")
+    chosen = re.findall(r"(\w+) takes part", log(team))
+    victim = team.hops[-1].target.replace("copter", "m")
     track = team.tracks[f"{victim}.fc"]
     team.run(until=lambda: track[-1].north > 20.0 and 24.0 < track[-1].up < 26.0, at_most=300.0)
     return victim, next(who for who in chosen if who != victim)
@@ -51,16 +54,17 @@ def finish(team, path, victim, other, strips=2):
     assert uncovered(team, path.with_name("field.kml")) == []
 
 
-def alone(path):
-    """Leaves the first copter only in the mission."""
-    path.write_text(re.sub(r"//Mapper:m[234].*\n", "", path.read_text()))
+def small_team(path, count):
+    """Leaves the first copters only in the mission."""
+    gone = "".join(str(number) for number in range(count + 1, 5))
+    path.write_text(re.sub(rf"//Mapper:m[{gone}].*\n", "", path.read_text()))
     devices = path.with_name("mission.devices.yaml")
-    devices.write_text(devices.read_text().partition("  m2:")[0])
+    devices.write_text(devices.read_text().partition(f"  m{count + 1}:")[0])
 
 
 def test_one_vehicle_flies_one_strip_after_the_other(lfield_mission, tmp_path):
     path = deployment(tmp_path, 1, TINY)
-    alone(path)
+    small_team(path, 1)
     team = lfield_mission(path)
     team.run(until_done=True, at_most=survey_times.AT_MOST)
     assert team.ended == {"survey": "done"}
@@ -77,6 +81,36 @@ def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_pa
     victim, other = last_on_a_strip(team)
     team.crash(victim.replace("m", "copter"))
     finish(team, path, victim, other)
+
+
+def test_survey_that_is_lost_with_a_computer_is_recovered(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 2, TINY)
+    small_team(path, 2)
+    team = lfield_mission(path)
+    team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
+    team.run(20.0)
+    victim = team.hops[-1].target.replace("copter", "m")
+    other = {"m1": "m2", "m2": "m1"}[victim]
+    team.crash(team.hops[-1].target)
+    finish(team, path, victim, other)
+    assert team.said(f"{other} continues, strip ") == 1
+    assert team.said(f"{other}.fc released from its safe state") == 1
+    assert team.tracks[f"{other}.fc"][-1].up < 0.2, "it has landed"
+
+
+@pytest.mark.few(0)
+def test_recovered_survey_leaves_a_copter_to_its_pilot(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 2, SMALL)
+    small_team(path, 2)
+    team = lfield_mission(path)
+    team.run(until=lambda: team.said(" is flown by m1") == 1, at_most=survey_times.AT_MOST)
+    team.fake("m2.fc").set("sticks=true")
+    team.run(0.3)
+    team.crash("copter1")
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.said("m2 is out, strip ") == 1
+    assert team.said("m2.fc released") == 0
+    assert team.fake("m2.fc").facts["mode"] == "POSCTL"
 
 
 @pytest.mark.few(0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import csv
 import hashlib
 import sys
 import zipfile
@@ -16,7 +17,7 @@ from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import lfield
 from lfield.errors import InputFileError, ProvisionError
@@ -119,23 +120,26 @@ def _tag(installed: Distribution) -> str:
 
 
 def _contents(installed: Distribution) -> Iterator[tuple[str, bytes]]:
-    """The files of the wheel in a fixed order. Commands and bytecode are made by the installer."""
-    files = installed.files or []
-    for file in sorted(files, key=lambda path: path.as_posix()):
-        text = file.as_posix()
-        is_added = file.name in _INSTALLERS and ".dist-info/" in text
-        if is_added or text.startswith("..") or "__pycache__" in text or file.suffix == ".pyc":
+    """The files of the wheel in a fixed order. Commands and bytecode are made by the installer.
+
+    Reads RECORD itself: `Distribution.files` omits missing files since Python 3.12.
+    """
+    rows = csv.reader((installed.read_text("RECORD") or "").splitlines())
+    for name, recorded in sorted((row[0], row[1]) for row in rows if len(row) > 1):
+        file = PurePosixPath(name)
+        is_added = file.name in _INSTALLERS and ".dist-info/" in name
+        if is_added or name.startswith("..") or "__pycache__" in name or file.suffix == ".pyc":
             continue
         try:
-            data = Path(str(file.locate())).read_bytes()
+            data = Path(str(installed.locate_file(name))).read_bytes()
         except OSError as error:
             raise ProvisionError(
-                "", f"{text} of {installed.name} is missing: {error}", "install it again"
+                "", f"{name} of {installed.name} is missing: {error}", "install it again"
             ) from None
         digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode().rstrip("=")
-        if file.hash is not None and file.hash.mode == "sha256" and file.hash.value.rstrip("=") != digest:
-            raise ProvisionError("", f"{text} of {installed.name} was changed", "install it again")
-        yield text, data
+        if recorded.startswith("sha256=") and recorded.removeprefix("sha256=").rstrip("=") != digest:
+            raise ProvisionError("", f"{name} of {installed.name} was changed", "install it again")
+        yield name, data
 
 
 async def run_pip(*arguments: str, what: str) -> None:

@@ -132,7 +132,7 @@ def test_devices_file_is_no_program(workspace: Workspace) -> None:
 def units() -> Iterator[Callable[[], int]]:
     """Counts the declared units, where no collector of garbage runs."""
     gc.disable()
-    yield lambda: sum(isinstance(one, tree.Unit) for one in gc.get_objects())
+    yield lambda: sum(type(one) is tree.Unit for one in gc.get_objects())
     gc.enable()
 
 
