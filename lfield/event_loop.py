@@ -9,9 +9,10 @@ import gc
 import os
 import resource
 import signal
+from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, BinaryIO, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 T = TypeVar("T")
 
@@ -58,6 +59,39 @@ async def start_process(protocol: asyncio.SubprocessProtocol, *command: str) -> 
     await asyncio.get_running_loop().subprocess_exec(
         lambda: protocol, *command, stderr=None, start_new_session=True
     )
+
+
+async def start_child(
+    *command: str, stdin: int | BinaryIO = DEVNULL, stdout: int = PIPE, env: Mapping[str, str] | None = None
+) -> Process:
+    """Start a process in its own session. A cancellation meanwhile kills it. Raises OSError."""
+    # Shielded: uvloop loses a process whose start is cancelled, and the process continues.
+    starting = asyncio.create_task(
+        asyncio.create_subprocess_exec(
+            *command, stdin=stdin, stdout=stdout, stderr=PIPE, env=env, start_new_session=True
+        )
+    )
+    try:
+        return await asyncio.shield(starting)
+    except asyncio.CancelledError:
+        process = await starting
+        process.kill()
+        await process.communicate()
+        raise
+
+
+async def run_process(
+    *command: str, stdin: int | BinaryIO = DEVNULL, stdout: int = PIPE, env: Mapping[str, str] | None = None
+) -> tuple[int, bytes, bytes]:
+    """Run a process: its exit status, output and errors. A cancellation kills it. Raises OSError."""
+    process = await start_child(*command, stdin=stdin, stdout=stdout, env=env)
+    try:
+        output, errors = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    return process.returncode or 0, output, errors
 
 
 def kill(process: asyncio.SubprocessTransport) -> None:

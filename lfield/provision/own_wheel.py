@@ -7,13 +7,11 @@ same code gives the same bytes.
 
 from __future__ import annotations
 
-import asyncio
 import base64
 import csv
 import hashlib
 import sys
 import zipfile
-from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import Iterator
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from importlib.util import find_spec
@@ -21,6 +19,7 @@ from pathlib import Path, PurePosixPath
 
 import lfield
 from lfield.errors import InputFileError, ProvisionError
+from lfield.event_loop import run_process
 from lfield.provision.lock_file import Wheel
 from lfield.text.input_files import read_bytes
 
@@ -144,27 +143,10 @@ def _contents(installed: Distribution) -> Iterator[tuple[str, bytes]]:
 
 async def run_pip(*arguments: str, what: str) -> None:
     """Run the pip of this Python. Raises ProvisionError with the end of its output."""
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "pip",
-        *arguments,
-        stdin=DEVNULL,
-        stdout=PIPE,
-        stderr=PIPE,
-        start_new_session=True,
-    )
-    try:
-        _, errors = await process.communicate()
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
+    status, _, errors = await run_process(sys.executable, "-m", "pip", *arguments)
     message = errors.decode(errors="replace")
     if "No module named pip" in message:
         raise ProvisionError("", "the desk's Python has no pip", f"{sys.executable} -m ensurepip")
-    if process.returncode:
+    if status:
         lines = [line for line in message.splitlines() if line.startswith("ERROR")] or message.splitlines()
-        raise ProvisionError(
-            "", f"{what}: {lines[0].removeprefix('ERROR: ') if lines else process.returncode}"
-        )
+        raise ProvisionError("", f"{what}: {lines[0].removeprefix('ERROR: ') if lines else status}")

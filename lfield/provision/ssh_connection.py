@@ -14,13 +14,13 @@ import shlex
 import tarfile
 import time
 from asyncio.subprocess import PIPE, Process
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import BinaryIO
 
 from lfield.errors import ProvisionError
+from lfield.event_loop import run_process, start_child
 from lfield.provision.plan import RobotUpload, RootCommand
 from lfield.provision.robot_facts import ACCESS_SCRIPT, LoginAccess, parse_access
 from lfield.provision.robot_scripts import locked_command
@@ -75,7 +75,10 @@ class SshConnection:
         """Start the master; returns the message of ssh if it fails."""
         # On a line of its own, also if the login shell has printed something.
         command = f"echo; echo {_READY.decode()}; exec cat"
-        self._master = master = await self._ssh("ControlMaster=yes", command, PIPE)
+        with _ssh_needed():
+            self._master = master = await start_child(
+                *self._ssh("ControlMaster=yes", command), stdin=PIPE, env=_environment()
+            )
         assert master.stdout is not None
         printed = b""
         try:
@@ -93,33 +96,10 @@ class SshConnection:
         # The shell of a user who may not log in says so on its standard output.
         return (errors or printed).decode(errors="replace") or "Connection closed"
 
-    async def _ssh(self, role: str, command: str, stdin: int | BinaryIO) -> Process:
+    def _ssh(self, role: str, command: str) -> list[str]:
         options = [argument for option in (*_OPTIONS, role) for argument in ("-o", option)]
         target = self.destination
-        arguments = [
-            *options,
-            "-S",
-            str(self._socket),
-            *target.options(),
-            "--",
-            target.address,
-            command,
-        ]
-        environment = {**os.environ, "SSH_ASKPASS_REQUIRE": "never", "LC_ALL": "C.UTF-8"}
-        try:
-            return await asyncio.create_subprocess_exec(
-                "ssh",
-                *arguments,
-                stdin=stdin,
-                stdout=PIPE,
-                stderr=PIPE,
-                env=environment,
-                start_new_session=True,
-            )
-        except FileNotFoundError:
-            raise ProvisionError(
-                "", "there is no ssh on this desk", "sudo apt-get install openssh-client"
-            ) from None
+        return ["ssh", *options, "-S", str(self._socket), *target.options(), "--", target.address, command]
 
     async def read_access(self) -> LoginAccess:
         """Find out who has logged in, and whether that user may become root. Raises ProvisionError."""
@@ -144,18 +124,15 @@ class SshConnection:
         with TemporaryFile() as file:
             file.write(data or b"")
             file.seek(0)
-            process = await self._ssh("ControlMaster=no", command, file)
-            try:
-                output, errors = await process.communicate()
-            finally:
-                if process.returncode is None:
-                    process.kill()
-                    await process.wait()
+            with _ssh_needed():
+                status, output, errors = await run_process(
+                    *self._ssh("ControlMaster=no", command), stdin=file, env=_environment()
+                )
         message = errors.decode(errors="replace")
-        if process.returncode == _FAILED and is_unreachable(message or "Connection closed"):
+        if status == _FAILED and is_unreachable(message or "Connection closed"):
             raise connection_error(self.host, self.destination, message or "Connection closed")
-        if process.returncode:
-            raise command_error(self.host, step, process.returncode, message)
+        if status:
+            raise command_error(self.host, step, status, message)
         return command_output(output.decode(errors="replace"))
 
     async def run_as_root(self, command: str, step: str, data: bytes | None = None) -> str:
@@ -175,6 +152,20 @@ class SshConnection:
                 self._master.terminate()
             await self._master.wait()
         self._master = None
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "SSH_ASKPASS_REQUIRE": "never", "LC_ALL": "C.UTF-8"}
+
+
+@contextmanager
+def _ssh_needed() -> Iterator[None]:
+    """Raises ProvisionError if there is no ssh."""
+    try:
+        yield
+    except FileNotFoundError:
+        advice = "sudo apt-get install openssh-client"
+        raise ProvisionError("", "there is no ssh on this desk", advice) from None
 
 
 def command_output(output: str) -> str:

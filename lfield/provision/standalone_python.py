@@ -15,10 +15,11 @@ import shutil
 import sys
 import tarfile
 import tempfile
-from asyncio.subprocess import DEVNULL, PIPE
+from asyncio.subprocess import DEVNULL
 from pathlib import Path
 
 from lfield.errors import ProvisionError
+from lfield.event_loop import run_process
 from lfield.provision.installation import StandalonePython
 from lfield.provision.wheel_target import ARCHITECTURES, WheelTarget
 
@@ -70,16 +71,8 @@ async def _run_uv(key: str, folder: str) -> None:
     if uv is None:
         reason = "a robot needs a standalone Python, and there is no uv on this desk"
         raise ProvisionError("", reason, "pip install uv")
-    process = await asyncio.create_subprocess_exec(
-        uv, *arguments, stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, start_new_session=True
-    )
-    try:
-        _, errors = await process.communicate()
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    if process.returncode:
+    status, _, errors = await run_process(uv, *arguments, stdout=DEVNULL)
+    if status:
         # What comes before is progress.
         reason = " ".join(errors.decode(errors="replace").rpartition("error: ")[2].split())
         advice = "--prepare needs access to the internet, or UV_PYTHON_INSTALL_MIRROR=URL"

@@ -61,8 +61,10 @@ def test_login_shell_that_waits_for_input_times_out(connection, monkeypatch) -> 
         event_loop.run(session.open([SshDestination("10.77.0.11")]))
 
 
-def test_hanging_sudo_times_out(connection, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", 0.2)
+@pytest.mark.parametrize("limit", [0.2, 0.0])
+def test_hanging_sudo_times_out(connection, monkeypatch: pytest.MonkeyPatch, limit: float) -> None:
+    """Also while ssh is only starting, which must not leave a process behind."""
+    monkeypatch.setattr(ssh_connection, "LOGIN_TIMEOUT", limit)
     session = connection("exec sleep 60")
     with pytest.raises(ProvisionError, match="sudo"):
         event_loop.run(session.read_access())
