@@ -39,7 +39,7 @@ def last_on_a_strip(team):
     team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
     team.run(2.0)  # for its first visits
     chosen = re.findall(r"(\w+) takes part", log(team))
-    victim = team.hops[-1].target.replace("copter", "m")
+    victim = next(hop.target for hop in reversed(team.hops) if hop.target != "base").replace("copter", "m")
     track = team.tracks[f"{victim}.fc"]
     team.run(until=lambda: track[-1].north > 20.0 and 24.0 < track[-1].up < 26.0, at_most=300.0)
     return victim, next(who for who in chosen if who != victim)
@@ -83,19 +83,35 @@ def test_other_vehicle_flies_the_strip_of_a_lost_computer(lfield_mission, tmp_pa
     finish(team, path, victim, other)
 
 
-def test_survey_that_is_lost_with_a_computer_is_recovered(lfield_mission, tmp_path):
+def test_survey_continues_without_the_computer_of_its_base(lfield_mission, tmp_path):
     path = deployment(tmp_path, 2, TINY)
     small_team(path, 2)
     team = lfield_mission(path)
-    team.run(until=lambda: team.said(" takes part: ") == 2, at_most=90.0)
     team.run(20.0)
+    assert team.hops[-1].target == "base"
+    team.crash("base")
+    team.run(until_done=True, at_most=survey_times.AT_MOST)
+    assert team.ended == {"survey": "done"}
+    assert sorted(flown(team)) == [0, 1]
+    for who in ("m1", "m2"):
+        assert team.said(f"{who} continues, strip ") == 1
+        assert team.said(f"{who}.fc released from its safe state") == 1
+        assert team.tracks[f"{who}.fc"][-1].up < 0.2, "it has landed"
+    assert uncovered(team, path.with_name("field.kml")) == []
+
+
+@pytest.mark.few(0)
+def test_survey_that_is_lost_with_the_computer_that_it_visits_is_recovered(lfield_mission, tmp_path):
+    path = deployment(tmp_path, 2, SMALL)
+    small_team(path, 2)
+    team = lfield_mission(path)
+    # Two calls begin, it returns to the base, and visits the first copter that has ended.
+    team.run(until=lambda: len(team.hops) == 4, at_most=survey_times.AT_MOST)
     victim = team.hops[-1].target.replace("copter", "m")
     other = {"m1": "m2", "m2": "m1"}[victim]
     team.crash(team.hops[-1].target)
     finish(team, path, victim, other)
     assert team.said(f"{other} continues, strip ") == 1
-    assert team.said(f"{other}.fc released from its safe state") == 1
-    assert team.tracks[f"{other}.fc"][-1].up < 0.2, "it has landed"
 
 
 @pytest.mark.few(0)
