@@ -247,6 +247,14 @@ class Itinerary:
         name = agent.block.string(words[0]) if words and words[0] else ""
         return next((member for member in self._team if member.id == name), None)
 
+    def is_start_made(self, agent: Agent) -> bool:
+        """Whether a coordinator is at a `start` that this host, the home of the other one, has made."""
+        if self._current_head(agent) != "seq_start":
+            return False
+        named, request = self._named_startable(agent), self.call_arguments(agent, only_thread(agent.block))[1]
+        sequencer = self._scheduler.world.sequencer
+        return named is not None and named.host == self._here and sequencer.has_started(named, request)
+
     def current_call(self, agent: Agent) -> str:
         """The same as `resource.portal()`; '' for none."""
         resource, portal = self.current_target(agent) or (None, "")
