@@ -164,6 +164,10 @@ class HostServices:
         if agent.fetched:
             parts.pending_calls.on_departing(agent)
 
+    def contact_age(self, member: TeamMember) -> float:
+        """Seconds since something arrived from its host; infinite without a link."""
+        return self._parts.reachability.contact_age(self._hosts[member.host])
+
     def is_silent(self, member: TeamMember) -> bool:
         """Whether nothing arrives from its host, though there is a link."""
         return self._parts.reachability.is_silent(self._hosts[member.host])
