@@ -71,7 +71,8 @@ class HostServices:
 
     def on_input_awaited(self, agent: Agent, seconds: float) -> None:
         """A thread of an agent waits for a line of the operator's input."""
-        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds))
+        host = self.host_of(agent.member)
+        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds, host=host))
 
     def on_line_read(self, agent: Agent, text: str) -> None:
         """An agent reads a line of the operator's input."""

@@ -127,7 +127,7 @@ class OperatorInput:
         here = self._scheduler.world.host_of(reader.agent.member)
         message = (
             f"no line was entered at {here} within {reader.seconds:g} s: type it where {here} runs, "
-            "or on the page of lfield watch"
+            f"below lfield up --all as {here}: TEXT, or on the page of lfield watch"
         )
         self._scheduler.throw_builtin(
             reader.agent, reader.thread, "TimeLimitException", message, reader.agent.id

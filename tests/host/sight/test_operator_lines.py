@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from lfield.host.inputs import LineEntered
 from lfield.operator.client import SNAPSHOT
 from lfield.operator.observer_link import input_line, send_request
 from lfield.text import log_messages
-from lfield.vm.waits.operator_input import NO_READER
+from lfield.vm.waits.operator_input import MAX_LINE, NO_READER
 from lfield.wire.events import InputAwaited, LineLogged
 from lfield.wire.observer_messages import InputResult
 from lfield.wire.subscription_messages import EventBatch
@@ -50,6 +51,14 @@ async def test_a_line_from_an_observer_goes_to_the_waiting_agent(team, /):
             log_messages.INPUT_DROPPED,
         )
     ]
+
+
+async def test_a_long_line_of_a_terminal_is_shortened_and_reported(team, /):
+    (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+    await team.until(lambda: home.host.machine.operator_input.waiting_agents)
+    home.host.dispatch(LineEntered("x" * MAX_LINE + "y"))
+    await team.until(lambda: f"asker: {'x' * MAX_LINE}" in home.log)
+    assert str(log_messages.INPUT_CUT.line(host="home", length=MAX_LINE)) in home.log
 
 
 async def _snapshot(transport) -> EventBatch:
