@@ -32,11 +32,14 @@ async def test_a_line_from_an_observer_goes_to_the_waiting_agent(team, /):
     desk = team.network.transport("desk")
     await team.until(lambda: home.host.machine.operator_input.waiting_agents)
     assert (await _snapshot(desk)).snapshot.reads == ["desk"]
-    assert await send_request(desk, "home:8181", input_line("yes")) == InputResult()
+    refused = await send_request(desk, "home:8181", input_line("asker", "yes"))
+    assert refused == InputResult(NO_READER.format(agent="asker"))
+    assert await send_request(desk, "home:8181", input_line("desk", "yes")) == InputResult()
     await team.until(lambda: "asker: yes" in home.log)
     assert await team.ended("asker") == "done"
     assert (await _snapshot(desk)).snapshot.reads == []
-    assert await send_request(desk, "home:8181", input_line("late")) == InputResult(NO_READER)
+    refused = await send_request(desk, "home:8181", input_line("desk", "late"))
+    assert refused == InputResult(NO_READER.format(agent="desk"))
     whats = [event.what for event in home.host.recorder.event_log.after(0, 1000, 1 << 20)[0]]
     assert [what.agents for what in whats if isinstance(what, InputAwaited)] == ["desk", "", "desk", ""]
     codes = [what.code for what in whats if isinstance(what, LineLogged)]
@@ -44,6 +47,8 @@ async def test_a_line_from_an_observer_goes_to_the_waiting_agent(team, /):
         line.code
         for line in (
             log_messages.INPUT_AWAITED,
+            log_messages.INPUT_RECEIVED,
+            log_messages.INPUT_DROPPED,
             log_messages.INPUT_RECEIVED,
             log_messages.INPUT_READ,
             log_messages.INPUT_AWAITED,
