@@ -16,8 +16,9 @@ export default {
   </section>`,
   data: () => ({ texts: {}, trouble: "", sending: false }),
   computed: {
+    // In the order of their names: a field that is moved loses the focus.
     waiting() {
-      return this.hosts.flatMap(({ host, linked, reads }) => reads.map((agent) => ({ host, linked, agent })));
+      return this.hosts.flatMap(({ host, linked, reads }) => [...reads].sort().map((agent) => ({ host, linked, agent })));
     },
   },
   watch: {
