@@ -14,6 +14,7 @@ from lfield.geodata.area_file import read_area_file
 from lfield.geodata.polygons import LocalPlane, Point, distance_to_way, is_inside
 from lfield.testing.mission.mission_team import MissionTeam
 from lfield.testing.mission.track_picture import draw
+from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 #: The origin of the team's frame, as in the devices file.
@@ -93,4 +94,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

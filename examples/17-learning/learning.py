@@ -14,6 +14,7 @@ from pathlib import Path
 from statistics import mean
 
 from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 #: The number of shifts, the parts that a picker picks in one, and the belts that are averaged.
@@ -123,11 +124,12 @@ def main() -> None:
     """Print the table, and draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help="draw learning.svg")
+    args = parser.parse_args()
     learnt = measured()
-    if parser.parse_args().write:
+    if args.write:
         (HERE / "learning.svg").write_text(draw(learnt), encoding="utf-8")
     print(table(learnt))
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lfield.testing.mission.mission_team import MissionTeam
 from lfield.testing.mission.recorders import Point
+from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 ROVERS, COPTERS = ("dan", "eve"), ("ada", "bob", "cat")
@@ -112,4 +113,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 #: Goal of the box: north, east (m), heading (rad).
@@ -72,4 +73,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 from statistics import median
 
 from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.script import run_script
 
 HERE = Path(__file__).parent
 #: Each row: what differs, and the world of the plane (`world.py` of the arena).
@@ -104,12 +104,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("names", nargs="*", help="only rows with one of these texts in their names")
     args = parser.parse_args()
+    worlds = [row for row in WORLDS if not args.names or any(part in row[0] for part in args.names)]
+    if args.runs < 1 or not worlds:
+        parser.error("--runs is at least 1, and a name is a part of a row's name")
     print("| world | caught | steps per prey | hops per prey |\n|---|---:|---:|---:|")
-    for name, world in WORLDS:
-        if not args.names or any(part in name for part in args.names):
-            print(row(name, [hunt(world, seed) for seed in range(args.runs)]))
-            sys.stdout.flush()
+    for name, world in worlds:
+        print(row(name, [hunt(world, seed) for seed in range(args.runs)]), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    run_script(main)

@@ -69,7 +69,7 @@ def _score(log: str) -> Score:
     counts = re.search(r"counts (\d+) in the north, (\d+) in the south", log)
     hops = re.search(r"(\d+) hops", log)
     if counts is None or hops is None:
-        raise RuntimeError(f"a mission has not come to the end of the match:\n{log[-2000:]}")
+        sys.exit(f"a mission has not come to the end of the match:\n{log[-2000:]}")
     return Score(int(counts[1]), int(counts[2]), int(hops[1]))
 
 

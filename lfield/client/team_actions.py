@@ -144,13 +144,13 @@ class TeamActions:
                 troubles[host] = answer.trouble
         return OrderOutcome(order, tuple(confirmed), unconfirmed, unreached, troubles)
 
-    async def enter(self, host: str, text: str) -> str:
+    async def enter(self, host: str, agent: str, text: str) -> str:
         """See `OperatorActions.enter`."""
         at = self._connection
         address = at.locate.addresses.get(host)
         if address is None:
             return f"there is no host {host}"
-        answers = await ask_all(at.transport, {host: address}, input_line(text), at.crl)
+        answers = await ask_all(at.transport, {host: address}, input_line(agent, text), at.crl)
         answer = answers[host]
         return str(answer) if isinstance(answer, LfieldError) else answer.trouble
 

@@ -54,6 +54,7 @@ from lfield.text import log_messages
 from lfield.vm.agent import Agent, MachineTeam
 from lfield.vm.hooks import VmHooks
 from lfield.vm.machine import Machine
+from lfield.vm.waits.operator_input import MAX_LINE
 from lfield.wire.coordinator_messages import Terminated, Transfer, TransferAccepted, TransferRefused
 from lfield.wire.messages import Control, Hello, RelayedMessage
 from lfield.wire.observer_messages import RecoverRequest, RecoverResponse
@@ -357,9 +358,13 @@ class HostCore:
         if (handler := self._handlers.get(type(message))) is not None:
             handler(host, message)
 
-    def on_line_entered(self, text: str, *, is_kept: bool) -> str:
-        """A line of the operator's input; returns why no agent gets it, '' if one does."""
-        trouble = self.machine.operator_input.enter(text, is_kept=is_kept)
+    def on_line_entered(self, text: str, agent: str = "") -> str:
+        """A line of the operator's input, for an agent or for the next one that reads.
+
+        Returns why no agent gets it, '' if one does."""
+        if len(text) > MAX_LINE:
+            self._log(log_messages.INPUT_CUT.line(host=self.name, length=MAX_LINE))
+        trouble = self.machine.operator_input.enter(text, is_kept=not agent, agent=agent)
         if trouble:
             self._log(log_messages.INPUT_DROPPED.line(host=self.name, reason=trouble))
         return trouble

@@ -284,13 +284,13 @@ class RunEnds(HostInput, frozen=True, tag=27):
 
 
 class LineEntered(HostInput, frozen=True, tag=28):
-    """A line of the operator's input; without `is_kept` only an agent that waits for one gets it."""
+    """A line of the operator's input, for one agent while it waits; without an `agent` it may be kept."""
 
     text: str
-    is_kept: bool = True
+    agent: str = ""
 
     def enter(self, core: HostCore) -> str:
-        return core.on_line_entered(self.text, is_kept=self.is_kept)
+        return core.on_line_entered(self.text, self.agent)
 
 
 class PersonCalled(HostInput, frozen=True, tag=29):

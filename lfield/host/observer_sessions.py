@@ -111,7 +111,7 @@ class ObserverSessions:
                 spawn(self._answer_when_durable(link, RecoveryOrdered(message), _recover_response))
             case InputLine():
                 self._note(log_messages.INPUT_RECEIVED.line(operator=link.who))
-                entry = LineEntered(message.text, is_kept=False)
+                entry = LineEntered(message.text, message.agent)
                 self._dispatch(entry, lambda found: self._answer(link, InputResult(cast(str, found))))
             case StartRequest():
                 spawn(self._start_coordinators(message, link))

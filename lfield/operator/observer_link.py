@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError, NoListener, WireError
 from lfield.net.handshake import Handshake
-from lfield.wire.fields import MAX_INPUT
 from lfield.wire.messages import HandshakeRefused, Hello, Message, RevocationUpdate
 from lfield.wire.observer_messages import (
     EmergencyStop,
@@ -54,12 +53,12 @@ class Request(Generic[T]):
     is_retried: bool = False
 
 
-def input_line(text: str) -> Request[InputResult]:
-    """Gives an agent of the host a line of input.
+def input_line(agent: str, text: str) -> Request[InputResult]:
+    """Gives an agent of the host a line of input, of at most `MAX_INPUT` characters.
 
     It is not retried: a repeated line could answer another question.
     """
-    return Request(InputLine(text[:MAX_INPUT]), InputResult, 8.0)
+    return Request(InputLine(agent, text), InputResult, 8.0)
 
 
 class PresentedCrl(NamedTuple):

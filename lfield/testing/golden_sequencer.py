@@ -38,6 +38,10 @@ class GoldenSequencer:
         self._machine.start(member, AgentLimits(), self._starts[member.id])
         return True
 
+    def has_started(self, member: TeamMember, request: int) -> bool:
+        """Never: a start returns at once."""
+        return False
+
     def stop(self, asking: Agent, member: TeamMember) -> bool | None:
         """Orders its end, which `end_of` waits for."""
         assert self._machine is not None

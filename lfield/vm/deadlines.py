@@ -57,6 +57,9 @@ class CallView(Protocol):
     def is_heartbeat_pending(self, agent: Agent) -> bool:
         """Whether a heartbeat of the destination host of a suspended one is still awaited."""
 
+    def is_start_made(self, agent: Agent) -> bool:
+        """Whether it is at a `start` that its host, the home of the other one, has already made."""
+
     def blocked_action(self, agent: Agent) -> str:
         """What a suspended one is prevented from doing, as the end of a sentence; '' for nothing."""
 
@@ -178,6 +181,7 @@ class Deadlines:
             agent.mark_overdue("a running finally is not interrupted")
             self.recheck_soon(agent)
         self._skip_unreachable_leave(agent)
+        self._finish_made_start(agent)
 
     def recheck_soon(self, agent: Agent) -> None:
         """Set the timer for soon: the obstacle to a throw may be gone."""
@@ -212,6 +216,13 @@ class Deadlines:
         elif leaves and self._scheduler.world.abandon_wait(agent):
             agent.resume()
             self._scheduler.run_queue.push_front(agent, only_thread(agent.block))
+
+    def _finish_made_start(self, agent: Agent) -> None:
+        """Continue a coordinator after a `start` that was made, and that a restart has delayed."""
+        if agent.frozen and self._calls.is_start_made(agent) and self._scheduler.world.abandon_wait(agent):
+            agent.resume()
+            agent.invalidate_image()
+            self._scheduler.complete_at_once(agent, only_thread(agent.block), 1)
 
     def is_block_expired(self, agent: Agent) -> bool:
         """Whether a limit has expired around the block that a coordinator is about to leave.
@@ -249,9 +260,11 @@ class Deadlines:
         return seconds if seconds >= LATE_THRESHOLD else 0.0
 
     def _due(self, agent: Agent) -> list[int]:
-        """The slots of expired limits that may throw."""
-        around = self._enclosing_limits(agent)
-        return [word for word, shielded in around if not shielded and self._is_expired(agent, word)]
+        """The slots of expired limits that may throw; the limit of a `start` that was made may not."""
+        around = list(self._enclosing_limits(agent))
+        due = [word for word, shielded in around if not shielded and self._is_expired(agent, word)]
+        is_innermost = bool(due) and due[0] == around[0][0]
+        return due[1:] if is_innermost and self._calls.is_start_made(agent) else due
 
     def _is_expired(self, agent: Agent, word: int) -> bool:
         return agent.block.w[word] <= self._scheduler.clock_of(agent) + _CLOCK_TOLERANCE

@@ -67,6 +67,9 @@ class StubCall(Protocol):
 class HostLiveness(Protocol):
     """Heartbeats of the hosts of the team's agents."""
 
+    def contact_age(self, member: TeamMember) -> float:
+        """Seconds since something arrived from its host; infinite without a link."""
+
     def is_silent(self, member: TeamMember) -> bool:
         """Whether its host has a link and is silent."""
 

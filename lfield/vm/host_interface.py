@@ -27,6 +27,9 @@ class Sequencer(Protocol):
     def start(self, asking: Agent, member: TeamMember, request: int) -> bool | None:
         """Start a coordinator of this host; the same `request` only once."""
 
+    def has_started(self, member: TeamMember, request: int) -> bool:
+        """Whether the last start was made for this request, and is on disk."""
+
     def stop(self, asking: Agent, member: TeamMember) -> bool | None:
         """Order the end of a coordinator of this host."""
 

@@ -343,8 +343,9 @@ class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class InputLine(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=70):
-    """From an observer: a line of input for an agent of this host that waits for one."""
+    """From an observer: a line of input for this agent of this host, while it waits for one."""
 
+    agent: Name
     text: Annotated[str, Meta(max_length=MAX_INPUT)]
 
 

@@ -75,7 +75,7 @@ SAID_BY_COMMANDS: dict[str, Message] = {
     "forget": ForgetRequest("tom"),
     "recover": RecoverRequest("tom", 1, 2, 3),
     "start": StartRequest(["bravo"]),
-    "type": InputLine("yes"),
+    "type": InputLine("echo", "yes"),
     "call": PortalCallRequest(ID, 1, "echo", "say", b"\x90", 1.0),
 }
 #: The rules of the mission for persons.

@@ -109,7 +109,7 @@ def test_a_peer_without_a_host_certificate_is_not_accepted_as_a_host(who, name):
 ID = bytes(16)
 STOP, LIFT, PAUSE, RESUME = EmergencyStop(ID, "fire"), EmergencyStop(ID, "", True), Pause(ID), Pause(ID, True)
 OPERATING = [LIFT, RESUME, ForgetRequest("tom"), RecoverRequest("tom", 1, 1, 1), StartRequest(["b"])]
-OPERATING.append(InputLine("yes"))
+OPERATING.append(InputLine("echo", "yes"))
 TABLE = [(Subscribe(once=True), Right.OBSERVE), (STOP, Right.STOP), (PAUSE, Right.STOP)]
 TABLE += [(message, Right.OPERATE) for message in OPERATING]
 

@@ -12,8 +12,10 @@ from unittest.mock import Mock
 import pytest
 
 import lfield_sim.mavlink
+from lfield import exit_status
 from lfield.errors import MissionTestError
 from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.script import run_script
 
 FLIGHT = Path(__file__).parents[2] / "examples" / "01-first-flight" / "mission.dL"
 PUMPS = """
@@ -214,3 +216,16 @@ def test_a_failing_fake_is_named(lfield_mission, monkeypatch, cause, early):
     ) as caught:
         lfield_mission(FLIGHT).run(5.0)
     assert early or caught.value.__cause__ is cause
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "message"),
+    [("mission.dL", exit_status.DATA, "error[L603]"), ("absent.dL", exit_status.NO_INPUT, "absent.dL")],
+)
+def test_an_error_of_a_script_is_a_message_and_an_exit_status(tmp_path, capsys, name, status, message):
+    (tmp_path / "mission.L").write_text("include <absent/rover.L>;")
+    (tmp_path / "mission.dL").write_text("//Rover:rover@alpha\n")
+    with pytest.raises(SystemExit) as ended:
+        run_script(lambda: MissionTeam(tmp_path / name).close())
+    assert ended.value.code == status
+    assert message in capsys.readouterr().err

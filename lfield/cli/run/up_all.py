@@ -144,7 +144,7 @@ class _HostProcesses:
             self.view = LiveView(self.mission, self.control_sockets.addresses)
         readers = [task for host in self.addresses for task in await self.start(host)]
         if self.readers:
-            read_standard_input(", ".join(self.readers), self.on_typed, self.print)
+            read_standard_input(self.on_typed)
         watcher = asyncio.create_task(self.stop_on_signal())
         if self.view:
             self.view.start()
@@ -317,11 +317,12 @@ class _HostProcesses:
     def on_typed(self, line: str) -> None:
         """A line of the operator's input: `HOST: TEXT`, or for the only host that reads."""
         name, colon, text = line.partition(":")
-        if colon and name.strip() in self.children:
-            host, line = name.strip(), text.removeprefix(" ")
+        host = name.strip() if colon else ""
+        if host in self.children:
+            line = text.removeprefix(" ")
         elif len(self.readers) == 1:
             host = self.readers[0]
-        else:
+        if host not in self.readers:
             self.print(log_messages.INPUT_UNADDRESSED.line(hosts=" or ".join(self.readers)))
             return
         child = self.children[host]

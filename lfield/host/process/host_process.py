@@ -109,7 +109,7 @@ async def run_host(
     if parent_pipe:
         _watch_parent(host, signals)
     elif name in mission.reading_hosts:
-        read_standard_input(name, lambda text: host.dispatch(LineEntered(text)), host.note)
+        read_standard_input(lambda text: host.dispatch(LineEntered(text)))
     ended = partial(_write_result, host, result_fd)
     return await run_until_exit(host, signals, lost_after, _freeze_gc, ended)
 

@@ -16,12 +16,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 
-from lfield.text import log_messages
-from lfield.text.log_messages import LogLine
 from lfield.vm.waits.operator_input import MAX_LINE
 
-#: The longest line that is collected, in bytes: four for each character.
-_MAX_BYTES = 4 * MAX_LINE
+#: The longest line that is collected, in bytes: four for each character, and as many for the name of a host.
+#: The host shortens it.
+_MAX_BYTES = 8 * MAX_LINE
 #: Bytes of one read.
 _CHUNK = 4096
 #: Seconds between two attempts of a process in the background.
@@ -29,11 +28,10 @@ _BACKGROUND_INTERVAL = 1.0
 
 
 class LineSplitter:
-    """Makes lines of bytes; UTF-8, with U+FFFD for invalid bytes. `on_cut` is called for a shortened line."""
+    """Makes lines of bytes; UTF-8, with U+FFFD for invalid bytes."""
 
-    def __init__(self, on_line: Callable[[str], None], on_cut: Callable[[], None]) -> None:
-        self._on_line, self._on_cut = on_line, on_cut
-        self._partial, self._is_cut = b"", False
+    def __init__(self, on_line: Callable[[str], None]) -> None:
+        self._on_line, self._partial = on_line, b""
 
     def feed(self, data: bytes) -> None:
         """More bytes of the stream."""
@@ -49,24 +47,19 @@ class LineSplitter:
             self._end()
 
     def _append(self, part: bytes) -> None:
-        whole = self._partial + part
-        self._partial, self._is_cut = whole[:_MAX_BYTES], self._is_cut or len(whole) > _MAX_BYTES
+        self._partial = (self._partial + part)[:_MAX_BYTES]
 
     def _end(self) -> None:
-        text = self._partial.removesuffix(b"\r").decode(errors="replace")
-        is_cut, self._partial, self._is_cut = self._is_cut or len(text) > MAX_LINE, b"", False
-        if is_cut:
-            self._on_cut()
-        self._on_line(text[:MAX_LINE])
+        line, self._partial = self._partial, b""
+        self._on_line(line.removesuffix(b"\r").decode(errors="replace"))
 
 
-def read_standard_input(host: str, on_line: Callable[[str], None], note: Callable[[LogLine], None]) -> None:
+def read_standard_input(on_line: Callable[[str], None]) -> None:
     """Pass each line of standard input to `on_line`, in the running loop; nothing where it is closed."""
     if sys.stdin is None:
         return
     loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
-    cut = log_messages.INPUT_CUT.line(host=host, length=MAX_LINE)
-    lines = LineSplitter(on_line, lambda: note(cut))
+    lines = LineSplitter(on_line)
 
     def read() -> None:
         for data in _chunks(descriptor):

@@ -12,6 +12,8 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 
+from lfield.wire.fields import MAX_INPUT
+
 #: Standard input, output and error.
 _STANDARD = 3
 #: The prefix of a line that reports the end of a host process.
@@ -28,8 +30,8 @@ def exit_line(host: str) -> bytes:
 
 
 def typed_line(text: str) -> bytes:
-    """The line that passes on the operator's input."""
-    return f"{TYPED_PREFIX}{text}\n".encode()
+    """The line that passes on the operator's input; of a long one so much that the host reports it."""
+    return f"{TYPED_PREFIX}{text[: MAX_INPUT + 1]}\n".encode()
 
 
 def set_cloexec_on_all() -> None:

@@ -158,6 +158,10 @@ class SequencingService(Part):
         self._team.apply_effects(self._team.mobility.start(member.id, page.generation))
         return self._when_written(asking, member)
 
+    def has_started(self, member: TeamMember, request: int) -> bool:
+        """See `Sequencer.has_started`."""
+        return self._runs[member.id].started_by(request) and self._is_written(member.id)
+
     def stop(self, asking: Agent, member: TeamMember) -> bool | None:
         """See `Sequencer.stop`."""
         runs = self._runs[member.id]

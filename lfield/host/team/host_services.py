@@ -71,7 +71,8 @@ class HostServices:
 
     def on_input_awaited(self, agent: Agent, seconds: float) -> None:
         """A thread of an agent waits for a line of the operator's input."""
-        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds))
+        host = self.host_of(agent.member)
+        self._log_line(log_messages.INPUT_AWAITED.line(agent=agent.id, seconds=seconds, host=host))
 
     def on_line_read(self, agent: Agent, text: str) -> None:
         """An agent reads a line of the operator's input."""
@@ -163,6 +164,10 @@ class HostServices:
         parts.coordinators.depart(agent, resource, lost_reason, down_for)
         if agent.fetched:
             parts.pending_calls.on_departing(agent)
+
+    def contact_age(self, member: TeamMember) -> float:
+        """Seconds since something arrived from its host; infinite without a link."""
+        return self._parts.reachability.contact_age(self._hosts[member.host])
 
     def is_silent(self, member: TeamMember) -> bool:
         """Whether nothing arrives from its host, though there is a link."""

@@ -106,6 +106,11 @@ class Reachability(Part):
         last_contact = self._membership.last_contact(host)
         return last_contact is not None and self._clock.monotonic() - last_contact > SILENCE_TIMEOUT
 
+    def contact_age(self, host: str) -> float:
+        """Seconds since something arrived from a host; infinite without a link."""
+        last_contact = self._membership.last_contact(host) if self._membership.is_linked(host) else None
+        return math.inf if last_contact is None else self._clock.monotonic() - last_contact
+
     def transit_time(self, host: str) -> float:
         """The one-way transit time of a message from or to a linked host, in seconds; 0 if unknown."""
         return (self._environment.round_trip(host) or 0.0) / 2.0

@@ -64,8 +64,8 @@ class OperatorActions(Protocol):
     async def resume(self) -> OrderOutcome:
         """Resume a paused mission."""
 
-    async def enter(self, host: str, text: str) -> str:
-        """Give an agent of a host a line of input; returns why none has got it, '' if one has."""
+    async def enter(self, host: str, agent: str, text: str) -> str:
+        """Give an agent of a host a line of input; returns why it has not got it, '' if it has."""
 
     async def query(self, text: str) -> QueryAnswer:
         """`lfield query`: which agents offer a capability."""

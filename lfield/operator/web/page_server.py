@@ -12,7 +12,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import uvicorn
@@ -30,11 +30,21 @@ from lfield.operator.web.page_sessions import PageSessions
 from lfield.operator.web.page_site import PageSite
 from lfield.operator.web.page_snapshots import PageSnapshots, ReplayControl
 from lfield.operator.web.tiles.background import NO_BACKGROUND, PageBackground
+from lfield.wire.fields import MAX_INPUT, Name
 
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
 #: Keep-alive time of an idle connection (s).
 _IDLE = 3600
+
+
+class _Line(msgspec.Struct):
+    """A line of input from the page."""
+
+    host: Name
+    agent: Name
+    text: Annotated[str, msgspec.Meta(max_length=MAX_INPUT, pattern=r"\A[^\n]*\Z")]
+    pressed: Any = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,12 +190,13 @@ def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
     @app.post("/type")
     async def enter(request: Request) -> Response:
         body = await _body(request)
-        host, text = body.get("host"), body.get("text")
-        if not isinstance(host, str) or not isinstance(text, str) or "\n" in text:
-            return _refused("a line of input has a host and one line of text")
-        if why := refusal("type", body.get("pressed"), clock.monotonic()):
+        try:
+            line = msgspec.convert(body, _Line)
+        except msgspec.ValidationError as error:
+            return _refused(f"not a line of input for an agent of a host: {error}")
+        if why := refusal("type", line.pressed, clock.monotonic()):
             return _refused(why, 409)
-        trouble = await actions.enter(host, text)
+        trouble = await actions.enter(line.host, line.agent, line.text)
         return _refused(trouble, 409) if trouble else _json(b"{}")
 
     @app.post("/query")

@@ -60,8 +60,8 @@ SEQUENCE_STOPPING = _message("sequence-stopping", "{agent} is being stopped by {
 SEQUENCE_REFUSED = _message("sequence-refused", "{function} by {agent} refused: {reason}", "warning")
 INPUT_AWAITED = _message(
     "input-awaited",
-    "{agent} waits for a line of input, at most {seconds:g} s: type it where this host runs, or on the page "
-    "of lfield watch",
+    "{agent} waits for a line of input, at most {seconds:g} s: type it where {host} runs, below lfield up "
+    "--all as {host}: TEXT, or on the page of lfield watch",
     meaning="of `read` in the program",
 )
 INPUT_READ = _message("input-read", "{agent} has read: {text}", meaning="a line of the operator's input")
@@ -72,7 +72,7 @@ INPUT_CUT = _message(
 )
 INPUT_UNADDRESSED = _message(
     "input-unaddressed",
-    "line of input ignored: it names no host: type HOST: TEXT, where HOST is {hosts}",
+    "line of input ignored: it names no host that reads: type HOST: TEXT, where HOST is {hosts}",
     "warning",
     "by `lfield up --all`, where several hosts run programs that read",
 )

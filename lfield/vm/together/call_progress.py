@@ -116,14 +116,14 @@ class CallProgress:
         """
         signs = self._scheduler.hooks.liveness
         if signs is None or not self._deadlines.is_block_expired(agent):
-            return self.departs_for(agent, thread, state)
+            return self.departs_to(agent, thread, self._next_cancelled(agent, thread, state))
         for ticket in self._itinerary.tickets(agent, thread):
             if ticket.state in (TICKET_STARTED, TICKET_CANCELLING) and not self._itinerary.is_here(ticket):
                 signs.request_heartbeat(self._itinerary.resource(ticket), self._deadlines.over_for(agent))
-        while elsewhere := self._itinerary.tickets_elsewhere(self._itinerary.tickets(agent, thread), state):
+        while elsewhere := self._next_cancelled(agent, thread, state):
             target = self._itinerary.resource(elsewhere[0])
             if not signs.is_silent(target):
-                self.departs_for(agent, thread, state)
+                self.departs_to(agent, thread, elsewhere)
                 if agent.frozen and signs.is_heartbeat_pending(target):
                     self._deadlines.recheck_soon(agent)
                     return True
@@ -133,6 +133,11 @@ class CallProgress:
             for number in [ticket.number for ticket in elsewhere]:
                 self._outcomes.throw(agent, thread, number, UNREACHABLE, UNREACHED_MESSAGE)
         return False
+
+    def _next_cancelled(self, agent: Agent, thread: int, state: int) -> list[Ticket]:
+        """The tickets on the next host: a reachable one, if there is one."""
+        found = self._itinerary.tickets(agent, thread)
+        return self._itinerary.tickets_elsewhere(found, state, self._itinerary.cancel_rank)
 
     def _request_cancels(self, agent: Agent, thread: int) -> None:
         """Ask the other hosts to cancel, if there are several: the coordinator goes to one host at a time.

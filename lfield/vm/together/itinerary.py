@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, SEQUENCING
 from lfield.vm.agent import Agent, TeamMember
@@ -195,11 +195,21 @@ class Itinerary:
         acts = ticket.method in self._scheduler.effectful_methods
         return CallRequest(ticket.number, self.resource(ticket).id, self.portal(ticket), acts)
 
-    def tickets_elsewhere(self, tickets: list[Ticket], state: int) -> list[Ticket]:
-        """The tickets in a state on one other host: that of the ticket that was collected first."""
+    def tickets_elsewhere(
+        self, tickets: list[Ticket], state: int, rank: Callable[[TeamMember], float] = lambda resource: 0
+    ) -> list[Ticket]:
+        """The tickets in a state on one other host: the first by rank, then in the order of collection."""
         elsewhere = [ticket for ticket in tickets if ticket.state == state and not self.is_here(ticket)]
-        host = self.resource(elsewhere[0]).host if elsewhere else self._here
+        if not elsewhere:
+            return []
+        host = min(map(self.resource, elsewhere), key=rank).host
         return [ticket for ticket in elsewhere if self.resource(ticket).host == host]
+
+    def cancel_rank(self, resource: TeamMember) -> float:
+        """The rank of a resource in the order of cancellation: its host may be unreachable, so others are
+        first."""
+        signs = self._scheduler.hooks.liveness
+        return signs.contact_age(resource) if signs is not None else 0.0
 
     def awaited_tickets(self, agent: Agent) -> list[Ticket]:
         """The tickets that a suspended coordinator waits for: to start them here, or to reach their host."""
@@ -210,14 +220,11 @@ class Itinerary:
             mine := [t for t in found if t.state == TICKET_COLLECTED and self.is_here(t)]
         ):
             return mine
-        return next(
-            (
-                elsewhere
-                for state in VISITED_STATES[head]
-                if (elsewhere := self.tickets_elsewhere(found, state))
-            ),
-            [],
+        by_state = (
+            self.tickets_elsewhere(found, state, lambda resource: resource.id != agent.called_resource)
+            for state in VISITED_STATES[head]
         )
+        return next(filter(None, by_state), [])
 
     def current_target(self, agent: Agent) -> tuple[TeamMember, str] | None:
         """The resource and portal that a suspended coordinator waits for, the first of several.
@@ -246,6 +253,14 @@ class Itinerary:
         words = self.call_arguments(agent, only_thread(agent.block))
         name = agent.block.string(words[0]) if words and words[0] else ""
         return next((member for member in self._team if member.id == name), None)
+
+    def is_start_made(self, agent: Agent) -> bool:
+        """Whether a coordinator is at a `start` that this host, the home of the other one, has made."""
+        if self._current_head(agent) != "seq_start":
+            return False
+        named, request = self._named_startable(agent), self.call_arguments(agent, only_thread(agent.block))[1]
+        sequencer = self._scheduler.world.sequencer
+        return named is not None and named.host == self._here and sequencer.has_started(named, request)
 
     def current_call(self, agent: Agent) -> str:
         """The same as `resource.portal()`; '' for none."""

@@ -28,7 +28,7 @@ MAX_LINE = MAX_INPUT
 #: The number of lines that are kept while no thread waits.
 MAX_KEPT = 16
 #: Why a line was not accepted.
-NO_READER = "no agent of this host waits for a line"
+NO_READER = "{agent} does not wait for a line any more"
 TOO_MANY = f"{MAX_KEPT} lines are kept already, and no agent of this host reads them"
 
 
@@ -58,20 +58,22 @@ class OperatorInput:
         """The agents that wait for a line, in the order in which they get one."""
         return list(dict.fromkeys(reader.agent.id for reader in self._readers if _is_waiting(reader)))
 
-    def enter(self, text: str, *, is_kept: bool) -> str:
-        """Pass a line to the first waiting thread; without one it is kept, if `is_kept`.
+    def enter(self, text: str, *, is_kept: bool, agent: str = "") -> str:
+        """Pass a line to the first waiting thread, of any agent or of that one; without one it is kept, if
+        `is_kept`.
 
         Returns why it was not accepted, '' if it was.
         """
         text = text[:MAX_LINE]
         self._drop_ended()
-        if self._readers:
-            reader = self._readers.pop(0)
+        reader = next((one for one in self._readers if agent in ("", one.agent.id)), None)
+        if reader is not None:
+            self._readers.remove(reader)
             self._complete(reader.agent, reader.thread, text)
             self._report()
             return ""
         if not is_kept:
-            return NO_READER
+            return NO_READER.format(agent=agent)
         if len(self._kept) >= MAX_KEPT:
             return TOO_MANY
         self._kept.append(text)
@@ -127,7 +129,7 @@ class OperatorInput:
         here = self._scheduler.world.host_of(reader.agent.member)
         message = (
             f"no line was entered at {here} within {reader.seconds:g} s: type it where {here} runs, "
-            "or on the page of lfield watch"
+            f"below lfield up --all as {here}: TEXT, or on the page of lfield watch"
         )
         self._scheduler.throw_builtin(
             reader.agent, reader.thread, "TimeLimitException", message, reader.agent.id

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from lfield.text import log_messages
+from lfield.vm.waits.operator_input import MAX_LINE
 
 pytestmark = pytest.mark.process
 
@@ -16,6 +17,7 @@ resource Desk {
     init(string[] arg) { }
     portal ask(string question, real limit) emit string { write(question); return read(limit); }
 }
+resource Post { init(string[] arg) { } }
 coordinator Asker {
     init(string[] arg) {
         for (int i = 2; i < arg.length(); i += 1) {
@@ -26,7 +28,9 @@ coordinator Asker {
 }
 """
 ONE = "//Asker:asker@alpha?{limit}&d1\n//Desk:d1@alpha\n"
-TWO = "//Asker:asker@alpha?{limit}&d1&d2\n//Desk:d1@alpha\n//Desk:d2@bravo\n"
+TWO = "//Asker:asker@alpha?{limit}&d1&d2\n//Desk:d1@alpha\n//Desk:d2@bravo\n//Post:post@carol\n"
+
+LONG = "x" * MAX_LINE
 
 
 def said(process) -> list[str]:
@@ -49,11 +53,12 @@ def test_a_single_reading_host_needs_no_name(lfield, options):
 def test_lines_are_addressed_to_hosts(lfield):
     deployment = lfield.mission(PROGRAM, TWO.format(limit=50))
     run = lfield.start("up", "--deploy", deployment, "--all", "--until-done", stdin=True)
-    run.popen.stdin.write(b"go\nbravo: no: not yet\nalpha:yes\n")
+    run.popen.stdin.write(b"go\ncarol: go\nbravo: no: not yet\nalpha:" + LONG.encode() + b"\n")
     run.popen.stdin.close()
     assert run.wait() == 0
-    assert sorted(said(run)) == ["d1 said yes", "d2 said no: not yet"]
-    assert log_messages.INPUT_UNADDRESSED.line(hosts="alpha or bravo") in run.err
+    assert sorted(said(run)) == [f"d1 said {LONG}", "d2 said no: not yet"]
+    assert run.err.count(log_messages.INPUT_UNADDRESSED.line(hosts="alpha or bravo")) == 2
+    assert not any("shortened" in line for line in run.err)
 
 
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])

@@ -40,6 +40,7 @@ from lfield.operator.team_model.team_state import (
 )
 from lfield.operator.team_model.vehicle_tracks import TeamTracks
 from lfield.operator.team_query import PrimitiveAnswer
+from lfield.vm.waits.operator_input import NO_READER
 from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Degrees of latitude in a metre.
@@ -65,8 +66,8 @@ class Script:
     paused: bool = False
     # : Hosts that the vote on an activation holds.
     voting: set[str] = field(default_factory=set)
-    #: The agent of each host that waits for a line of input.
-    reading: dict[str, str] = field(default_factory=dict)
+    #: The agents of each host that wait for a line of input.
+    reading: dict[str, list[str]] = field(default_factory=dict)
     pressed: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -104,8 +105,8 @@ class Script:
                 self.held |= {self.host_of(number) for number in range(self.count)} - self.dead
             case ["vote", host]:
                 self.voting.add(host)
-            case ["read", host, agent]:
-                self.reading[host] = agent
+            case ["read", host, *agents]:
+                self.reading[host] = agents
             case ["low", agent]:
                 self.low.add(agent)
             case ["refuse", host, *reason]:
@@ -157,10 +158,11 @@ class Script:
         print("pressed resume", flush=True)
         return OrderOutcome("resume")
 
-    async def enter(self, host: str, text: str) -> str:
-        if self.reading.pop(host, None) is None:
-            return "no agent of this host waits for a line"
-        print(f"entered {host} {text}", flush=True)
+    async def enter(self, host: str, agent: str, text: str) -> str:
+        if agent not in self.reading.get(host, []) or text == "too late":
+            return NO_READER.format(agent=agent)
+        self.reading[host].remove(agent)
+        print(f"entered {host} {agent} {text}", flush=True)
         return ""
 
     async def query(self, text: str) -> QueryAnswer:
@@ -248,7 +250,7 @@ class Script:
                 held=name in self.voting,
                 stopped="stop" if name in self.held else "",
                 waits_for=tuple(self.refused),
-                reads=tuple(filter(None, [self.reading.get(name)])),
+                reads=tuple(self.reading.get(name, [])),
                 refused=self.refused,
                 bundle="5cde09b1f2a37c44",
                 links={

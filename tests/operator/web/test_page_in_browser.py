@@ -10,6 +10,8 @@ from selenium.webdriver.common.keys import Keys
 
 from lfield.operator.web.page_sessions import NO_SESSION, OLD_LINK
 from lfield.operator.web.page_snapshots import MAX_LOG_LINES
+from lfield.vm.waits.operator_input import NO_READER
+from lfield.wire.fields import MAX_INPUT
 
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
@@ -34,13 +36,26 @@ def test_two_copters_move_on_the_page(browser, page):
 
 
 def test_an_input_line_is_entered_for_an_agent_that_waits(browser, page):
+    def field(agent: str):
+        return browser.driver.find_element(By.CSS_SELECTOR, f"[data-testid=type-{agent}]")
+
     assert not browser.driver.find_elements(By.CSS_SELECTOR, ".panel.input")
-    page.do("read bravo wing")
-    browser.says("input-bravo", "wing at bravo waits for a line")
-    browser.driver.find_element(By.CSS_SELECTOR, "[data-testid=line-bravo]").send_keys("take off", Keys.ENTER)
-    assert page.line() == "entered bravo take off"
+    page.do("read bravo wing tail")
+    browser.says("input-wing", "wing at bravo waits for a line")
+    field("wing").send_keys("take off")
+    field("tail").send_keys(Keys.ENTER)
+    assert page.line() == "entered bravo tail"
+    browser.wait(lambda: not browser.driver.find_elements(By.CSS_SELECTOR, "[data-testid=input-tail]"))
+    field("wing").send_keys("x" * MAX_INPUT + Keys.ENTER)
+    assert page.line() == "entered bravo wing " + ("take off" + "x" * MAX_INPUT)[:MAX_INPUT]
     browser.wait(lambda: not browser.driver.find_elements(By.CSS_SELECTOR, ".panel.input"))
+    page.do("read bravo wing")
+    browser.says("input-wing", "waits for a line")
+    assert not field("wing").get_attribute("value")
     assert browser.errors == []
+    field("wing").send_keys("too late", Keys.ENTER)
+    page.do("read bravo")
+    browser.says("input-trouble", NO_READER.format(agent="wing"))
 
 
 @pytest.mark.few(0)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import http.client
+import json
 import socket
 import ssl
 import time
@@ -27,6 +28,7 @@ from lfield.operator.web.page_sessions import (
     PageSessions,
 )
 from lfield.operator.web.page_site import addresses_of, network_site
+from lfield.wire.fields import MAX_INPUT
 
 ADDRESS, NAME, DAY = "127.0.0.2", "ground.local", 86400.0
 
@@ -92,6 +94,9 @@ def test_the_link_opens_the_page_for_a_browser_with_the_root(page, client: Clien
     assert client.asks("/act", "POST", '{"action":"stop"}', Cookie=session, Origin=origin)[0] == 200
     assert page.line() != page.link
     assert page.line() == "pressed stop"
+    for agent, text in (("", "x"), (7, "x"), ("lead", "x\ny\n"), ("lead", "x" * (MAX_INPUT + 1))):
+        line = json.dumps({"host": "alpha", "agent": agent, "text": text})
+        assert client.asks("/type", "POST", line, Cookie=session, Origin=origin)[0] == 400
 
     # A used link, no cookie, a foreign page, a foreign name, http as the page's own origin.
     assert client.asks(client.path)[:2] == (403, OLD_LINK)

@@ -153,6 +153,31 @@ def test_an_access_file_rejects_an_unknown_action_on_a_coordinator(team) -> None
     assert [found.code for found in caught.value.diagnostics] == ["Y113"]
 
 
+def test_a_start_that_was_made_returns_after_a_long_restart_of_the_home(team) -> None:
+    """The coordinator is stored at its call, so the call runs again, after its limit."""
+    fleet = team(attempt('start("patrol", 4.0);') + "sleep(60.0);")
+    while not count_logged(fleet, "boss: went on"):
+        fleet.run(0.001)
+    fleet.power_off("bravo")
+    fleet.run(10.0)
+    fleet.boot("bravo")
+    fleet.run(20.0)
+    assert count_logged(fleet, "patrol started by boss") == 1
+    assert (count_logged(fleet, "boss: limit: "), count_logged(fleet, "boss: went on")) == (0, 2), fleet.log
+
+
+def test_a_limit_around_a_start_that_was_made_throws_after_a_long_restart(team) -> None:
+    what = 'within (4.5) { start("patrol", 4.0); print("started"); sleep(60.0); }'
+    fleet = team(attempt(what))
+    while not count_logged(fleet, "patrol started by boss"):
+        fleet.run(0.001)
+    fleet.power_off("bravo")
+    fleet.run(10.0)
+    fleet.boot("bravo")
+    fleet.run(20.0)
+    assert (count_logged(fleet, "boss: limit: "), count_logged(fleet, "boss: went on")) == (1, 0), fleet.log
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_started_coordinator_is_recovered_and_can_be_stopped_and_started_again(team, seed: int) -> None:
     boss = 'start("patrol", 9.0); sleep(40.0); stop("patrol", 30.0); print(awaitEnd("patrol", 9.0));'

@@ -64,6 +64,28 @@ def test_an_unreachable_host_does_not_delay_the_winner(tmp_path: Path) -> None:
     assert team.count_logged("boss: came back 0 20") == 1
 
 
+@pytest.mark.parametrize(("before", "is_cut"), [(0.5, True), (4.0, True), (1.0, False), (4.0, False)])
+def test_an_unreachable_host_does_not_delay_the_cancellation_on_others(
+    tmp_path: Path, before: float, is_cut: bool
+) -> None:
+    """The first branch is on the unreachable host, and that of the winner on the host of the coordinator."""
+    body = """
+            future<int>[] calls = {{async findPost("one").work(1, 60.0), async findPost("two").work(2, 60.0),
+                async findPost("zero").work(3, {0})}};
+            calls.race();
+"""
+    team = Team(tmp_path, before, body=body)
+    team.until("sets 3")
+    if is_cut:
+        team.cut("bravo", "carol")
+        team.cut("bravo", "alpha")
+    else:
+        team.power_off("bravo")
+    team.until("gives 3")
+    team.run(0.5)
+    assert team.count_logged("leaves 2: boss has cancelled work()") == 1
+
+
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_call_on_a_crashed_host_is_lost_and_not_begun_twice(tmp_path: Path, times: int) -> None:
     team = Team(tmp_path, 8.0, 12.0, NEXT)

@@ -19,9 +19,9 @@ def the_latest_reader_gets_the_line(patch: Patch) -> None:
     """A line goes to the thread that has waited for the shortest time."""
     enter = OperatorInput.enter
 
-    def reversed_(self: OperatorInput, text: str, *, is_kept: bool) -> str:
+    def reversed_(self: OperatorInput, text: str, *, is_kept: bool, agent: str = "") -> str:
         self._readers.reverse()
-        return enter(self, text, is_kept=is_kept)
+        return enter(self, text, is_kept=is_kept, agent=agent)
 
     patch.setattr(OperatorInput, "enter", reversed_)
 
@@ -29,7 +29,15 @@ def the_latest_reader_gets_the_line(patch: Patch) -> None:
 def a_line_from_the_page_is_kept(patch: Patch) -> None:
     """A line from the page answers a later question."""
     enter = OperatorInput.enter
-    patch.setattr(OperatorInput, "enter", lambda self, text, *, is_kept: enter(self, text, is_kept=True))
+    patch.setattr(OperatorInput, "enter", lambda self, text, **_: enter(self, text, is_kept=True))
+
+
+def a_line_for_one_agent_is_given_to_another(patch: Patch) -> None:
+    """A line from the page answers the question of another agent."""
+    enter = OperatorInput.enter
+    patch.setattr(
+        OperatorInput, "enter", lambda self, text, *, is_kept, **_: enter(self, text, is_kept=is_kept)
+    )
 
 
 def lines_are_kept_without_limit(patch: Patch) -> None:
@@ -72,6 +80,7 @@ def read_in_init_is_no_pause(patch: Patch) -> None:
 READ_BUGS: tuple[ReadBug, ...] = (
     the_latest_reader_gets_the_line,
     a_line_from_the_page_is_kept,
+    a_line_for_one_agent_is_given_to_another,
     lines_are_kept_without_limit,
     a_long_line_is_not_shortened,
     a_limit_ends_the_wait_of_the_first_thread,

@@ -72,9 +72,16 @@ def test_the_thread_that_has_waited_longest_gets_the_next_line() -> None:
     assert desk.given.waiting_agents == []
 
 
+def test_a_line_for_an_agent_goes_to_no_other_one() -> None:
+    desk = Desk((10.0, 60.0))
+    assert desk.given.enter("yes", is_kept=False, agent="other") == NO_READER.format(agent="other")
+    assert desk.given.enter("no", is_kept=False, agent="desk") == ""
+    assert desk.run() == ["a1: no"]
+
+
 def test_a_limited_number_of_lines_is_kept_without_a_reader() -> None:
     desk = Desk()
-    assert desk.given.enter("from the page", is_kept=False) == NO_READER
+    assert desk.given.enter("from the page", is_kept=False, agent="desk") == NO_READER.format(agent="desk")
     assert {desk.given.enter(str(n), is_kept=True) for n in range(MAX_KEPT)} == {""}
     assert desk.given.enter("more", is_kept=True) == TOO_MANY
 
@@ -97,7 +104,7 @@ def test_each_thread_has_its_own_limit() -> None:
     desk = Desk((2.0, 60.0), (1.0, 60.0))
     assert [line.partition(":")[0] for line in desk.run(1.1)] == ["no line was entered at desk within 1 s"]
     assert [line.partition(":")[0] for line in desk.run(1.0)] == ["no line was entered at desk within 2 s"]
-    assert desk.given.enter("late", is_kept=False) == NO_READER
+    assert desk.given.enter("late", is_kept=False, agent="desk") == NO_READER.format(agent="desk")
 
 
 def test_a_read_in_init_is_a_pause_and_ends_the_line_of_its_question() -> None:

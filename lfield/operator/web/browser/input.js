@@ -1,35 +1,43 @@
-// A field for each host at which an agent waits for a line of input (`read`). `at` is the time of the snapshot by the
-// server's clock, `taken` when it arrived by the clock of the page (ms).
+// A field for each agent that waits for a line of input (`read`). `at` is the time of the snapshot by the server's clock,
+// `taken` when it arrived by the clock of the page (ms).
 import { enter } from "lfield-watch";
 
 export default {
   props: { hosts: Array, at: Number, taken: Number, denied: String },
   template: `
-  <section v-if="waiting.length" class="panel input" aria-label="Input">
-    <form v-for="host in waiting" :key="host.host" :data-testid="'input-' + host.host" @submit.prevent="send(host.host)">
-      <label>{{ host.reads[0] }} at {{ host.host }} waits for a line
-        <input v-model="texts[host.host]" :data-testid="'line-' + host.host" :disabled="!host.linked || Boolean(denied)" :title="denied"
+  <section v-if="waiting.length || trouble" class="panel input" aria-label="Input">
+    <form v-for="each in waiting" :key="each.agent" :data-testid="'input-' + each.agent" @submit.prevent="send(each)">
+      <label>{{ each.agent }} at {{ each.host }} waits for a line
+        <input v-model="texts[each.agent]" :data-testid="'type-' + each.agent" :disabled="!each.linked || Boolean(denied)" :title="denied"
                autocomplete="off" spellcheck="false" maxlength="1024"/></label>
-      <button type="submit" :disabled="!host.linked || Boolean(denied) || sending">Enter</button>
-      <p v-if="troubles[host.host]" class="bad" role="alert">{{ troubles[host.host] }}</p>
+      <button type="submit" :disabled="!each.linked || Boolean(denied) || sending">Enter</button>
     </form>
+    <p v-if="trouble" class="bad" role="alert" data-testid="input-trouble">{{ trouble }}</p>
   </section>`,
-  data: () => ({ texts: {}, troubles: {}, sending: false }),
+  data: () => ({ texts: {}, trouble: "", sending: false }),
   computed: {
+    // In the order of their names: a field that is moved loses the focus.
     waiting() {
-      return this.hosts.filter((host) => host.reads.length);
+      return this.hosts.flatMap(({ host, linked, reads }) => [...reads].sort().map((agent) => ({ host, linked, agent })));
+    },
+  },
+  watch: {
+    // A text that was typed for a question is no answer to the next one.
+    waiting(now) {
+      const agents = new Set(now.map((each) => each.agent));
+      for (const agent of Object.keys(this.texts)) if (!agents.has(agent)) delete this.texts[agent];
     },
   },
   methods: {
-    async send(host) {
+    async send({ host, agent }) {
       const pressed = this.at === null ? null : this.at + (performance.now() - this.taken) / 1000;
       this.sending = true;
       try {
-        await enter(host, this.texts[host] ?? "", pressed);
-        this.texts = { ...this.texts, [host]: "" };
-        this.troubles = { ...this.troubles, [host]: "" };
+        await enter(host, agent, this.texts[agent] ?? "", pressed);
+        delete this.texts[agent];
+        this.trouble = "";
       } catch (error) {
-        this.troubles = { ...this.troubles, [host]: error.message };
+        this.trouble = error.message;
       }
       this.sending = false;
     },

@@ -28,7 +28,7 @@ function post(path, body) {
 export const act = (action, pressed) => post("act", { action, pressed });
 
 // A line of input for an agent of a host that waits for one.
-export const enter = (host, text, pressed) => post("type", { host, text, pressed });
+export const enter = (host, agent, text, pressed) => post("type", { host, agent, text, pressed });
 
 export const ask = (text) => post("query", { text });
 
