@@ -271,8 +271,9 @@ def _dispatch(arguments: list[str]) -> int:
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((argument for argument in arguments if not argument.startswith("-")), "")
-    for name, purpose in COMMANDS.items():
-        subparser = commands.add_parser(name, **action_help(purpose))
+    # The parsers of all forty commands take longer than many commands: they are for --help and mistakes only.
+    for name in arguments[:1] if chosen in COMMANDS and arguments[0] == chosen else COMMANDS:
+        subparser = commands.add_parser(name, **action_help(COMMANDS[name]))
         # Only the chosen command is imported, so that small commands start fast.
         if name == chosen:
             _command(name).add_arguments(subparser)

@@ -17,7 +17,8 @@ pytestmark = pytest.mark.process
 PROGRAM = """
 resource Copter {
     Mavlink fc;
-    init(string[] arg) {
+    init(string[] arg) { }
+    portal fly() {
         fc.arm();
         fc.takeoff(2.0);
         write("flies\\n");
@@ -26,7 +27,7 @@ resource Copter {
     }
 }
 resource Post { init(string[] arg) { } portal greet() { write("greeted\\n"); } }
-coordinator Guest { init(string[] arg) { findPost("here").greet(); sleep(1000.0); } }
+coordinator Guest { init(string[] arg) { findPost("here").greet(); findCopter("lead").fly(); } }
 """
 DEPLOYMENT = "//Copter:lead@alpha\n//Post:here@alpha\n//Guest:tom@charlie\n//@bravo\n"
 KINDS = ("pings", "records", "gossip", "rooms", "transfers", "turns", "oversize", "handshakes")
@@ -67,11 +68,12 @@ def test_a_flooding_member_does_not_block_others_and_is_named(lfield, alone, kin
     team = ("--deploy", deployment, *maps)
     up = ("up", *team, "--sim", "--first-start", "--host")
     alpha = lfield.start(*up, "alpha", env=alone)
-    alpha.wait_for("flies")
+    alpha.wait_for("alpha listening")
     with flooding(lfield, int(maps[1].rpartition(":")[2]), kind) as flood:
         linked = flood.next("linked")
         lfield.start(*up, "charlie", env=alone)
         alpha.wait_for("greeted")
+        alpha.wait_for("flies")
         alpha.wait_for(r"host bravo at 127\.0\.0\.1 disconnected: .*; bravo is accept")
         if kind != "handshakes":
             assert flood.next("closed") - linked >= 5.0
