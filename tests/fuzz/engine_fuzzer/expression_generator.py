@@ -72,7 +72,12 @@ FORMS: dict[str, tuple[str, ...]] = {
             "(# == null)|string!",
         ),
         *("(!#)|boolean", "(# && #)|boolean boolean", "(# || #)|boolean boolean", "(# == #)|boolean boolean"),
-        *("(# != #)|boolean boolean", "#.b|Node!"),
+        *(
+            "(# != #)|boolean boolean",
+            "#.b|Node!",
+            "(# || #)|boolean* boolean*",
+            "(# && #)|boolean* boolean*",
+        ),
     ),
     "string": (
         *("(# + #)|string string", "#.substring(#, #)|string! int int", "i2s(#)|int", "f2s(#)|real"),

@@ -97,6 +97,8 @@ def _orders(bodies: list[ProgramPiece]) -> ProgramPiece:
     return ProgramPiece("", [text for name, text in _ORDERS.items() if f".sort({name})" in used])
 
 
+#: Statements of a method, and levels of them: most programs are small, as they are run in less time.
+_SIZES = (*((1, 1),) * 4, *((1, 2),) * 2, *((2, 1),) * 2, (2, 2), (3, 2))
 #: What only the machine can carry out: in every unit, in coordinators, in resources.
 _WAITS = (
     *("yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|", "r0 = now();|"),
@@ -137,7 +139,7 @@ _OTHER = "// deploy: Store:other\n"
 class _ProgramGenerator:
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
-        self.size, self.depth = rng.choice(((1, 1), (1, 1), (1, 2), (2, 1), (2, 2), (3, 2)))
+        self.size, self.depth = rng.choice(_SIZES)
         self.portals = rng.choice((1, 2))
         #: By unit, its methods by the type they give: what an expression may call.
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}

@@ -1,8 +1,8 @@
 """Cheap machine code for the fuzzer: what it compares is the lowering of L, not the optimiser of wasmtime.
 
-Code without optimisation is compiled in less than half of the time. In a mutant, methods that have not changed
-are left to the reference engine in part, as a method is that WebAssembly does not support: then the engines
-also take over from each other at calls, returns and exceptions.
+Code without optimisation takes less than half of the time to compile. In a mutant, methods that have not
+changed are left to the reference engine in part, as methods are that WebAssembly does not support: then the
+engines also take over from each other at calls, returns and exceptions.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from lfield.vm.wasm.wasm_compiler import settings
 #: What differs from the settings of the product; values that are not in registers need more stack.
 _SETTINGS = {"cranelift_opt_level": "none", "max_wasm_stack": 2 * STACK}
 #: Share of the unchanged methods of a mutant that are compiled.
-_COMPILED = 0.4
+_COMPILED = 0.3
 _recent: OrderedDict[object, object] = OrderedDict()
 #: A program is prepared once for both engines.
 _prepared = lru_cache(maxsize=2)(prepare)
