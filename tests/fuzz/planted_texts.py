@@ -14,6 +14,7 @@ from unittest.mock import patch
 
 from engine_fuzzer.engine_trial import compiled, run_trial
 from engine_fuzzer.program_generator import random_program
+from engine_fuzzer.quick_code import quick_code
 from lfield.vm.wasm import machine_code
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 from lfield.vm.wasm.lowering.module_lowering import WasmModule, lower_program
@@ -129,7 +130,7 @@ def planted(fault: Fault) -> Iterator[None]:
 
 def finder(fault: Fault, count: int) -> int | None:
     """The first of so many programs that finds it, None if none does; who cannot are not tried."""
-    with planted(fault):
+    with quick_code(), planted(fault):
         for seed in range(count):
             text = random_program(random.Random(seed)).text()
             if fault.needs in text and run_trial(compiled(text), text, seed, EagerWasmEngine).differences:

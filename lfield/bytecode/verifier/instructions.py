@@ -34,10 +34,11 @@ def check_code(program: Program) -> None:
     """Check the instructions of every method; all records have been checked already."""
     types = TypeTable(program.core)
     for index in range(len(program.core.methods)):
-        _check_method(MethodView(program.core, types, index), program.quads)
+        check_method(MethodView(program.core, types, index), program.quads)
 
 
-def _check_method(view: MethodView, quads: tuple[Quad, ...]) -> None:
+def check_method(view: MethodView, quads: tuple[Quad, ...]) -> None:
+    """Check the instructions and the handlers of one method."""
     entry, end = view.method.entry, view.method.end
     if quads[entry] != Quad(_FRAME, view.index, 0, 0):
         raise view.refused(entry, "it does not start with its frame")

@@ -13,13 +13,15 @@ import random
 import re
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from engine_fuzzer.engine_trial import TrialOutcome, compiled, run_trial
-from engine_fuzzer.mutations import Edit, edited, random_edits
+from engine_fuzzer.mutations import Edit, changed_methods, edited, random_edits
 from engine_fuzzer.program_generator import random_program
 from engine_fuzzer.program_shrinker import shrink, shrunk_edits
 from engine_fuzzer.program_tree import ProgramPiece
+from engine_fuzzer.quick_code import partly_compiled, quick_code
 from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import Program
 from lfield.errors import ProgramError
@@ -28,6 +30,8 @@ from lfield.vm.engine_interface import Engines
 
 #: Seconds between two lines of progress.
 _EVERY = 20.0
+#: Which seeds are compiled with the settings of the product.
+_OPTIMISED_EVERY = 20
 
 
 @dataclass
@@ -65,6 +69,10 @@ class EngineFuzzer:
 
         A KeyboardInterrupt meanwhile is raised after the second report, with the reduction of that moment.
         """
+        with nullcontext() if seed % _OPTIMISED_EVERY == 0 else quick_code():
+            yield from self._trials(seed)
+
+    def _trials(self, seed: int) -> Iterator[str]:
         piece = random_program(random.Random(seed))
         text = piece.text()
         program = compiled(text)
@@ -78,7 +86,8 @@ class EngineFuzzer:
         for number in range(self._mutants):
             dice = random.Random(f"{seed} {number}")
             mutant, edits = random_edits(program, dice, dice.choice((1, 1, 2, 4)), mutant, edits)
-            outcome = run_trial(mutant, text, seed + number, self._engines)
+            with partly_compiled(changed_methods(mutant, edits)):
+                outcome = run_trial(mutant, text, seed + number, self._engines)
             self.tally.add(outcome)
             if outcome.differences:
                 yield self._found(f"seed {seed}, mutant {number}", seed, outcome)
@@ -110,7 +119,10 @@ class EngineFuzzer:
 
         def shows(kept: list[Edit]) -> bool:
             mutant = edited(program, kept)
-            return mutant is not None and smallest.shows(mutant, text, "\n".join(map(str, kept)))
+            if mutant is None:
+                return False
+            with partly_compiled(changed_methods(mutant, kept)):
+                return smallest.shows(mutant, text, "\n".join(map(str, kept)))
 
         return smallest.after(lambda: shrunk_edits(edits, shows))
 

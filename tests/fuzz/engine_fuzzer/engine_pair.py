@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
+from engine_fuzzer.quick_code import prepared_once
 from engine_fuzzer.space_pair import SpacePair
 from lfield.bytecode.program import Program
 from lfield.vm.engine_interface import (
@@ -46,9 +47,10 @@ class EnginePair(EngineWrapper):
         rng: random.Random,
         longest: int,
     ) -> None:
-        self.reference = Reference(program, now)
+        with prepared_once():
+            self.reference = Reference(program, now)
+            self.tried: Engine = engines(program, now)
         super().__init__(self.reference)
-        self.tried: Engine = engines(program, now)
         self._space = SpacePair(self.tried.space, self._differs)
         self.differences: list[str] = []
         self.done, self.exits = 0, 0

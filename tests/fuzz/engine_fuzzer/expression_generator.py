@@ -72,7 +72,12 @@ FORMS: dict[str, tuple[str, ...]] = {
             "(# == null)|string!",
         ),
         *("(!#)|boolean", "(# && #)|boolean boolean", "(# || #)|boolean boolean", "(# == #)|boolean boolean"),
-        *("(# != #)|boolean boolean", "#.b|Node!"),
+        *(
+            "(# != #)|boolean boolean",
+            "#.b|Node!",
+            "(# || #)|boolean* boolean*",
+            "(# && #)|boolean* boolean*",
+        ),
     ),
     "string": (
         *("(# + #)|string string", "#.substring(#, #)|string! int int", "i2s(#)|int", "f2s(#)|real"),
@@ -85,9 +90,10 @@ FORMS: dict[str, tuple[str, ...]] = {
         *("f2s(#, #)|real int", "b2s(#)|boolean", "#.s|Node!"),
     ),
     "Node": ("(new Node(#))|int", "#.next|Node!", "#[#]|Node[]! int", "#[1]|Node[]!"),
-    "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|"),
-    "real[]": ("(new real[#])|int", "(new real[4])|"),
-    "Node[]": ("(new Node[#])|int", "(new Node[2])|"),
+    "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|", "(new int[] {#, #})|int int"),
+    "real[]": ("(new real[#])|int", "(new real[4])|", "(new real[] {#, 0.5, #})|real real"),
+    "Node[]": ("(new Node[#])|int", "(new Node[2])|", "(new Node[] {#, null, o0})|Node"),
+    "string[]": ("(new string[2])|", "(new string[] {#, #})|string string"),
     "Store": ("all[#]|int", 'findStore("store")|'),
 }
 
@@ -100,15 +106,20 @@ GROWTH_FORMS: dict[str, tuple[str, ...]] = {
     "real": ("#.pop()|real[]*", "#.remove(#)|real[]* int"),
     "boolean": (
         *("#.contains(#)|int[]! int", "#.contains(#)|Node[]! Node", "#.contains(#)|real[]! real"),
-        *("m0.contains(#)|string", "m1.contains(#)|int"),
+        *("m0.contains(#)|string", "m1.contains(#)|int", "#.contains(#)|string[]! string"),
     ),
+    "string": ("#[#]|string[]! int", "#[0]|string[]!", "#.pop()|string[]*", "#.remove(#)|string[]* int"),
     "Node": ("#.pop()|Node[]*", "#.remove(0)|Node[]*", "m1[#]|int", "m1.remove(#)|int"),
-    "int[]": ("#.slice(#, #)|int[]! int int", "#.slice(0, 2)|int[]!", "(new int[0])|"),
+    "int[]": (
+        *("#.slice(#, #)|int[]! int int", "#.slice(0, 2)|int[]!", "(new int[0])|"),
+        *("m2[#]|string", "m2.remove(#)|string"),
+    ),
     "real[]": ("#.slice(1, 3)|real[]!",),
     "Node[]": ("#.slice(0, #)|Node[]! int",),
+    "string[]": ("#.slice(1, #)|string[]! int", "m0.keys()|", "m2.keys()|"),
 }
 
-_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "Store", "string")
+_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "string[]", "Store", "string")
 
 
 class ExpressionGenerator:

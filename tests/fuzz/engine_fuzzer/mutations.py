@@ -6,17 +6,25 @@ in places where L has none.
 
 from __future__ import annotations
 
+import hashlib
 import random
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
 
-from lfield.bytecode.encoding import assemble
+from lfield.bytecode.encoding import encode_core
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, TABLE
 from lfield.bytecode.program import Core, Handler, MethodRecord, Program, Quad, encode_quads
+from lfield.bytecode.verifier.instructions import check_method
+from lfield.bytecode.verifier.methods import check_methods
+from lfield.bytecode.verifier.operands import MethodView
+from lfield.bytecode.verifier.record_checks import check_constants
+from lfield.bytecode.verifier.type_table import TypeTable
 from lfield.errors import ProgramFileError
 from lfield.vm.memory.word_codec import real_from_bits
+from lfield.vm.wasm.lowering.module_lowering import called_methods
 
 #: Numbers that constants become.
 _INTS = (0, 1, -1, 2, 3, 7, 63, 64, 1 << 31, (1 << 53) + 1, (1 << 63) - 1, -(1 << 63))
@@ -29,7 +37,7 @@ _FAMILIES: dict[tuple[object, ...], list[int]] = {}
 for _row in TABLE:
     if not _row.leaves_engine:
         _FAMILIES.setdefault((_row.operands, _row.argument_kinds, _row.result_kind), []).append(_row.code)
-_FRAME = BY_NAME["frame"].code
+_FRAME, _LOAD_STRING = BY_NAME["frame"].code, BY_NAME["lds"].code
 
 
 @dataclass(frozen=True)
@@ -52,8 +60,11 @@ class Edit:
         return f"{what} {self.at} is {self.value}"
 
 
-def edited(program: Program, edits: list[Edit]) -> Program | None:
-    """The program after these changes; None when the verifier refuses it."""
+def edited(program: Program, edits: Sequence[Edit], accepted: int = 0) -> Program | None:
+    """The program after these changes, of which so many were accepted before; None if the verifier refuses.
+
+    Only what the other changes affect is verified.
+    """
     quads, constants = list(program.quads), list(program.core.constants)
     methods = list(program.core.methods)
     for edit in edits:
@@ -69,10 +80,41 @@ def edited(program: Program, edits: list[Edit]) -> Program | None:
     new = Core(
         core.types, tuple(constants), core.classes, tuple(methods), core.device_calls, encode_quads(quads)
     )
+    digest = hashlib.sha256(encode_core(Program(new, program.debug, b""))).digest()
+    made = Program(new, program.debug, digest)
     try:
-        return assemble(new, program.debug)
+        _verify(made, edits[accepted:])
     except ProgramFileError:
         return None
+    return made
+
+
+def _verify(program: Program, edits: Sequence[Edit]) -> None:
+    """What these changes affect; a constant keeps its type."""
+    check_constants(program.core)
+    if any(isinstance(edit.value, MethodRecord) for edit in edits):
+        check_methods(program.core)
+    types = TypeTable(program.core)
+    for index in changed_methods(program, edits):
+        check_method(MethodView(program.core, types, index), program.quads)
+
+
+def changed_methods(program: Program, edits: Sequence[Edit]) -> set[int]:
+    """The methods of which a change affects the code: those with a constant too."""
+    entries = [method.entry for method in program.core.methods]
+    found = set()
+    for edit in edits:
+        if edit.constant:
+            used = -1 - edit.at
+            users = [pc for pc, quad in enumerate(program.quads) if used in quad or _loads(quad, edit)]
+            found.update(bisect(entries, pc) - 1 for pc in users)
+        else:
+            found.add(edit.at if isinstance(edit.value, MethodRecord) else bisect(entries, edit.at) - 1)
+    return found
+
+
+def _loads(quad: Quad, edit: Edit) -> bool:
+    return quad.op == _LOAD_STRING and quad.b == edit.at
 
 
 def random_edits(
@@ -91,7 +133,7 @@ def random_edits(
         if len(kept) >= len(earlier) + count:
             break
         edit = _drawn(found, rng)
-        changed = None if edit is None else edited(program, [*kept, edit])
+        changed = None if edit is None else edited(program, [*kept, edit], len(kept))
         if edit is not None and changed is not None:
             kept.append(edit)
             found = changed
@@ -100,7 +142,7 @@ def random_edits(
 
 def _drawn(program: Program, rng: random.Random) -> Edit | None:
     core = program.core
-    number = rng.randrange(len(core.methods))
+    number = rng.choice(called_methods(program))
     method = core.methods[number]
     at = rng.randrange(method.entry, method.end)
     match rng.randrange(12):

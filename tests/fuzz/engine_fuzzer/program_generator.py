@@ -35,6 +35,7 @@ _LOCALS = (
     ),
     *(("Node", "o0", "new Node(n)"), ("Node", "o1", "new Node(7)"), ("int[]", "v0", "new int[4]")),
     *(("map<string, int>", "m0", "new map<string, int>()"), ("map<int, Node>", "m1", "new map<int, Node>()")),
+    *(("map<string, int[]>", "m2", "new map<string, int[]>()"), ("string[]", "z0", "new string[3]")),
     *(("int[]", "v1", "o0.a"), ("real[]", "w0", "new real[3]"), ("Node[]", "q0", "new Node[2]")),
 )
 _VARIABLES: dict[str, tuple[str, ...]] = {
@@ -47,29 +48,33 @@ _PAUSES = ("sleep(0.25);", "yield();", "sleep(i2f(n) / 4.0);")
 #: What every method takes: how deep calls may go yet, and some values.
 _PARAMETERS = "int d, int n, real x, Node p"
 
+#: What the arrays of a unit are sorted by; some throw.
+_ORDERS = {
+    "before": "private boolean before(Node v, Node w) { return v.n < w.n; }",
+    "key": "private real key(Node v) { return v.r; }",
+    "torn": "private boolean torn(Node v, Node w) { return 7 / (v.n - w.n) > v.next.n; }",
+    "part": "private int part(Node v) { if (v.n == 3) throw v; return v.a[1] % 5; }",
+}
 _NODE = """class Node {
 public int n; public real r; public boolean b; public string s; public Node next; public int[] a;
 public Node(int k) {
 n = k; r = i2f(k) / 3.0; a = new int[3]; a[1] = k; if (k > 5) next = new Node(k / 2 - 1); }
 public Node link(int k, Node o) { next = o; n = n + k; return this; }
 public int dive(int k) { int m = k + 1; return dive(m) - k; }
-private boolean before(Node v, Node w) { return v.n < w.n; }
-private real key(Node v) { return v.r; }
+#
 #
 }"""
 _RESOURCE = """resource Store {
 int n; real x; Node p; string s;
-private boolean before(Node v, Node w) { return v.n < w.n; }
-private real key(Node v) { return v.r; }
+#
 #
 #
 #
 }"""
 _COORDINATOR = """coordinator Walker {
 Store st; Store[] all; int n; real x; Node p;
-private boolean before(Node v, Node w) { return v.n < w.n; }
-private real key(Node v) { return v.r; }
 private boolean big(int k) { return k > 3; }
+#
 #
 #
 }"""
@@ -86,6 +91,14 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
     return found
 
 
+def _orders(bodies: list[ProgramPiece]) -> ProgramPiece:
+    """What arrays are sorted by in these methods."""
+    used = "".join(body.text() for body in bodies)
+    return ProgramPiece("", [text for name, text in _ORDERS.items() if f".sort({name})" in used])
+
+
+#: Statements of a method, and levels of them: most programs are small, as they are run in less time.
+_SIZES = (*((1, 1),) * 4, *((1, 2),) * 2, *((2, 1),) * 2, (2, 2), (3, 2))
 #: What only the machine can carry out: in every unit, in coordinators, in resources.
 _WAITS = (
     *("yield();|", "print(#);|int", "sleep(0.25);|", "r1 = random();|", "i2 = random(5);|", "r0 = now();|"),
@@ -94,6 +107,7 @@ _OF_WALKERS = (
     "r1 = lived();|",
     "heartbeatInterval(#);|real",
     "all = findStore();|",
+    "for (Store k6 : findStore()) s0 += k6.agent();|",
     # The checker refuses a literal that is empty (L427); engines look up an empty id like any other.
     'st = findStore("" + #);|string',
     # One of them is startable.
@@ -125,7 +139,7 @@ _OTHER = "// deploy: Store:other\n"
 class _ProgramGenerator:
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
-        self.size, self.depth = rng.choice(((1, 1), (1, 1), (1, 2), (2, 1), (2, 2), (3, 2)))
+        self.size, self.depth = rng.choice(_SIZES)
         self.portals = rng.choice((1, 2))
         #: By unit, its methods by the type they give: what an expression may call.
         self.methods = {unit: self._names(unit) for unit in ("Node", "Store", "Walker")}
@@ -151,9 +165,16 @@ class _ProgramGenerator:
             "// deploy: Store:store\n#// deploy: Walker:one?1\n// deploy: Walker:two?2\n"
             "// startable: Walker:third?3\n#\n#\n#\n",
             other,
-            written("", _NODE, ProgramPiece("", list(node))),
-            written("", _RESOURCE, init, ProgramPiece("", [*store, *portals]), ProgramPiece("", list(loops))),
-            written("", _COORDINATOR, start, ProgramPiece("", list(walker))),
+            written("", _NODE, _orders(node), ProgramPiece("", list(node))),
+            written(
+                "",
+                _RESOURCE,
+                _orders([init, *store, *portals, *loops]),
+                init,
+                ProgramPiece("", [*store, *portals]),
+                ProgramPiece("", list(loops)),
+            ),
+            written("", _COORDINATOR, _orders([start, *walker]), start, ProgramPiece("", list(walker))),
         )
 
     def _all(self, unit: str) -> list[tuple[str, str]]:
@@ -194,6 +215,9 @@ class _ProgramGenerator:
         if walks:
             body += [statements.wait() for _ in range(2)]
         if guarded:
+            own = [(kind, f"{name}(d - 1, #, #, #)|int real Node") for kind, name in self._all(unit)]
+            calls = [(kind, expressions.form(kind, form, 1)) for kind, form in own]
+            body += [written("", f"{variables[kind][0]} = #;", call) for kind, call in calls]
             rounds = self.rng.choice((1, 3, 10) if unit == "Walker" else (1, 2))
             often = f"for (int k8 = 0; k8 < {rounds}; k8 = k8 + 1) {{ # }}"
             body = [written("", often, [self._guarded(piece) for piece in body])]
@@ -290,6 +314,11 @@ int attempted(string s) {
 try { return Phase.of(s).ordinal(); }
 catch (ConversionException e) { return s.length(); } finally { s = ""; } }
 """
+#: The names of these declarations; a name may have several.
+_NAMED = {
+    declared: re.findall(r"(\w+)(?: =| \{|\()", declared)[0]
+    for declared in re.split(r"\n+(?=const |enum |\w[\w\[\]]* \w+\()", _TOP_LEVEL.strip())
+}
 #: By type, what an expression becomes: `#` is what it was.
 _TOP_LEVEL_FORMS = {
     "int": (
@@ -324,7 +353,16 @@ def _with_top_level(program: ProgramPiece) -> ProgramPiece:
         piece.parts = written(
             piece.kind, form, *([ProgramPiece(piece.kind, piece.parts)] * form.count("#"))
         ).parts
-    return written("", "##", program, ProgramPiece("", [_TOP_LEVEL]))
+    return written("", "##", program, ProgramPiece("", [_declarations(program.text())]))
+
+
+def _declarations(text: str) -> str:
+    """Those of _TOP_LEVEL that a text uses, and those that they use."""
+    names: set[str] = set()
+    while used := {name for name in {*_NAMED.values()} - names if re.search(rf"\b{name}\b", text)}:
+        names |= used
+        text = "\n".join(declared for declared, name in _NAMED.items() if name in used)
+    return "".join(f"\n{declared}\n" for declared, name in _NAMED.items() if name in names)
 
 
 def _values(program: ProgramPiece) -> Iterator[ProgramPiece]:

@@ -15,6 +15,7 @@ PLAIN = {
     "int[]": "null",
     "real[]": "null",
     "Node[]": "null",
+    "string[]": "null",
     "Store": "st",
 }
 

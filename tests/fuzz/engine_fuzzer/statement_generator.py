@@ -22,9 +22,9 @@ _TARGETS: dict[str, tuple[str, ...]] = {
     "int": ("#.n|Node*", "#[#]|int[]* int", "#[0]|int[]*", "#[# % 3]|int[]* int"),
     "real": ("#.r|Node*", "#[#]|real[]* int", "#[1]|real[]*", "#[# % 3]|real[]* int"),
     "boolean": ("#.b|Node*",),
-    "string": ("#.s|Node*",),
     "Node": ("#.next|Node*", "#[#]|Node[]* int", "#[1]|Node[]*"),
     "int[]": ("#.a|Node*",),
+    "string": ("#.s|Node*", "#[#]|string[]* int", "#[0]|string[]*"),
 }
 #: What makes an array longer or shorter, and sorts it; most of them often enough for several capacities.
 _GROWING = (
@@ -32,18 +32,35 @@ _GROWING = (
     *("#.insert(#, #);|int[]* int int", "#.insert(0, #);|real[]* real", "#.insert(1, #);|Node[]* Node"),
     *("#.pop();|int[]*", "#.remove(#);|real[]* int", "#.sort();|int[]*", "#.sort();|real[]*"),
     *("#.sort(before);|Node[]*", "#.sort(key);|Node[]*", "#.a.append(#);|Node* int"),
+    # What compares, and the key of an object, may throw.
+    *("#.sort(torn);|Node[]*", "#.sort(part);|Node[]*"),
+    *("#.append(#);|string[]* string", "#.insert(#, #);|string[]* int string", "#.sort();|string[]*"),
     *(
         "m0[#] = #;|string int",
         "m0[#] += #;|string int",
         "m1[#] = #;|int Node",
         "m1 = new map<int, Node>();|",
     ),
+    *("m2[#] = #;|string int[]", "m2[#].append(#);|string int", "m2[#] = #.slice(0, 1);|string int[]!"),
     *("for (string k6 : m0) s1 = s1 + k6;|", "for (int k6 : m1) i1 = i1 + k6;|", "q0 = m1.values();|"),
+    # The keys of a map are those at the start of a loop.
+    *("for (string k6 : m0) i0 = i0 + m0.remove(k6);|", "for (int k6 : m1) if (#) m1.remove(k6);|boolean"),
+    *("for (int k6 : m1) m1[k6 * 3 - 1] = #;|Node", "for (string k6 : m2) m2[k6].append(m2.length());|"),
+    *("for (string k6 : #) m0[k6] = i1;|string[]!", "for (Node k6 : #) i2 += k6.n;|Node[]!"),
+    *("for (real k6 : #) r0 += k6;|real[]!", "for (int k6 : #) m2[i2s(k6 % 4)] = #;|int[]! int[]"),
     "for (int k7 = 0; k7 < 9; k7 = k7 + 1) m0[i2s(k7 * #)] = k7;|int",
     "for (int k7 = 0; k7 < 9; k7 = k7 + 1) m1[k7 * #] = #;|int Node",
     "for (int k7 = 0; k7 < 9; k7 = k7 + 1) #.append(k7 + #);|int[]* int",
     "for (int k7 = 0; k7 < 9; k7 = k7 + 1) #.insert(#, i2f(k7));|real[]* int",
 )
+
+
+#: By type, how values are assigned.
+_ASSIGNMENTS = {
+    "int": ("=", "=", "=", "+=", "-=", "*=", "/=", "%="),
+    "real": ("=", "=", "=", "+=", "-=", "*=", "/=", "%="),
+    "string": ("=", "=", "+="),
+}
 
 
 class StatementGenerator:
@@ -83,7 +100,8 @@ class StatementGenerator:
         match chosen := self.rng.choice(flat + deep * 2):
             case "assign":
                 kind = self.rng.choice(list(self._own))
-                return written("", f"{self.rng.choice(self._own[kind])} = #;", draw(kind))
+                sign = self.rng.choice(_ASSIGNMENTS.get(kind, ("=",)))
+                return written("", f"{self.rng.choice(self._own[kind])} {sign} #;", draw(kind))
             case "element":
                 return self._element()
             case "grow":
@@ -156,6 +174,9 @@ class StatementGenerator:
         if self.rng.random() < 0.2:
             return written("", "while (#) { # }", self.expressions.draw("boolean"), self._looped(body, ""))
         name, rounds = f"k{self._loops}", self.rng.choice((2, 3, 5, 20))
+        if self.expressions.grows and self.rng.random() < 0.3:
+            each = self.expressions.form("int[]", "#|int[]*", 1)
+            return written("", f"for (int {name} : #) {{ # }}", each, self._looped(body, name))
         form = f"for (int {name} = 0; {name} < {rounds}; {name} = {name} + 1) {{ # }}"
         return written("", form, self._looped(body, name))
 

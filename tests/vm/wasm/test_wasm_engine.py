@@ -354,3 +354,22 @@ def test_the_result_of_a_thread_is_its_word() -> None:
         assert isinstance(leave, ThreadDone)
         words.append((leave.word, bytes(block.image())))
     assert words[0] == words[1]
+
+
+def test_no_code_is_made_for_methods_of_classes_that_no_method_calls() -> None:
+    """Most missions use few methods of a map; all of resources and coordinators are compiled."""
+    program = compile_text(
+        """
+        resource R {
+          init(string[] arg) { map<string, int> m = new map<string, int>(); m["a"] = 3; print(m["a"]); }
+          private void alone() { }
+        }
+        """
+    )
+    engine = Engine(program, ManualClock().now)
+    methods = {m.name: range(m.entry, m.end) for m in program.core.methods}
+    compiled = {name for name, code in methods.items() if any(pc in engine.points for pc in code)}
+    assert {"init", "alone", "get", "set", "move"} <= compiled
+    assert methods.keys() - compiled == {"remove", "keys", "values", "contains", "length"}
+    desk, _ = machine_of(program, Engine)
+    assert desk.output == ["3"]

@@ -48,6 +48,7 @@ from lfield.vm.wasm.lowering.operand_lowering import (
     null_purpose,
     real_constant,
     reference_to,
+    row_lines,
     row_name,
 )
 from lfield.vm.wasm.lowering.resume_graph import ROOT, ResumeGraph, ResumeSwitch, ResumeTest
@@ -190,7 +191,7 @@ class MethodLowering:
         return ["block $no", where, f"br_table {' '.join(labels)} $no", "end", "unreachable"]
 
     def _run(self, run: BasicBlock, go: Go) -> list[Item]:
-        lines: list[Item] = []
+        lines: list[str] = []
         scope = self.slots.scope
         if run.pc in self.points:
             lines.append(f"({scope}.set $resume (i32.const 0))")
@@ -202,7 +203,8 @@ class MethodLowering:
             ]
         for done, i in enumerate(run.work):
             lines += [*self._noted(i.pc, i.after), *self._lowered(i, cost - done)]
-        return [*lines, *self._noted(*run.last), *self._end(run, go)]
+        lines += self._noted(*run.last)
+        return ["\n".join(lines), *self._end(run, go)]
 
     def _noted(self, pc: int, after: int) -> list[str]:
         return [line for number in range(pc, after) for line in self._notes.get(number, ())]
@@ -251,8 +253,7 @@ class MethodLowering:
         """The lines of the instruction's row, with its operands."""
         operands = self._operands(i)
         lines = []
-        for line in ROWS[row_name(self._prepared, self._method.slots, i)].strip().splitlines():
-            keyword, _, rest = line.strip().partition(" ")
+        for keyword, rest, line in row_lines(ROWS[row_name(self._prepared, self._method.slots, i)]):
             if keyword == "leave":
                 lines += self._leave(filled(rest, operands), i.pc, refund)
             elif keyword == "null":
@@ -269,7 +270,7 @@ class MethodLowering:
                 index = filled(rest, operands)
                 lines += [*self._index(index, _GROWABLE_LENGTH, i.pc, refund), element_address(index)]
             else:
-                lines.append(filled(line.strip(), operands))
+                lines.append(filled(line, operands))
         if "into" in operands:
             lines.append(self.slots.store_text(operands["into"]))
         return lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import Program
 from lfield.vm.reference.step_compiler import PreparedProgram
 from lfield.vm.wasm.lowering.instruction_table import MATHS, RUNTIME
@@ -20,6 +21,7 @@ from lfield.vm.wasm.stack_depth import deepest
 MAX_FUNCTION_TEXT = 15_000_000
 #: Start of its tables, after the registers.
 TABLES = 1024
+_CALL = BY_NAME["call"].code
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +76,25 @@ def low_bytes(program: Program) -> int:
     return LookupTables(program, TABLES).end
 
 
+def called_methods(program: Program) -> list[int]:
+    """All methods except those of classes that no method calls, such as most of a map's."""
+    core, quads = program.core, program.quads
+    pending = [i for i, method in enumerate(core.methods) if core.classes[method.owner].kind != "class"]
+    found = set(pending)
+    while pending:
+        method = core.methods[pending.pop()]
+        callees = {quad.a for quad in quads[method.entry : method.end] if quad.op == _CALL} - found
+        found |= callees
+        pending += callees
+    return sorted(found)
+
+
 def _methods(
     prepared: PreparedProgram, traps: TrapTable, unsupported: dict[int, str], notes: Notes
 ) -> dict[int, MethodLowering]:
-    """The methods that can be lowered, by number; the others are added to `unsupported`."""
+    """The methods that can be lowered, by number; the others that are called are added to `unsupported`."""
     methods: dict[int, MethodLowering] = {}
-    for index in range(len(prepared.program.core.methods)):
+    for index in called_methods(prepared.program):
         try:
             methods[index] = MethodLowering(prepared, index, traps, notes, methods)
         except Irreducible:
@@ -110,8 +125,8 @@ def _deepest(methods: dict[int, MethodLowering]) -> int:
 
 def _strings(data: bytes) -> str:
     """Bytes as strings of the text format, four words per line."""
-    pieces = ("".join(f"\\{byte:02x}" for byte in data[at : at + 32]) for at in range(0, len(data), 32))
-    return "\n".join(f'"{piece}"' for piece in pieces)
+    pieces = (data[at : at + 32].hex("\\") for at in range(0, len(data), 32))
+    return "\n".join(f'"\\{piece}"' for piece in pieces)
 
 
 def _entry(m: MethodLowering) -> str:

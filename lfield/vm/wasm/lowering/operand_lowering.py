@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from functools import cache
 from typing import Any
 
 from lfield.bytecode.program import GROWABLE, PROXY, Core
@@ -67,7 +68,22 @@ def text_words(text: str) -> list[int]:
 
 def filled(line: str, fields: dict[str, Any]) -> str:
     """A line with its braces filled."""
-    return _BRACES.sub(lambda found: str(fields[found[1]]), line)
+    pieces = list(_pieces(line))
+    pieces[1::2] = [str(fields[name]) for name in pieces[1::2]]
+    return "".join(pieces)
+
+
+@cache
+def _pieces(line: str) -> tuple[str, ...]:
+    """The texts of a line and the names in braces, in turn."""
+    return tuple(_BRACES.split(line))
+
+
+@cache
+def row_lines(row: str) -> tuple[tuple[str, str, str], ...]:
+    """The lines of a row, each with its first word and the rest of it."""
+    lines = [line.strip() for line in row.strip().splitlines()]
+    return tuple((*line.partition(" ")[::2], line) for line in lines)
 
 
 def reference_to(address: str) -> str:
