@@ -105,11 +105,19 @@ def test_survey_that_is_lost_with_the_computer_that_it_visits_is_recovered(lfiel
     path = deployment(tmp_path, 2, SMALL)
     small_team(path, 2)
     team = lfield_mission(path)
-    # Two calls begin, it returns to the base, and visits the first copter that has ended.
-    team.run(until=lambda: len(team.hops) == 4, at_most=survey_times.AT_MOST)
-    victim = team.hops[-1].target.replace("copter", "m")
+    source = path.with_name("mission.L").read_text().splitlines()
+    fetched = next(number for number, text in enumerate(source, 1) if '" is flown by "' in text)
+    victims = []
+
+    def crash():
+        """On the computer of the first copter at the end of its strip."""
+        victims.append(team.hops[-1].target)
+        team.crash(victims[0])
+
+    team.when(f"mission.L:{fetched}", crash)
+    team.run(until=lambda: bool(victims), at_most=survey_times.AT_MOST)
+    victim = victims[0].replace("copter", "m")
     other = {"m1": "m2", "m2": "m1"}[victim]
-    team.crash(team.hops[-1].target)
     finish(team, path, victim, other)
     assert team.said(f"{other} continues, strip ") == 1
 
