@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lfield.capability.program_types.registry_types import RegistryTypes
 from lfield.driver.plugins import discover
-from lfield.errors import InputFileError, LfieldError
+from lfield.errors import LfieldError
 from lfield.lang.capability_port import (
     CapabilityTypes,
     CompiledQuery,
@@ -20,7 +20,7 @@ from lfield.lang.includes import FindInclude
 from lfield.lang.syntax import ParsedFile
 from lfield.manifest import DeviceManifest
 from lfield.mission.loader import CAPABILITIES, registry_of_program, sibling_file
-from lfield.text.input_files import MAX_TEXT, read_bytes
+from lfield.text.input_files import MAX_TEXT, error_reason, invalid_byte, read_within
 from lfield.text.source_text import Diagnostic
 
 
@@ -30,8 +30,8 @@ class DiskFiles:
     def read(self, path: Path) -> str | None:
         """The text of a file, None if it cannot be read."""
         try:
-            return read_bytes(path, MAX_TEXT).decode("utf-8-sig")
-        except (InputFileError, UnicodeDecodeError):
+            return _text(path)
+        except (OSError, ValueError):
             return None
 
     def names(self, folder: Path) -> Sequence[str]:
@@ -40,6 +40,11 @@ class DiskFiles:
             return sorted(path.name for path in folder.iterdir())
         except OSError:
             return ()
+
+
+def _text(path: Path) -> str:
+    """The text of a file. Raises OSError or ValueError."""
+    return read_within(path, MAX_TEXT).decode("utf-8-sig")
 
 
 class InstalledEnvironment:
@@ -68,6 +73,19 @@ class InstalledEnvironment:
             for name, installed in sorted(self._plugins.by_driver.items())
             for source in installed.plugin.sources()
         ]
+
+    def read_problem(self, path: Path) -> str:
+        """Why a file cannot be read, '' if there is none."""
+        try:
+            _text(path)
+        except FileNotFoundError:
+            return ""
+        except UnicodeDecodeError as error:
+            where, byte = invalid_byte(str(path), error)
+            return f"it is not UTF-8 in line {where.line} (byte {byte})"
+        except (OSError, ValueError) as error:
+            return error_reason(error)
+        return ""
 
     def capabilities(self, program: Path) -> CapabilityTypes:
         """The registry of a program; without capabilities if it has errors, which `lfield check` reports."""

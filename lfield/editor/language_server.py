@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from cattrs import transform_error
 from lsprotocol import types
 from pygls import uris
-from pygls.exceptions import JsonRpcInvalidParams
+from pygls.exceptions import JsonRpcException, JsonRpcInvalidParams
 from pygls.lsp.server import LanguageServer
-from pygls.protocol import default_converter
+from pygls.protocol import LanguageServerProtocol, default_converter
+from pygls.protocol.json_rpc import JsonRPCRequestMessage
 
 from lfield import __version__
 from lfield.editor.outline import OutlineEntry
@@ -58,6 +60,8 @@ _OUTLINE_KINDS = {
     "agent": types.SymbolKind.Object,
     "witness": types.SymbolKind.Object,
 }
+#: Handles requests with malformed parameters.
+_MALFORMED = "lfield/malformed"
 #: Checks between two collections of garbage.
 _CHECKS_PER_COLLECTION = 50
 _JsonObject = dict[str, object]
@@ -74,6 +78,21 @@ def _converter() -> Any:
     return made
 
 
+class _Protocol(LanguageServerProtocol):
+    """The protocol of pygls, which leaves a request with malformed parameters without an answer."""
+
+    def structure_message(self, data: dict[str, Any]) -> Any:
+        """The message; for such a request one to the handler that refuses it."""
+        try:
+            return super().structure_message(data)
+        except JsonRpcException as error:
+            if not {"id", "method"} <= data.keys():
+                raise
+            reasons = [] if error.__cause__ is None else transform_error(error.__cause__, data["method"])
+            refusal = JsonRpcInvalidParams("; ".join(reasons) or str(error))
+            return JsonRPCRequestMessage(data["id"], _MALFORMED, "2.0", refusal)
+
+
 class LfieldServer:
     """The handlers of one server with one workspace.
 
@@ -82,7 +101,9 @@ class LfieldServer:
     """
 
     def __init__(self, workspace: Workspace) -> None:
-        self.server = LanguageServer("lfield", __version__, converter_factory=_converter)
+        self.server = LanguageServer(
+            "lfield", __version__, protocol_cls=_Protocol, converter_factory=_converter
+        )
         self._workspace = workspace
         self._checking: asyncio.Task[None] | None = None
         self._index: tuple[str, LineIndex] | None = None
@@ -103,6 +124,7 @@ class LfieldServer:
             types.TEXT_DOCUMENT_FORMATTING: self.formatting,
             types.TEXT_DOCUMENT_DOCUMENT_SYMBOL: self.document_symbols,
         }
+        handlers[_MALFORMED] = _refuse
         for feature, handler in handlers.items():
             self.server.feature(feature)(_function(handler))
         triggers = types.CompletionOptions(trigger_characters=[".", "<", "/", "@", "?", "&"])
@@ -260,6 +282,11 @@ class LfieldServer:
         return _Symbols(_document_symbol(one, index) for one in self._workspace.outline(path))
 
 
+def _refuse(refusal: JsonRpcInvalidParams) -> None:
+    """Answer a request with malformed parameters."""
+    raise refusal
+
+
 def _function(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A method as a function, to which pygls adds attributes."""
 
@@ -270,7 +297,9 @@ def _function(handler: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def _path(uri: str) -> Path:
-    return Path(uris.to_fs_path(uri) or uri)
+    path = Path(uris.to_fs_path(uri) or uri)
+    # A root is no file.
+    return path if path.name else Path("untitled:")
 
 
 def _range(index: LineIndex, start: int, end: int) -> types.Range:

@@ -43,6 +43,9 @@ class ProgramEnvironment(Protocol):
     def include_paths(self) -> list[str]:
         """What can be included with `include <path>`."""
 
+    def read_problem(self, path: Path) -> str:
+        """Why a file cannot be read, '' if there is none."""
+
     def capabilities(self, program: Path) -> CapabilityTypes:
         """The registry of a program."""
 
@@ -100,7 +103,7 @@ class ProgramModel:
             if text is None:
                 is_missing = True
                 if include is not None:
-                    self._include_findings.append(messages.INCLUDE_MISSING.at(include.span, path=path))
+                    self._include_findings.append(self._unread(include, path))
                 continue
             found[path] = file = self.files.get(path) or ProgramFile(str(path))
             is_changed |= file.update(text)
@@ -114,6 +117,11 @@ class ProgramModel:
         is_changed |= found.keys() != self.files.keys()
         self.files, self._is_missing = found, is_missing
         return is_changed, is_missing or any(part.file.broken for part in self.parts())
+
+    def _unread(self, include: Include, path: Path) -> Diagnostic:
+        if reason := self.environment.read_problem(path):
+            return messages.INCLUDE_UNREADABLE.at(include.span, path=f"'{path}'", reason=reason)
+        return messages.INCLUDE_MISSING.at(include.span, path=path)
 
     def included(self, include: Include, origin: Path) -> Path | None:
         """The file of an include; None for one that no driver has."""

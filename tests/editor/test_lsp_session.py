@@ -157,6 +157,29 @@ def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
             assert found["range"]["start"] == {"line": 1, "character": text.split("\n")[1].index("n)")}
 
 
+@pytest.mark.parametrize(
+    ("method", "params", "code"),
+    [
+        ("textDocument/hover", {}, -32602),
+        ("textDocument/hover", None, -32602),
+        (
+            "textDocument/hover",
+            {"textDocument": {"uri": "a"}, "position": {"line": -1, "character": 0}},
+            -32602,
+        ),
+        ("textDocument/formatting", {"textDocument": {"uri": "file:///a.L"}}, -32602),
+        ("initialize", 3, -32602),
+        ("textDocument/absent", {}, -32601),
+    ],
+)
+def test_a_malformed_request_is_answered(session: LspSession, method: str, params: object, code: int) -> None:
+    assert session.request(method, params)["code"] == code
+    start = {"line": 0, "character": 0}
+    root = {"textDocument": {"uri": "file:///"}, "position": start}
+    assert session.request("textDocument/definition", root) == []
+    assert session.end() == 0
+
+
 def test_text_without_a_file_has_findings(session: LspSession) -> None:
     document = {"uri": "untitled:Untitled-1", "languageId": "l", "version": 1, "text": "class A { int n; }"}
     session.notify("textDocument/didOpen", {"textDocument": document})

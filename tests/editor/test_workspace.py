@@ -19,7 +19,7 @@ from sample_mission import (
     offset,
 )
 
-from lfield.editor.installed import InstalledEnvironment
+from lfield.editor.installed import DiskFiles, InstalledEnvironment
 from lfield.editor.text_places import LineIndex
 from lfield.editor.workspace import Workspace
 from lfield.errors import ProgramError, UsageError
@@ -91,6 +91,20 @@ def test_missing_include_and_unknown_driver_are_reported(environment: InstalledE
     workspace = Workspace(MemoryFiles({}), environment)
     workspace.put(MISSION, 'include "none.L";\ninclude <none/x.L>;\n')
     assert findings_of(workspace, "mission.L") == [(1, "L601"), (2, "L603")]
+
+
+def test_an_include_that_cannot_be_read_is_not_missing(
+    environment: InstalledEnvironment, tmp_path: Path
+) -> None:
+    (tmp_path / "latin.L").write_bytes(b"class A { }\n// caf\xe9\n")
+    (tmp_path / "mark.L").write_bytes(b"\xef\xbb\xbfclass B { }\r\n")
+    (tmp_path / "folder.L").mkdir()
+    workspace = Workspace(DiskFiles(), environment)
+    text = "".join(f'include "{name}.L";\n' for name in ("latin", "mark", "folder", "none"))
+    workspace.put(tmp_path / "mission.L", text)
+    found = dict(iter_steps(workspace))[tmp_path / "mission.L"]
+    assert [(one.span.line, one.code) for one in found] == [(1, "L602"), (3, "L602"), (4, "L601")]
+    assert "line 2 (byte 0xE9)" in found[0].message
 
 
 def test_deployment_is_checked_with_its_program(workspace: Workspace) -> None:

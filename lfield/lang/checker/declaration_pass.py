@@ -183,8 +183,10 @@ class _Methods:
         signature = method.signature
         earlier = self.signatures.setdefault(signature, method) if method.kind != "init" else method
         if earlier is not method and all(p.type is not UNKNOWN for p in method.parameters):
-            line = earlier.span.line
-            self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
+            hint = None if "loop" not in (method.kind, earlier.kind) else "rename one of them"
+            self.symbols.report(
+                messages.SAME_SIGNATURE, method.span, hint=hint, signature=signature, line=earlier.span.line
+            )
             return
         self.unit.add_method(method)
         if written is not None and written.loop is not None:

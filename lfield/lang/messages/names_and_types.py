@@ -253,7 +253,7 @@ RACE_ARGUMENT = _message(
 )
 RACE_METHOD = _message(
     "L456",
-    "race needs a method that has a {of} and returns boolean; {found}",
+    "race needs a method that returns boolean and has one parameter, of type {of}; {found}",
     "write private boolean {name}({of} result) {{ ... }} in this unit: whether a result wins",
 )
 FUTURE_TYPE = _message(
