@@ -22,12 +22,12 @@ from engine_fuzzer.mutations import Edit, changed_methods, edited, random_edits
 from engine_fuzzer.program_generator import random_program
 from engine_fuzzer.program_shrinker import shrink, shrunk_edits
 from engine_fuzzer.program_tree import ProgramPiece
-from engine_fuzzer.quick_code import partly_compiled, quick_code
 from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import Program
 from lfield.errors import ProgramError
 from lfield.exit_status import INTERRUPTED
 from lfield.vm.engine_interface import Engines
+from quick_code import partly_compiled, quick_code
 
 #: Seconds between two lines of progress.
 _EVERY = 20.0
