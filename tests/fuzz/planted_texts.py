@@ -14,12 +14,12 @@ from unittest.mock import patch
 
 from engine_fuzzer.engine_trial import compiled, run_trial
 from engine_fuzzer.program_generator import random_program
-from engine_fuzzer.quick_code import quick_code
 from lfield.vm.wasm import machine_code
 from lfield.vm.wasm.lowering.instruction_table import ROWS
 from lfield.vm.wasm.lowering.module_lowering import WasmModule, lower_program
 from lfield.vm.wasm.runtime.runtime_functions import runtime_text
 from lfield.vm.wasm.wasm_engine import EagerWasmEngine
+from quick_code import quick_code
 
 #: Places of a fault beside rows of the table: the functions of the runtime, and what is made of a program.
 RUNTIME, PROGRAM = "runtime", "program"

@@ -8,12 +8,13 @@ Ctrl-C prints the present reduction.
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import random
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 
 from engine_fuzzer.engine_trial import TrialOutcome, compiled, run_trial
@@ -21,12 +22,12 @@ from engine_fuzzer.mutations import Edit, changed_methods, edited, random_edits
 from engine_fuzzer.program_generator import random_program
 from engine_fuzzer.program_shrinker import shrink, shrunk_edits
 from engine_fuzzer.program_tree import ProgramPiece
-from engine_fuzzer.quick_code import partly_compiled, quick_code
 from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import Program
 from lfield.errors import ProgramError
 from lfield.exit_status import INTERRUPTED
 from lfield.vm.engine_interface import Engines
+from quick_code import partly_compiled, quick_code
 
 #: Seconds between two lines of progress.
 _EVERY = 20.0
@@ -186,20 +187,35 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     fuzz = EngineFuzzer(engine_named(args.engine), args.mutants)
     began, status = time.monotonic(), 0
+    gc.freeze()
     try:
         _try(fuzz, args, began)
     except KeyboardInterrupt:
         status = INTERRUPTED
+    finally:
+        gc.unfreeze()
     print(fuzz.tally.line(time.monotonic() - began))
     return 1 if fuzz.tally.found else status
+
+
+@contextmanager
+def _collected_after() -> Iterator[None]:
+    """Python collects no garbage meanwhile, which takes a fifth of the time, but after it."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.collect()
 
 
 def _try(fuzz: EngineFuzzer, args: argparse.Namespace, started: float) -> None:
     """One seed after another, until the count or time is reached."""
     seed, said = args.seed, started
     while fuzz.tally.programs < args.count and fuzz.tally.found < args.most:
-        for report in fuzz.seed(seed):
-            print(report, flush=True)
+        with _collected_after():
+            for report in fuzz.seed(seed):
+                print(report, flush=True)
         seed += 1
         now = time.monotonic()
         if now - said >= _EVERY:

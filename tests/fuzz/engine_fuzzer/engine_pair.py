@@ -11,7 +11,6 @@ import random
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from engine_fuzzer.quick_code import prepared_once
 from engine_fuzzer.space_pair import SpacePair
 from lfield.bytecode.program import Program
 from lfield.vm.engine_interface import (
@@ -26,6 +25,7 @@ from lfield.vm.engine_interface import (
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC
 from lfield.vm.reference import ReferenceEngine as Reference
+from quick_code import prepared_once
 
 
 class TrialOver(Exception):
