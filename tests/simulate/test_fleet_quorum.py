@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield import exit_status
 from lfield.journal.records import RecordKey
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
@@ -108,6 +109,27 @@ def test_the_team_continues_without_the_host_that_has_the_coordinator(tmp_path: 
     stamped = [text.strip() for _, _, text in logged(fleet, "stamp ")]
     assert len(stamped) - len(set(stamped)) <= 1
     assert not logged(fleet, "bug in lfield")
+
+
+def test_the_end_of_the_mission_is_not_unknown_while_a_majority_may_recover(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
+    run_until(fleet, "stamp 7\n", 30.0)
+    gone = holder(fleet)
+    fleet.crash(gone)
+    run_until(fleet, "complete", 90.0)
+    fleet.run(10.0)
+    assert fleet.left == dict.fromkeys({"alpha", "bravo", "charlie"} - {gone}, exit_status.DONE)
+
+
+def test_the_end_of_the_mission_is_unknown_without_a_majority(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
+    run_until(fleet, "stamp 7\n", 30.0)
+    gone = holder(fleet)
+    left, also_gone = sorted({"alpha", "bravo", "charlie"} - {gone})
+    fleet.crash(gone)
+    fleet.crash(also_gone)
+    fleet.run(20.0)
+    assert fleet.left == {left: exit_status.UNKNOWN_OUTCOME}
 
 
 def test_a_host_that_returns_too_late_does_not_continue(tmp_path: Path) -> None:

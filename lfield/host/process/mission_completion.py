@@ -33,20 +33,23 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
+#: A failover takes at most so many seconds and so many leases after the interval of its coordinator.
+FAILOVER_TIME, FAILOVER_LEASES = 5.0, 3.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
     """The outcomes of all coordinators. A host without contact for `lost_after` seconds is not waited for.
 
     One that has not started yet is waited for as long as portal calls to it are, if that is longer. A
-    coordinator that has not started yet is waited for until a host that its start needs has certainly ended.
+    coordinator that has not started yet is waited for until a host that its start needs has certainly ended,
+    and one that a majority may recover until a failover would have ended.
     """
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.initial_coordinators}
     judge = OutcomeResolver(homes)
     started = _StartedByOthers(host, homes)
     membership = host.core.membership
-    remembered = _PendingRestarts(host, homes, lost_after, unmet)
+    remembered, failovers = _PendingRestarts(host, homes, lost_after, unmet), _PendingFailovers(host)
     # Announcements during the start of this host count as well.
     since = 0.0
     while True:
@@ -66,7 +69,7 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
             )
         unstartable = host.core.startup.unstartable(membership.ended)
         found |= {agent: CoordinatorOutcome(agent, "lost", why) for agent, why in unstartable.items()}
-        for agent in remembered.pending_agents():
+        for agent in remembered.pending_agents() | failovers.pending_agents(found):
             found.pop(agent, None)
         if not homes.keys() - found.keys() and not await started.find_more():
             await _broadcast_outcomes(host, found.values())
@@ -142,6 +145,29 @@ class _PendingRestarts:
             return host.core.startup.is_settled
         unavailable = _unavailable_hosts(host, set(host.team.hosts) - {home}, *self._bounds)
         return home in unavailable.ended or home in unavailable.silent_for
+
+
+class _PendingFailovers:
+    """Coordinators under leases whose host has ended or is silent: a majority may still recover them."""
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+        #: Since when each coordinator is unheard.
+        self._since: dict[str, float] = {}
+
+    def pending_agents(self, found: Mapping[str, CoordinatorOutcome]) -> set[str]:
+        """Those of the unheard coordinators for which a failover would not have ended yet."""
+        leases, now = self._host.core.leases, self._host.clock.monotonic()
+        unheard = {agent for agent, fate in found.items() if fate.outcome == "unheard"}
+        self._since = {agent: self._since.get(agent, now) for agent in unheard & set(leases.leased_agents)}
+        if not leases.remaining:
+            return set()
+        longest = FAILOVER_TIME + FAILOVER_LEASES * leases.quorum.members.lease
+        return {
+            agent
+            for agent, since in self._since.items()
+            if now < since + longest + (known.interval if (known := leases.checkpoint(agent)) else 0.0)
+        }
 
 
 def _unavailable_hosts(
