@@ -62,6 +62,7 @@ SMALL = {
     "tests/simulate/simulation_testing/invariants/durability.py": "what is asked of simulated journals",
     "lfield/simulate/jumping_loop.py": "the jumping clock",
     "lfield/testing/still_team.py": "a team for golden programs",
+    "lfield/testing/script.py": "errors of scripts that run missions under test",
     "lfield/testing/kept_reports.py": "the guard's end of a driver, for tests",
     "lfield/text/number_arguments.py": "three types of options",
     "lfield/text/value_text.py": "values of devices in words",
