@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
+from dataclasses import dataclass
 
 from lfield.lang import tree
 from lfield.lang.tree_traversal import left_spine
@@ -10,7 +10,8 @@ from lfield.lang.types import STRING
 from lfield.text.source_text import Span
 
 
-class QueryText(Struct, frozen=True):
+@dataclass(frozen=True, slots=True)
+class QueryText:
     """A text with the expressions that it is from, each with its first character."""
 
     text: str
