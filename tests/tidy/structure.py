@@ -82,9 +82,9 @@ def foreign_assignments(trees: Trees) -> list[Finding]:
 
     An object with behaviour is changed only by its class. A helper of the same file counts as part of that
     class, and a record (a dataclass or struct without methods) may be filled within its package. Excluded
-    are modules, and objects of libraries: no class of the project declares their attributes. Where annotations
-    and calls around the assignment do not give the class of the object, every class that declares the
-    attribute counts.
+    are modules, and objects of libraries: no class of the project declares their attributes. Where
+    annotations and calls around the assignment do not give the class of the object, every class that declares
+    the attribute counts.
     """
     known = [
         Declared(file, cls, declared | assigned)
