@@ -43,8 +43,7 @@ class Observation(Struct, frozen=True, array_like=True):
     when: float
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(Struct, frozen=True):
     """One parameter of an instruction. `type` is an L type name, `unit` an SI unit or ''.
 
     `frame` is a kind of FRAME_KINDS for what is about the team's frame, '' for all else. `file` is a kind of
@@ -59,8 +58,7 @@ class Parameter:
     file: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Instruction:
+class Instruction(Struct, frozen=True):
     """One library instruction of a device type: `fc.takeoff(10.0)`.
 
     `result` is an L type name or 'void'. `effect` is what a repetition does: nothing (query),
@@ -103,8 +101,7 @@ class Instruction:
         return self.only_asks and not self.blocking
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(Struct, frozen=True):
     """One telemetry quantity that the driver publishes and queries read.
 
     `max_age` in seconds; `rate` in Hz is the rate that the driver requests from the device, 0 when it

@@ -20,8 +20,9 @@ parameter stack is empty, and the block needs no space for it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 Role = Literal["D", "S", "V", "L", "C", "T", "M", "F", "K", "I"]
 
@@ -30,16 +31,14 @@ Role = Literal["D", "S", "V", "L", "C", "T", "M", "F", "K", "I"]
 Kind = Literal["boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""]
 
 
-@dataclass(frozen=True, slots=True)
-class Operand:
+class Operand(Struct, frozen=True):
     """One operand: its encoding, and the type of its value."""
 
     role: Role
     kind: Kind = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Opcode:
+class Opcode(Struct, frozen=True):
     """One row of the table.
 
     `argument_kinds` are the kinds that a head pops from the parameter stack, in the order of the pushes,

@@ -10,8 +10,9 @@ and a coordinator is fenced.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import lru_cache
+
+from msgspec import Struct, field
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program, Quad
@@ -43,8 +44,7 @@ def _parameter_bit(parameter: int) -> int:
 _LASTING = _OLD | _parameter_bit(0)
 
 
-@dataclass(slots=True)
-class _Body:
+class _Body(Struct):
     """The changes of a method itself, and its calls: the callee, and the origins of each argument."""
 
     changes: int = 0

@@ -9,8 +9,9 @@ bundles carry the trees of all others.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
+
+from msgspec import Struct
 
 from lfield.capability.condition_tree import (
     MAX_HEIGHT,
@@ -48,8 +49,7 @@ _NUMBERS = (TokenKind.INT, TokenKind.REAL)
 _Parsed = TypeVar("_Parsed")
 
 
-@dataclass(frozen=True, slots=True)
-class ParsedQuery:
+class ParsedQuery(Struct, frozen=True):
     """A query as it is written: a condition with its text, keys to order by (True: descending), a limit."""
 
     condition: ConditionExpr | None = None

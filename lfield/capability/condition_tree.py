@@ -6,7 +6,7 @@ resolves their names, condition_encoding.py is their form in a bundle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield.text.source_text import Span
 
@@ -18,8 +18,7 @@ MAX_LIMIT = 1000
 MAX_TEAM = 1000
 
 
-@dataclass(frozen=True, slots=True)
-class Mistake:
+class Mistake(Struct, frozen=True):
     """What is wrong with a text, where: characters `start` to `end` of it."""
 
     start: int
@@ -31,23 +30,20 @@ class Mistake:
         return f"{self.message} ({self.hint})" if self.hint else self.message
 
 
-@dataclass(slots=True, eq=False)
-class ConditionExpr:
+class ConditionExpr(Struct, eq=False):
     """An expression; `height` is the height of its tree."""
 
     span: Span
     height: int
 
 
-@dataclass(slots=True, eq=False)
-class ConditionLiteral(ConditionExpr):
+class ConditionLiteral(ConditionExpr, eq=False):
     """A number, text, true, false or null (None)."""
 
     value: bool | int | float | str | None
 
 
-@dataclass(slots=True, eq=False)
-class ConditionName(ConditionExpr):
+class ConditionName(ConditionExpr, eq=False):
     """A bare name."""
 
     name: str
@@ -57,8 +53,7 @@ class ConditionName(ConditionExpr):
 PARAMETER_SORTS = {"n": "number", "t": "text", "b": "boolean"}
 
 
-@dataclass(slots=True, eq=False)
-class ConditionParameter(ConditionExpr):
+class ConditionParameter(ConditionExpr, eq=False):
     """A value that the program passes: `$kg`, `$at[0]`, `$mass[g]` with its unit.
 
     `path` is what it is in the program; in a compiled query a letter and a number, `n0`, and no unit.
@@ -74,16 +69,14 @@ class ConditionParameter(ConditionExpr):
         return PARAMETER_SORTS.get(self.path[:1], "") if is_compiled else ""
 
 
-@dataclass(slots=True, eq=False)
-class ConditionUnary(ConditionExpr):
+class ConditionUnary(ConditionExpr, eq=False):
     """`!x` or `-x`."""
 
     operator: str
     operand: ConditionExpr
 
 
-@dataclass(slots=True, eq=False)
-class ConditionBinary(ConditionExpr):
+class ConditionBinary(ConditionExpr, eq=False):
     """Any operator with two sides; `sign` is the operator."""
 
     operator: str
@@ -92,8 +85,7 @@ class ConditionBinary(ConditionExpr):
     right: ConditionExpr
 
 
-@dataclass(slots=True, eq=False)
-class ConditionMember(ConditionExpr):
+class ConditionMember(ConditionExpr, eq=False):
     """`object.name`; `place` is the name."""
 
     object: ConditionExpr
@@ -101,14 +93,12 @@ class ConditionMember(ConditionExpr):
     place: Span
 
 
-@dataclass(slots=True, eq=False)
-class ConditionCall(ConditionExpr):
+class ConditionCall(ConditionExpr, eq=False):
     """`function(arguments)`, where the function is a Name or a Member."""
 
     function: ConditionName | ConditionMember
     arguments: list[ConditionExpr]
 
 
-@dataclass(slots=True, eq=False)
-class ConditionUnsupported(ConditionExpr):
+class ConditionUnsupported(ConditionExpr, eq=False):
     """An expression of L that has no meaning over attributes: `a[0]`, `new T()`, `this`."""

@@ -13,9 +13,10 @@ Everything is in SI units here; other units end in the reader.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+
+from msgspec import Struct, field
 
 from lfield.capability import condition_tree
 from lfield.manifest import Effect, Parameter
@@ -53,16 +54,14 @@ class Expression:
         return hash((self.text, self.tree))
 
 
-@dataclass(frozen=True, slots=True)
-class SortKey:
+class SortKey(Struct, frozen=True):
     """What offers are ordered by: a number, the least first, or the most first where it is `descending`."""
 
     value: Expression
     descending: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class OfferQuery:
+class OfferQuery(Struct, frozen=True):
     """A query: a condition (None: all offers), order keys, and a limit.
 
     Ties, and queries without keys, are ordered by the ranking; unknown values come last.
@@ -77,8 +76,7 @@ class OfferQuery:
 ANY_OFFER = OfferQuery()
 
 
-@dataclass(frozen=True, slots=True)
-class TaxonomyTerm:
+class TaxonomyTerm(Struct, frozen=True):
     """A node of the taxonomy. `id` is dotted, its parent is the part before the last dot.
 
     `name` is the term of the thesis, if it has one. `aliases` are other ids that mean the same; a
@@ -93,8 +91,7 @@ class TaxonomyTerm:
     deprecated: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Attribute:
+class Attribute(Struct, frozen=True):
     """Something offers differ in.
 
     `better` is the preferred direction; `typical` is a usual amount, against which fitness is
@@ -126,8 +123,7 @@ class Attribute:
                 return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-@dataclass(frozen=True, slots=True)
-class Portal:
+class Portal(Struct, frozen=True):
     """The canonical signature of a primitive's portal. `result` is an L type or 'void', units are SI."""
 
     name: str
@@ -139,8 +135,7 @@ class Portal:
     meaning: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Primitive:
+class Primitive(Struct, frozen=True):
     """A capability that can be called: `name` is its type in L, `id` its place in the taxonomy."""
 
     name: str
@@ -150,8 +145,7 @@ class Primitive:
     meaning: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Argument:
+class Argument(Struct, frozen=True):
     """One argument of a mapped call: a parameter of the canonical portal, or a constant.
 
     What arrives is `parameter * factor + offset`, in the unit of the portal that is called. For a result
@@ -165,8 +159,7 @@ class Argument:
     offset: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class PortalMap:
+class PortalMap(Struct, frozen=True):
     """How one canonical portal is served: by the portal `target`, with `arguments` in its order.
 
     `result` is the conversion of the emitted value; None when nothing is emitted or converted.
@@ -179,8 +172,7 @@ class PortalMap:
     result: Argument | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class LiveAttribute:
+class LiveAttribute(Struct, frozen=True):
     """An attribute that an agent reports: `value * factor + offset` of `device.quantity`, telemetry.
 
     `index` is the element of an array quantity: `fc.position[0]` is north. Without a `unit`, factor and
@@ -205,8 +197,7 @@ class LiveAttribute:
         return "" if self.device else self.quantity
 
 
-@dataclass(frozen=True, slots=True)
-class ServedPrimitive:
+class ServedPrimitive(Struct, frozen=True):
     """A primitive as one resource type serves it; its `attributes` count before those of the type.
 
     `when` is a condition on the agent, for what not every one of the type has: a copter grips only when
@@ -222,8 +213,7 @@ class ServedPrimitive:
     nominal: frozenset[str] = frozenset()
 
 
-@dataclass(frozen=True, slots=True)
-class Provider:
+class Provider(Struct, frozen=True):
     """A resource type of L with what it serves, by primitive; `nominal` as in Served."""
 
     type: str
@@ -236,8 +226,7 @@ class Provider:
     nominal: frozenset[str] = frozenset()
 
 
-@dataclass(frozen=True, slots=True)
-class Equivalence:
+class Equivalence(Struct, frozen=True):
     """One-to-one: every offer of `by` that fulfils `when` also serves `serves`, mapped.
 
     `loss` from 0 (as good as the real thing) up to 1 is what the detour costs. Those that follow from the
@@ -254,8 +243,7 @@ class Equivalence:
     meaning: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Need:
+class Need(Struct, frozen=True):
     """One part of a composition: any offer of a primitive that fulfils `when`."""
 
     name: str
@@ -264,8 +252,7 @@ class Need:
     when: Expression | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Composition:
+class Composition(Struct, frozen=True):
     """One-to-many: the parts together serve `serves`, by the L class `through`.
 
     The class is `coordinator specific`, has the portals of the primitive as public methods, and takes the
@@ -287,8 +274,7 @@ class Composition:
     meaning: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Weights:
+class Weights(Struct, frozen=True):
     """What the parts of a cost count (matching/ranking.py has the formula); a mission may set its own.
 
     `attributes` weighs single attributes within the fitness; one that is not there counts 1. `nearby` is a
@@ -305,8 +291,7 @@ class Weights:
     attributes: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Registry:
+class Registry(Struct, frozen=True):
     """Everything together. Made by `reading.reader.read_registry`, which checks that all of it fits.
 
     `version` is that of the taxonomy: it grows with every change, and no id is ever taken away.

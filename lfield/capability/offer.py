@@ -6,10 +6,9 @@ Candidates and facts are structs: in a lively team thousands of them are made fo
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from lfield.capability.model import Value
 
@@ -83,8 +82,7 @@ class AgentSource(Protocol):
         """The place of the query, None when unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class CostTerm:
+class CostTerm(Struct, frozen=True):
     """A term of a cost (matching/ranking.py): the weight called `name`, times an amount."""
 
     name: str
@@ -92,8 +90,7 @@ class CostTerm:
     weight: float
 
 
-@dataclass(frozen=True, slots=True)
-class Penalty:
+class Penalty(Struct, frozen=True):
     """What an attribute adds to the fitness of an agent: `share * penalty`. None: its value is not known."""
 
     attribute: str
@@ -102,8 +99,7 @@ class Penalty:
     penalty: float
 
 
-@dataclass(frozen=True, slots=True)
-class Offer:
+class Offer(Struct, frozen=True):
     """An agent or team that serves a primitive. `way` is the field of the primitive's class in L (ways.py).
 
     A direct offer has no `parts`; an equivalent one has one, named as its way; a composed one has one for
@@ -130,8 +126,7 @@ class Offer:
         return 1.0 / (1.0 + self.cost)
 
 
-@dataclass(frozen=True, slots=True)
-class Rejection:
+class Rejection(Struct, frozen=True):
     """A candidate that is not offered: an agent, or a rule, with every reason why.
 
     `str()` is a line: `arm2: payload 1.2 < 2.0`. The `inner` refusals of a rule are those of its needs.

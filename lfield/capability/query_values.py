@@ -15,7 +15,8 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from lfield.capability.condition_tree import (
     ConditionBinary,

@@ -9,9 +9,10 @@ import sys
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield import exit_status
 from lfield.cli.mission_argument import named_mission, selected_runs, selected_teams
@@ -34,8 +35,7 @@ LOST_AFTER = 15.0
 Lines = Callable[["DatedEvent | FeedNotice"], Iterable[str]]
 
 
-@dataclass(frozen=True, slots=True)
-class SessionPlan:
+class SessionPlan(Struct, frozen=True):
     """What to follow, and until when: without `follow` only the stored events.
 
     `since`, `telemetry` (Hz): as in `StreamCursor`. `only`: the hosts, all if empty. `mcap`: records the

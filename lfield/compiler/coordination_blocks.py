@@ -22,7 +22,8 @@ is assigned from it after the block.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.bytecode.program import INT, LIMIT, RESERVED, Handler
 from lfield.compiler.async_variants.async_methods import SettleResult
@@ -48,8 +49,7 @@ from lfield.lang.tree import (
 from lfield.lang.types import array_of
 
 
-@dataclass(slots=True, eq=False)
-class _OpenTogether:
+class _OpenTogether(Struct, eq=False):
     """The calls of one `together`: the slot of their sentinel, the arrays of locals, and the guard of the
     body.
 

@@ -20,8 +20,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from lfield.bytecode.program import ANY, BOOLEAN, FINALLY, INT, LANDING, Handler
 from lfield.compiler.method_frame import Label, MethodFrame
@@ -34,8 +35,7 @@ class LoopLabels(NamedTuple):
     end: Label
 
 
-@dataclass(slots=True, eq=False)
-class FinallyGuard:
+class FinallyGuard(Struct, eq=False):
     """Instructions that are guarded by a `finally`, from `start` on.
 
     `exits` numbers the exits: by the label of an outer loop, or None for a `return`. The slots of

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import Handler, Quad
@@ -15,8 +16,7 @@ from lfield.lang.types import Type
 _TERMINALS = frozenset({"jmp", "return", "rtn", "throw", "noreturn"})
 
 
-@dataclass(slots=True, eq=False)
-class Label:
+class Label(Struct, eq=False):
     """A position in the code; `jumps` are the quads to patch when it is placed."""
 
     position: int | None = None
@@ -69,8 +69,7 @@ class CodeBuffer:
         self.reachable = self.reachable or entered or bool(label.jumps)
 
 
-@dataclass(slots=True, eq=False)
-class MethodFrame:
+class MethodFrame(Struct, eq=False):
     """A method under construction: the program's tables, its slots, its code, its handlers.
 
     `changing` are the locals that the current statement assigns inside an expression: reading one

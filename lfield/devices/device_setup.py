@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.clock import Clock
 from lfield.devices.parameter_backup import BackupEntry, ParameterChange, device_label, write_backup
@@ -27,8 +28,7 @@ from lfield.manifest import DeviceValue
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class FoundDevice:
+class FoundDevice(Struct, frozen=True):
     """A device that responds, with its stored settings.
 
     `serial` is its unique identifier, '' for none; not read for a device without stored settings.

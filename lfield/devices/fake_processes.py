@@ -6,7 +6,6 @@ import asyncio
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import msgspec
 
@@ -20,8 +19,7 @@ READY_TIMEOUT, END_TIMEOUT = 20.0, 3.0
 MAX_OUTPUT = 1 << 16
 
 
-@dataclass(frozen=True, slots=True)
-class FakeProcess:
+class FakeProcess(msgspec.Struct, frozen=True):
     """A running simulated device and its endpoint."""
 
     endpoint: str

@@ -7,8 +7,9 @@ values are in a backup before the first write, and every written value is read b
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.devices.device_setup import FoundDevice, Report
 from lfield.devices.parameter_backup import BackupEntry, ParameterChange, write_backup
@@ -19,8 +20,7 @@ from lfield.errors import DeviceError, DevicesError, MissionFileError, UsageErro
 _LISTED = 12
 
 
-@dataclass(frozen=True, slots=True)
-class FilePlan:
+class FilePlan(Struct, frozen=True):
     """What a file changes in a device. Writes nothing."""
 
     file: str

@@ -7,7 +7,8 @@ with another unique identifier. A setting that has been changed since is left al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.devices.device_setup import FoundDevice, Report
 from lfield.devices.parameter_backup import BackupEntry, ParameterChange
@@ -15,8 +16,7 @@ from lfield.driver.settings import is_same_value
 from lfield.errors import DeviceError
 
 
-@dataclass(frozen=True, slots=True)
-class RestorePlan:
+class RestorePlan(Struct, frozen=True):
     """What is written to one device, and a sentence for each setting that is left alone."""
 
     entry: BackupEntry

@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.guard.messages import host_silent
 from lfield.text import log_messages
@@ -37,8 +38,7 @@ REPEAT_WARNING_FACTOR = 1.5
 MAX_REPORT_DELAY = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class JitterLimit:
+class JitterLimit(Struct, frozen=True):
     """The jitter limit of a `silence`; `prompt`: its guards have real-time priority. In seconds."""
 
     silence: float

@@ -6,8 +6,9 @@ A finding is about the content of a file that was read; a file that is not reada
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 #: Codes with their meaning; M9xx are warnings, which do not change the exit status.
 FILE_FINDINGS: Mapping[str, str] = {
@@ -40,8 +41,7 @@ FILE_FINDINGS: Mapping[str, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class FileFinding:
+class FileFinding(Struct, frozen=True):
     """One finding. `item` is the item's number as ground stations show it, None for the file as a whole."""
 
     code: str

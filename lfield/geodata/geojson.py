@@ -7,7 +7,6 @@ and possibly an altitude; a `crs` other than WGS 84 is refused.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -44,8 +43,7 @@ def _name(crs: Any) -> str:
     return str(properties.get("name")) if isinstance(properties, dict) else ""
 
 
-@dataclass(slots=True)
-class _Reader:
+class _Reader(msgspec.Struct):
     """Reads features one after the other; `number` counts them from 1."""
 
     file: str

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from xml.parsers import expat
+
+from msgspec import Struct, field
 
 from lfield.errors import MissionFileError
 from lfield.geodata.mission_files import ascii_number
@@ -43,8 +44,7 @@ def read_kml(file: str, data: bytes) -> list[Shape]:
     return reader.shapes
 
 
-@dataclass(slots=True)
-class _Geometry:
+class _Geometry(Struct):
     """A geometry while it is read."""
 
     kind: str

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import codecs
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.errors import MissionFileError
 from lfield.geodata.findings import FileFinding
@@ -18,8 +19,7 @@ _WIDE = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_LE, codecs.B
 Position = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class PlanRequest:
+class PlanRequest(Struct, frozen=True):
     """The vehicle that a plan is checked for.
 
     `kind` is the kind of vehicle and `firmware` the autopilot's software, '' for any. `limits` are those of a
@@ -35,8 +35,7 @@ class PlanRequest:
     options: Mapping[str, object] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class PlanZone:
+class PlanZone(Struct, frozen=True):
     """A zone of a fence: a polygon, or a circle around its only corner with a `radius` in metres."""
 
     inclusion: bool
@@ -44,8 +43,7 @@ class PlanZone:
     radius: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class PlanPoint:
+class PlanPoint(Struct, frozen=True):
     """A position that an item leads to. `height` is in metres above home, None if unknown."""
 
     item: int
@@ -54,8 +52,7 @@ class PlanPoint:
     meaning: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class PlanReport:
+class PlanReport(Struct, frozen=True):
     """What a mission file contains, and what is wrong with it for the vehicle of the request.
 
     `kind` and `firmware` are those that the file was made for, '' if it does not tell. `items` counts the

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+
+from msgspec import Struct
 
 from lfield.errors import MissionFileError
 from lfield.geodata.findings import FileFinding
@@ -23,8 +24,7 @@ POLAR = 89.0
 LEAST_AREA = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
+class Shape(Struct, frozen=True):
     """One polygon, line or point of a file. A polygon's last corner is not its first.
 
     `number` counts the placemarks or features of the file from 1. `holes` is the number of inner boundaries.

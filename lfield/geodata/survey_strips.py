@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
+
+from msgspec import Struct
 
 from lfield.geodata.polygons import Point, Position, edges, plane_of
 
@@ -20,8 +21,7 @@ MIN_SPACING, MAX_SPACING, MAX_STRIPS = 0.5, 10_000.0, 1000
 _TOLERANCE = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class SurveyStrip:
+class SurveyStrip(Struct, frozen=True):
     """The straight way from `start` to `end`, latitude and longitude in degrees; `length` in metres."""
 
     start: Position

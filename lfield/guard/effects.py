@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from lfield.guard.messages import GuardCall, GuardMessage
 
 
-@dataclass(frozen=True, slots=True)
-class Execute:
+class Execute(Struct, frozen=True):
     """Effect: the driver executes a call."""
 
     call: GuardCall
 
 
-@dataclass(frozen=True, slots=True)
-class Interrupt:
+class Interrupt(Struct, frozen=True):
     """Effect: stop executing the call of this token; the driver's result is discarded."""
 
     token: int
 
 
-@dataclass(frozen=True, slots=True)
-class MakeSafe:
+class MakeSafe(Struct, frozen=True):
     """Effect: the driver brings a device into a safe state ('': that of its binding), before anything
     else.
     """
@@ -31,15 +28,13 @@ class MakeSafe:
     state: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Abandon:
+class Abandon(Struct, frozen=True):
     """Effect: the device is released; stop bringing it into its safe state."""
 
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class CheckRest:
+class CheckRest(Struct, frozen=True):
     """Effect: ask the driver whether the device still moves in its safe state; answered by
     `on_motion_report`.
     """
@@ -47,22 +42,19 @@ class CheckRest:
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class Mute:
+class Mute(Struct, frozen=True):
     """Effect: stop sending what feeds a device's own watchdog (False: start again)."""
 
     on: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Notify:
+class Notify(Struct, frozen=True):
     """Effect: send a message to the host."""
 
     message: GuardMessage
 
 
-@dataclass(frozen=True, slots=True)
-class Exit:
+class Exit(Struct, frozen=True):
     """Effect: close the bus and end the process with this status."""
 
     status: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from msgspec import Struct, field
 
 from lfield.guard.messages import GuardCall
 from lfield.guard.running_call import RunningCall, call_kind
@@ -10,8 +10,7 @@ from lfield.guard.standstill import StandstillState
 from lfield.manifest import DeviceManifest, Instruction
 
 
-@dataclass(slots=True)
-class GuardDevice:
+class GuardDevice(Struct):
     """The state of one device. `latched` is the reason, '' when it is free.
 
     `lock_reason` is why the program may not release it: an emergency stop or a lock-out by its driver.
@@ -128,8 +127,7 @@ class GuardDevice:
         return next((f"{call.instruction}() is not done after {self.rest_within:g} s" for call in late), "")
 
 
-@dataclass(frozen=True, slots=True)
-class CoreState:
+class CoreState(Struct, frozen=True):
     """All that a GuardCore stores between two events: `core.state`."""
 
     devices: list[GuardDevice]

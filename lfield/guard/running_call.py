@@ -7,8 +7,9 @@ A call is answered once. A cancelled call is answered when the instruction that 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield.driver.contract import RELEASE
 from lfield.guard.messages import CANCELLED, CallDone, GuardCall, Refused
@@ -26,8 +27,7 @@ def call_kind(instruction: Instruction) -> CallKind:
     return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
 
 
-@dataclass(slots=True)
-class RunningCall:
+class RunningCall(Struct):
     """A running call: of the program, or the one that ends a `cancelled` call.
 
     `is_started`: the driver has it. `replaces_call`: another call was stopped for it. `deadline` is when the

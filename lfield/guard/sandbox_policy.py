@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.driver_index import DriverInfo
@@ -39,8 +40,7 @@ SYSTEM = (
 PSEUDO_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom")
 
 
-@dataclass(frozen=True, slots=True)
-class SandboxPolicy:
+class SandboxPolicy(Struct, frozen=True):
     """The paths and ports that one guard may access; a folder includes everything below it.
 
     `folders` may be written into. In the folder `recording`, if any, files can be created, appended to and
@@ -57,8 +57,7 @@ class SandboxPolicy:
     may_execute: bool = False
 
 
-@dataclass(slots=True)
-class _Requirements:
+class _Requirements(Struct):
     """Requirements collected from the endpoints."""
 
     writes: list[str] = field(default_factory=lambda: list(PSEUDO_DEVICES))

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 #: Seconds between two checks of a device, and between two progress reports.
 CHECK_EVERY, REPORT_EVERY = 0.25, 0.5
@@ -20,8 +21,7 @@ UNFINISHED = "opening was not complete"
 UNCONFIRMED = "its safe state was not confirmed"
 
 
-@dataclass(slots=True)
-class Settling:
+class Settling(Struct):
     """A device: its time to come to rest in seconds, and its condition.
 
     `confirmed_at` is None before its safe state was confirmed, `moving` before the first check in it.
@@ -36,8 +36,7 @@ class Settling:
     reported_at: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class StandstillState:
+class StandstillState(Struct, frozen=True):
     """All that a Standstill stores between two events."""
 
     devices: dict[str, Settling]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.clock import Clock
 from lfield.guard.messages import TelemetrySnapshot
@@ -18,8 +19,7 @@ from lfield.manifest import DeviceValue, Observation
 RATE = 20.0
 
 
-@dataclass(slots=True)
-class _Latest:
+class _Latest(Struct):
     """The values published since the last snapshot."""
 
     values: dict[str, Observation] = field(default_factory=dict)

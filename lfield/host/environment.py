@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
 
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.bytecode.program import DeviceCallRecord
@@ -25,8 +26,7 @@ if TYPE_CHECKING:
     from lfield.host.stop_orders.datagram_shell import OrderCredentials
 
 
-@dataclass(slots=True)
-class HostOptions:
+class HostOptions(Struct):
     """Options of a host. `listen` is the address to listen on, `control_socket` the one for local observers.
 
     `journal` stores the coordinators of this host; without one they are lost with its process, and all hosts

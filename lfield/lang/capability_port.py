@@ -7,9 +7,10 @@ and read as if it had been included; so are the files of the classes that put se
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
+
+from msgspec import Struct
 
 from lfield.lang import syntax, tree
 from lfield.text.source_text import Diagnostic, Source
@@ -47,8 +48,7 @@ class ConstraintProblem(Protocol):
 PlaceholderSort = Literal["number", "text", "boolean", "nothing"]
 
 
-@dataclass(frozen=True, slots=True)
-class Placeholder:
+class Placeholder(Struct, frozen=True):
     """`$kg` or `$at[0].north` in a query: characters `start` to `end` of it."""
 
     path: str
@@ -56,8 +56,7 @@ class Placeholder:
     end: int
 
 
-@dataclass(frozen=True, slots=True)
-class QueryPlaceholders:
+class QueryPlaceholders(Struct, frozen=True):
     """A query that is read: its placeholders, and those within quotes; or what is wrong with it."""
 
     placeholders: tuple[Placeholder, ...] = ()
@@ -65,8 +64,7 @@ class QueryPlaceholders:
     mistakes: tuple[ConstraintProblem, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceholderValue:
+class PlaceholderValue(Struct, frozen=True):
     """A value that a query needs: that of a path, times the factor plus the offset."""
 
     path: str
@@ -74,8 +72,7 @@ class PlaceholderValue:
     offset: float
 
 
-@dataclass(frozen=True, slots=True)
-class CompiledQuery:
+class CompiledQuery(Struct, frozen=True):
     """A query with numbers for its placeholders, and their values in this order; or what is wrong."""
 
     text: str = ""
@@ -83,8 +80,7 @@ class CompiledQuery:
     mistakes: tuple[ConstraintProblem, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class GeneratedClasses:
+class GeneratedClasses(Struct, frozen=True):
     """The classes of capabilities: their texts by name, and what they need besides.
 
     `common` are texts that all of them need, `files` hold the classes that put several resources together.

@@ -33,8 +33,7 @@ STARTABLE = "startable "
 AgentKind = Literal["resource", "coordinator", "unknown"]
 
 
-@dataclass(frozen=True, slots=True)
-class DeployedAgent:
+class DeployedAgent(msgspec.Struct, frozen=True):
     """One line: an instance of a resource or coordinator. `port` is the TCP port written there, if any."""
 
     type: str
@@ -47,8 +46,7 @@ class DeployedAgent:
     startable: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Witness:
+class Witness(msgspec.Struct, frozen=True):
     """A host without agents. `port` is the TCP port written there, if any."""
 
     host: str

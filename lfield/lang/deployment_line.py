@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv6Address
 from urllib.parse import unquote_to_bytes
+
+from msgspec import Struct
 
 from lfield.lang import messages
 from lfield.text.message_tables import FindingKind
@@ -23,8 +24,7 @@ _LONGEST_HOST = 253
 _HIGHEST_PORT = 65535
 
 
-@dataclass(frozen=True, slots=True)
-class DeploymentEntry:
+class DeploymentEntry(Struct, frozen=True):
     """The parts of a line with their places; `port_span` is the port, or the host without one.
 
     The line of a witness, a host without agents, has an empty type and id. `startable` is that word, empty

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+
+from msgspec import Struct
 
 from lfield.errors import ProgramError
 from lfield.lang import syntax
@@ -19,8 +20,7 @@ from lfield.text.input_files import MAX_TEXT, read_bytes
 from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
-@dataclass(frozen=True, slots=True)
-class CheckResult:
+class CheckResult(Struct, frozen=True):
     """What the front end found: the program (None when there are errors), and all diagnostics in order."""
 
     program: CheckedProgram | None

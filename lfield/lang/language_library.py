@@ -6,8 +6,9 @@ The functions of the thesis (appendix J, table J.9) come first in each group, th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from lfield.lang.types import (
     BOOLEAN,
@@ -25,8 +26,7 @@ from lfield.lang.types import (
 Scope = Literal["any", "resource", "coordinator"]
 
 
-@dataclass(frozen=True, slots=True)
-class LibraryFunction:
+class LibraryFunction(Struct, frozen=True):
     """A library function; several may share a name and differ in parameter types."""
 
     name: str

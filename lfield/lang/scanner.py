@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from enum import Enum
+
+from msgspec import Struct, field
 
 from lfield.lang import messages
 from lfield.text.message_tables import FindingKind
@@ -41,8 +42,7 @@ class TokenKind(Enum):
     END = "end"
 
 
-@dataclass(slots=True, eq=False)
-class Token:
+class Token(Struct, eq=False):
     """One token; `value` is the number or the text (escapes decoded) of a literal, or what END is called."""
 
     kind: TokenKind
@@ -59,8 +59,7 @@ class Token:
         return f"'{self.text}'" if len(self.text) <= 40 else "a very long word"
 
 
-@dataclass(slots=True)
-class Scan:
+class Scan(Struct):
     """All tokens of a source, END last, and the lines on which scanning itself found a mistake.
 
     The parser reports nothing more on those lines, so that one mistake is reported once. `cut` means that

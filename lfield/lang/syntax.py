@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from lfield.lang.tree import MethodKind, UnitKind, Usage
 from lfield.text.source_text import Source, Span
 
@@ -15,8 +17,7 @@ from lfield.text.source_text import Source, Span
 BAD_TYPE = "?"
 
 
-@dataclass(slots=True, eq=False)
-class TypeName:
+class TypeName(Struct, eq=False):
     """`Server`, `int[]`, `map<string, int>`: a name, the types in `<>`, and how many `[]` follow."""
 
     span: Span
@@ -32,48 +33,41 @@ class TypeName:
 # --- expressions --------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class Expr:
+class Expr(Struct, eq=False):
     """An expression; `height` is how deep it nests, which the parser limits. Links of a chain do not nest."""
 
     span: Span
     height: int
 
 
-@dataclass(slots=True, eq=False)
-class Bad(Expr):
+class Bad(Expr, eq=False):
     """An expression with a syntax error that is reported already."""
 
 
-@dataclass(slots=True, eq=False)
-class Literal_(Expr):
+class Literal_(Expr, eq=False):
     """A number, text, true, false or null (None)."""
 
     value: bool | int | float | str | None
 
 
-@dataclass(slots=True, eq=False)
-class Name(Expr):
+class Name(Expr, eq=False):
     """A bare name."""
 
     name: str
 
 
-@dataclass(slots=True, eq=False)
-class This(Expr):
+class This(Expr, eq=False):
     """`this`."""
 
 
-@dataclass(slots=True, eq=False)
-class Unary(Expr):
+class Unary(Expr, eq=False):
     """`!x` or `-x`."""
 
     operator: str
     operand: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Binary(Expr):
+class Binary(Expr, eq=False):
     """Any operator with two sides; `sign` is the operator."""
 
     operator: str
@@ -82,8 +76,7 @@ class Binary(Expr):
     right: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Assign(Expr):
+class Assign(Expr, eq=False):
     """`target = value` or `target += value`; `sign` is the operator."""
 
     operator: str
@@ -92,8 +85,7 @@ class Assign(Expr):
     value: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Member(Expr):
+class Member(Expr, eq=False):
     """`object.name`; `place` is the name."""
 
     object: Expr
@@ -101,48 +93,42 @@ class Member(Expr):
     place: Span
 
 
-@dataclass(slots=True, eq=False)
-class Call(Expr):
+class Call(Expr, eq=False):
     """`function(arguments)`, where the function is a Name or a Member."""
 
     function: Name | Member
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class Async(Expr):
+class Async(Expr, eq=False):
     """`async call`: the call begins, its value is a future; `keyword` is `async`."""
 
     keyword: Span
     call: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Index(Expr):
+class Index(Expr, eq=False):
     """`array[index]`."""
 
     array: Expr
     index: Expr
 
 
-@dataclass(slots=True, eq=False)
-class New(Expr):
+class New(Expr, eq=False):
     """`new Type(arguments)`."""
 
     type: TypeName
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class NewArray(Expr):
+class NewArray(Expr, eq=False):
     """`new T[n][m][]`: `type` is the whole array type."""
 
     type: TypeName
     lengths: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class Elements(Expr):
+class Elements(Expr, eq=False):
     """`new T[] {a, b}` with the whole array type, or `{a, b}` (None) where the type is known."""
 
     type: TypeName | None
@@ -152,32 +138,27 @@ class Elements(Expr):
 # --- statements ---------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class Stmt:
+class Stmt(Struct, eq=False):
     """A statement."""
 
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class BadStmt(Stmt):
+class BadStmt(Stmt, eq=False):
     """A statement with a syntax error: it may have declared anything."""
 
 
-@dataclass(slots=True, eq=False)
-class Empty(Stmt):
+class Empty(Stmt, eq=False):
     """`;`."""
 
 
-@dataclass(slots=True, eq=False)
-class BlockStmt(Stmt):
+class BlockStmt(Stmt, eq=False):
     """`{ ... }`."""
 
     body: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class Declare(Stmt):
+class Declare(Stmt, eq=False):
     """`T name;` or `T name = value;`; `place` is the name."""
 
     type: TypeName
@@ -186,15 +167,13 @@ class Declare(Stmt):
     value: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class Evaluate(Stmt):
+class Evaluate(Stmt, eq=False):
     """An expression as a statement."""
 
     value: Expr
 
 
-@dataclass(slots=True, eq=False)
-class If(Stmt):
+class If(Stmt, eq=False):
     """`if (condition) then else otherwise`."""
 
     condition: Expr
@@ -202,16 +181,14 @@ class If(Stmt):
     otherwise: Stmt | None
 
 
-@dataclass(slots=True, eq=False)
-class While(Stmt):
+class While(Stmt, eq=False):
     """`while (condition) body`."""
 
     condition: Expr
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class For(Stmt):
+class For(Stmt, eq=False):
     """`for (start; condition; step) body`; each of the three may be left out."""
 
     start: Stmt | None
@@ -220,8 +197,7 @@ class For(Stmt):
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class Each(Stmt):
+class Each(Stmt, eq=False):
     """`for (T name : array) body`; `place` is the name."""
 
     type: TypeName
@@ -231,32 +207,27 @@ class Each(Stmt):
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class Break(Stmt):
+class Break(Stmt, eq=False):
     """`break;`."""
 
 
-@dataclass(slots=True, eq=False)
-class Continue(Stmt):
+class Continue(Stmt, eq=False):
     """`continue;`."""
 
 
-@dataclass(slots=True, eq=False)
-class Return(Stmt):
+class Return(Stmt, eq=False):
     """`return;` or `return value;`."""
 
     value: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class Throw(Stmt):
+class Throw(Stmt, eq=False):
     """`throw value;`."""
 
     value: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Catch:
+class Catch(Struct, eq=False):
     """`catch (T name) body`; `place` is the name."""
 
     type: TypeName
@@ -265,8 +236,7 @@ class Catch:
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class Try(Stmt):
+class Try(Stmt, eq=False):
     """`try body catch ... finally last`."""
 
     body: Stmt
@@ -274,31 +244,27 @@ class Try(Stmt):
     last: Stmt | None
 
 
-@dataclass(slots=True, eq=False)
-class Together(Stmt):
+class Together(Stmt, eq=False):
     """`together body`; `span` is the keyword."""
 
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class Within(Stmt):
+class Within(Stmt, eq=False):
     """`within (seconds) body`; `span` is the keyword."""
 
     seconds: Expr
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class Reserve(Stmt):
+class Reserve(Stmt, eq=False):
     """`reserve (target) body`; `span` is the keyword."""
 
     target: Expr
     body: Stmt
 
 
-@dataclass(slots=True, eq=False)
-class WaitUntil(Stmt):
+class WaitUntil(Stmt, eq=False):
     """`wait until (condition) within (seconds);`, without `within`: None; `span` is the keyword."""
 
     condition: Expr
@@ -308,8 +274,7 @@ class WaitUntil(Stmt):
 # --- declarations -------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class ParameterDecl:
+class ParameterDecl(Struct, eq=False):
     """`T name`."""
 
     type: TypeName
@@ -317,8 +282,7 @@ class ParameterDecl:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Field:
+class Field(Struct, eq=False):
     """A field with its initialiser, if it has one; `span` is its name."""
 
     type: TypeName
@@ -328,8 +292,7 @@ class Field:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class LoopHead:
+class LoopHead(Struct, eq=False):
     """The clauses of a loop. `rate` is in hertz, or with `every` a period in seconds.
 
     `place` is the number behind `priority`.
@@ -363,21 +326,19 @@ class Method:
         self.end = self.span
 
 
-@dataclass(slots=True, eq=False)
-class Unit:
+class Unit(Struct, eq=False):
     """A class, resource or coordinator; `broken` when members may be missing; `span` is its name."""
 
     kind: UnitKind
     usage: Usage
     name: str
     span: Span
-    fields: list[Field] = field(default_factory=list)
-    methods: list[Method] = field(default_factory=list)
+    fields: list[Field] = []
+    methods: list[Method] = []
     broken: bool = False
 
 
-@dataclass(slots=True, eq=False)
-class Constant:
+class Constant(Struct, eq=False):
     """`const T NAME = value;` at the top level; `span` is the name."""
 
     type: TypeName
@@ -386,16 +347,14 @@ class Constant:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class EnumMember:
+class EnumMember(Struct, eq=False):
     """A member of an enum; `span` is its name."""
 
     name: str
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Enumeration:
+class Enumeration(Struct, eq=False):
     """`enum NAME { A, B }`; `span` is the name."""
 
     name: str
@@ -403,8 +362,7 @@ class Enumeration:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Include:
+class Include(Struct, eq=False):
     """`include "path";` or, with `library`, `include <path>;`."""
 
     path: str
@@ -412,8 +370,7 @@ class Include:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class ParsedFile:
+class ParsedFile(Struct, eq=False):
     """One parsed file; `broken` when declarations may be missing.
 
     `functions` are those of the top level. `types` are the names of types it mentions, `called` the names it
@@ -421,11 +378,11 @@ class ParsedFile:
     """
 
     source: Source
-    includes: list[Include] = field(default_factory=list)
-    units: list[Unit] = field(default_factory=list)
-    constants: list[Constant] = field(default_factory=list)
-    enums: list[Enumeration] = field(default_factory=list)
-    functions: list[Method] = field(default_factory=list)
+    includes: list[Include] = []
+    units: list[Unit] = []
+    constants: list[Constant] = []
+    enums: list[Enumeration] = []
+    functions: list[Method] = []
     broken: bool = False
-    types: set[str] = field(default_factory=set)
-    called: set[str] = field(default_factory=set)
+    types: set[str] = set()
+    called: set[str] = set()

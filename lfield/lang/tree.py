@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Literal
+
+from msgspec import Struct, field
 
 from lfield.lang.types import Type
 from lfield.manifest import DeviceManifest, Instruction
@@ -25,8 +26,7 @@ MethodKind = Literal["method", "constructor", "init", "portal", "loop", "ticks"]
 # --- declarations -------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class Local:
+class Local(Struct, eq=False):
     """A parameter or local variable. Starts as 0, false or null. One without a name is the checker's own."""
 
     name: str
@@ -34,8 +34,7 @@ class Local:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Field:
+class Field(Struct, eq=False):
     """A field; `index` counts from 0 within its unit. A DeviceType names the device type."""
 
     name: str
@@ -45,8 +44,7 @@ class Field:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Method:
+class Method(Struct, eq=False):
     """A method, constructor, init or portal. `unit` owns it; `body` ends at `end` (the closing brace)."""
 
     name: str
@@ -66,8 +64,7 @@ class Method:
         return f"{self.name}({', '.join(str(p.type) for p in self.parameters)})"
 
 
-@dataclass(slots=True, eq=False)
-class ResourceLoop:
+class ResourceLoop(Struct, eq=False):
     """A loop of a resource: its body, the method of its thread, and its fields, which no name leads to.
 
     `running`: the body runs now; `engaged`: it suppresses loops of lower priority.
@@ -86,8 +83,7 @@ class ResourceLoop:
         return self.priority is not None and self.priority > 0
 
 
-@dataclass(slots=True, eq=False)
-class Unit:
+class Unit(Struct, eq=False):
     """A class (always with a constructor; offers are of a `capability`), resource or coordinator.
 
     Objects of a class that is `thrown` become exceptions somewhere. A `function` of the top level is checked
@@ -164,8 +160,7 @@ class Unit:
         return self._methods.get((name, kind), ())
 
 
-@dataclass(slots=True, eq=False)
-class Enumeration:
+class Enumeration(Struct, eq=False):
     """An enum: the names of its members in their order; `spans` are the names in the declaration."""
 
     name: str
@@ -174,8 +169,7 @@ class Enumeration:
     spans: tuple[Span, ...] = ()
 
 
-@dataclass(slots=True, eq=False)
-class Constant:
+class Constant(Struct, eq=False):
     """A constant of the top level; an enum's member is its number. UNKNOWN while its value is not known."""
 
     name: str
@@ -184,8 +178,7 @@ class Constant:
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class CheckedProgram:
+class CheckedProgram(Struct, eq=False):
     """A whole program without errors. `units` in source order; `sources` are all files it was read from.
 
     `growing` are the types of arrays that it makes longer or shorter.
@@ -200,58 +193,50 @@ class CheckedProgram:
 # --- expressions --------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class Expr:
+class Expr(Struct, eq=False):
     """Anything with a value. `type` may be VOID for calls."""
 
     span: Span
     type: Type
 
 
-@dataclass(slots=True, eq=False)
-class EnumName(Expr):
+class EnumName(Expr, eq=False):
     """The name of an enum, before a member or a method. Only the checker sees it."""
 
     enum: Enumeration
 
 
-@dataclass(slots=True, eq=False)
-class Literal_(Expr):
+class Literal_(Expr, eq=False):
     """A constant: bool, int, float, str, or None for null. A member of an enum is its number."""
 
     value: bool | int | float | str | None
 
 
-@dataclass(slots=True, eq=False)
-class This(Expr):
+class This(Expr, eq=False):
     """The object, resource or coordinator the method runs in."""
 
 
-@dataclass(slots=True, eq=False)
-class LocalGet(Expr):
+class LocalGet(Expr, eq=False):
     """The value of a local or parameter."""
 
     local: Local
 
 
-@dataclass(slots=True, eq=False)
-class FieldGet(Expr):
+class FieldGet(Expr, eq=False):
     """A field of an object; `object` may be null at run time."""
 
     object: Expr
     field: Field
 
 
-@dataclass(slots=True, eq=False)
-class Element(Expr):
+class Element(Expr, eq=False):
     """`array[index]`."""
 
     array: Expr
     index: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Assign(Expr):
+class Assign(Expr, eq=False):
     """`target = value`; its own value is the value assigned. The types are equal already."""
 
     target: LocalGet | FieldGet | Element
@@ -262,8 +247,7 @@ class Assign(Expr):
 BinaryOp = Literal["+", "-", "*", "/", "%", "==", "!=", "<", "<=", ">", ">="]
 
 
-@dataclass(slots=True, eq=False)
-class Binary(Expr):
+class Binary(Expr, eq=False):
     """Arithmetic, `+` on strings, comparison. References have `==`/`!=` only, the right may be a null."""
 
     op: BinaryOp
@@ -271,8 +255,7 @@ class Binary(Expr):
     right: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Logical(Expr):
+class Logical(Expr, eq=False):
     """`&&` or `||`; the right side runs only when it is needed."""
 
     op: Literal["&&", "||"]
@@ -280,51 +263,44 @@ class Logical(Expr):
     right: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Not(Expr):
+class Not(Expr, eq=False):
     """`!operand`."""
 
     operand: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Negate(Expr):
+class Negate(Expr, eq=False):
     """`-operand`, int or real."""
 
     operand: Expr
 
 
-@dataclass(slots=True, eq=False)
-class ToReal(Expr):
+class ToReal(Expr, eq=False):
     """An int widened to real, the only implicit conversion."""
 
     operand: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Relabel(Expr):
+class Relabel(Expr, eq=False):
     """A member of an enum as its number, or the other way round: the value stays as it is."""
 
     operand: Expr
 
 
-@dataclass(slots=True, eq=False)
-class New(Expr):
+class New(Expr, eq=False):
     """`new C(args)`. For a built-in exception class, `constructor` is None and args are () or (message)."""
 
     constructor: Method | None
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class NewArray(Expr):
+class NewArray(Expr, eq=False):
     """`new T[n]`, `new T[n][m]`: one array per length given, the rest null. `type` is the whole ArrayType."""
 
     lengths: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class Call(Expr):
+class Call(Expr, eq=False):
     """A method of an object of the program (`This` when called on itself)."""
 
     object: Expr
@@ -332,8 +308,7 @@ class Call(Expr):
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class PortalCall(Expr):
+class PortalCall(Expr, eq=False):
     """A portal of a resource, through its proxy: the one place where a coordinator may travel."""
 
     proxy: Expr
@@ -341,24 +316,21 @@ class PortalCall(Expr):
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class Async(Expr):
+class Async(Expr, eq=False):
     """`async call`: the call of a portal, or of an offer, begins; the value is a new future."""
 
     call: PortalCall | Call
     constructor: Method
 
 
-@dataclass(slots=True, eq=False)
-class Find(Expr):
+class Find(Expr, eq=False):
     """`findR(id)` gives a proxy, `findR()` (id None) all of them as an array."""
 
     resource: Unit
     id: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class Query(Expr):
+class Query(Expr, eq=False):
     """`findC(constraint)`: offers; `teamsC(constraint, size)`: teams of them; `explainC`: why no others."""
 
     capability: Unit
@@ -367,30 +339,26 @@ class Query(Expr):
     size: Expr | None = None
 
 
-@dataclass(slots=True, eq=False)
-class LibraryCall(Expr):
+class LibraryCall(Expr, eq=False):
     """A function of the library (lang/language_library.py); `operation` names the instruction it becomes."""
 
     operation: str
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class LoopCall(LibraryCall):
+class LoopCall(LibraryCall, eq=False):
     """An instruction of the thread of a loop; `other` is the method of another loop's thread."""
 
     other: Method | None = None
 
 
-@dataclass(slots=True, eq=False)
-class LoopName(Expr):
+class LoopName(Expr, eq=False):
     """The name of a loop, whose `running()` and `overruns()` can be called."""
 
     loop: ResourceLoop
 
 
-@dataclass(slots=True, eq=False)
-class DeviceCall(Expr):
+class DeviceCall(Expr, eq=False):
     """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types."""
 
     #: A field of the resource itself, or what gives a device that an object was given.
@@ -400,8 +368,7 @@ class DeviceCall(Expr):
     arguments: list[Expr]
 
 
-@dataclass(slots=True, eq=False)
-class Elements(Expr):
+class Elements(Expr, eq=False):
     """A new array of these values, `new T[] {a, b}`; `type` is the whole ArrayType."""
 
     elements: list[Expr]
@@ -410,30 +377,26 @@ class Elements(Expr):
 # --- statements ---------------------------------------------------------------------------------------
 
 
-@dataclass(slots=True, eq=False)
-class Stmt:
+class Stmt(Struct, eq=False):
     """A step of a body."""
 
     span: Span
 
 
-@dataclass(slots=True, eq=False)
-class Evaluate(Stmt):
+class Evaluate(Stmt, eq=False):
     """An expression for its effect; the value is dropped."""
 
     value: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Declare(Stmt):
+class Declare(Stmt, eq=False):
     """A local comes into scope; with no value it is set to 0, false or null (again, in a loop)."""
 
     local: Local
     value: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class If(Stmt):
+class If(Stmt, eq=False):
     """`if (condition) then else otherwise`."""
 
     condition: Expr
@@ -441,8 +404,7 @@ class If(Stmt):
     otherwise: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class Loop(Stmt):
+class Loop(Stmt, eq=False):
     """`while`, and `for` with its step: `step` also runs after `continue`."""
 
     condition: Expr
@@ -450,40 +412,34 @@ class Loop(Stmt):
     step: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class Break(Stmt):
+class Break(Stmt, eq=False):
     """Leave the innermost loop."""
 
 
-@dataclass(slots=True, eq=False)
-class Continue(Stmt):
+class Continue(Stmt, eq=False):
     """Go to the step of the innermost loop."""
 
 
-@dataclass(slots=True, eq=False)
-class Return(Stmt):
+class Return(Stmt, eq=False):
     """Leave the method; `value` has exactly the result type."""
 
     value: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class Throw(Stmt):
+class Throw(Stmt, eq=False):
     """Throw an object; null throws NullException."""
 
     value: Expr
 
 
-@dataclass(slots=True, eq=False)
-class Catch:
+class Catch(Struct, eq=False):
     """`catch (C e) ...`: `local.type` is the class caught; EXCEPTION takes any."""
 
     local: Local
     body: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class Try(Stmt):
+class Try(Stmt, eq=False):
     """A body and its catches, tried in order; `last` runs whenever L leaves them, None without `finally`."""
 
     body: list[Stmt]
@@ -491,15 +447,13 @@ class Try(Stmt):
     last: list[Stmt] | None = None
 
 
-@dataclass(slots=True, eq=False)
-class Together(Stmt):
+class Together(Stmt, eq=False):
     """A body whose `StartCall`s run concurrently; it ends when all of them have returned."""
 
     body: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class StartCall(Stmt):
+class StartCall(Stmt, eq=False):
     """A portal call of the innermost `together` around it, or the call of an offer.
 
     `target` takes the result when the block ends: a local or an element of an array; None drops it.
@@ -509,32 +463,28 @@ class StartCall(Stmt):
     target: LocalGet | Element | None
 
 
-@dataclass(slots=True, eq=False)
-class Within(Stmt):
+class Within(Stmt, eq=False):
     """A body with a time limit in seconds."""
 
     seconds: Expr
     body: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class Reserve(Stmt):
+class Reserve(Stmt, eq=False):
     """A body during which `target` (a proxy, an offer, or an array of them) serves no other coordinator."""
 
     target: Expr
     body: list[Stmt]
 
 
-@dataclass(slots=True, eq=False)
-class WaitUntil(Stmt):
+class WaitUntil(Stmt, eq=False):
     """Leave the monitor until the condition holds, at most `seconds` (None: without limit)."""
 
     condition: Expr
     seconds: Expr | None
 
 
-@dataclass(slots=True, eq=False)
-class BlockStmt(Stmt):
+class BlockStmt(Stmt, eq=False):
     """Statements with a scope of their own."""
 
     body: list[Stmt]

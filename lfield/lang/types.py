@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 
-@dataclass(frozen=True, slots=True)
-class Type:
+class Type(Struct, frozen=True):
     """A type without parts: boolean, int, real, string, void, and the two of the checker."""
 
     name: str
@@ -15,45 +14,38 @@ class Type:
         return self.name
 
 
-@dataclass(frozen=True, slots=True)
-class ArrayType(Type):
+class ArrayType(Type, frozen=True):
     """`T[]`; write `array_of(T)`, which makes the name."""
 
     element: Type
 
 
-@dataclass(frozen=True, slots=True)
-class ClassType(Type):
+class ClassType(Type, frozen=True):
     """An object of a class, or of a built-in exception class."""
 
 
-@dataclass(frozen=True, slots=True)
-class MapType(ClassType):
+class MapType(ClassType, frozen=True):
     """`map<K, V>`; write `map_of(K, V)`. Its class is of the library (standard_library/map.L)."""
 
     key: Type
     value: Type
 
 
-@dataclass(frozen=True, slots=True)
-class EnumType(Type):
+class EnumType(Type, frozen=True):
     """A member of an enum of the program, represented by its number from 0."""
 
 
-@dataclass(frozen=True, slots=True)
-class FutureType(ClassType):
+class FutureType(ClassType, frozen=True):
     """`future<T>`; write `future_of(T)`. Its class is of the library (standard_library/future.L)."""
 
     value: Type
 
 
-@dataclass(frozen=True, slots=True)
-class ResourceType(Type):
+class ResourceType(Type, frozen=True):
     """A proxy for a resource somewhere in the team."""
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceType(Type):
+class DeviceType(Type, frozen=True):
     """A piece of hardware, named by a resource's field; never a value that can be copied."""
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
+from msgspec import structs
+
 from lfield.bytecode.program import Program
 from lfield.bytecode.side_effects import fenced_classes, reading_classes
 from lfield.capability.model import Registry, Value
@@ -166,7 +168,7 @@ def with_poses(registry: Registry, types: Mapping[str, str], frames: Frames) -> 
             continue
         where: dict[str, Value] = {"north": pose.north, "east": pose.east, "down": pose.down}
         agents[agent] = {**where, **registry.agents.get(agent, {})}
-    return replace(registry, agents=agents)
+    return structs.replace(registry, agents=agents)
 
 
 def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:

@@ -8,7 +8,6 @@ is read: an evaluator runs only expressions that were checked on the same comput
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +75,8 @@ def _plain(value: Any) -> Any:
             return {key: _plain(item) for key, item in value.items()}
         case tuple():
             return [_plain(item) for item in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        names = (field.name for field in fields(value) if field.name not in _LEFT_OUT)
+    if isinstance(value, msgspec.Struct):
+        names = (name for name in value.__struct_fields__ if name not in _LEFT_OUT)
         return {name: "" if name in _EMPTIED else _plain(getattr(value, name)) for name in names}
     return value
 

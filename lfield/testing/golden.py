@@ -16,8 +16,10 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from lfield.bytecode.program import DeviceCallRecord, Program
 from lfield.capability.model import Registry

@@ -7,8 +7,9 @@ it and cannot diverge.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield.text.source_text import Diagnostic, Span
 from lfield.text.terminal_escape import truncate
@@ -22,8 +23,7 @@ MAX_FIELD = 200
 MAX_RENDERED = 50
 
 
-@dataclass(frozen=True, slots=True)
-class FindingKind:
+class FindingKind(Struct, frozen=True):
     """One kind of finding; `sentence` and `hint` are templates with `{names}` filled in by `at`."""
 
     code: str

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+
+from msgspec import Struct
 
 from lfield.text.terminal_escape import escape_line
 
@@ -43,8 +45,7 @@ class Source:
         return start, end
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(Struct, frozen=True):
     """Characters `start` to `end` (exclusive) of a source."""
 
     source: Source
@@ -71,8 +72,7 @@ class Span:
         return Span(self.source, self.start, max(self.end, other.end))
 
 
-@dataclass(frozen=True, slots=True)
-class Diagnostic:
+class Diagnostic(Struct, frozen=True):
     """One finding: `L203`, a sentence, its position, and what to do about it."""
 
     code: str
@@ -127,8 +127,7 @@ FINDING_CODES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class PlainFinding:
+class PlainFinding(Struct, frozen=True):
     """A finding without a position in a file; `FINDING_CODES` lists its codes."""
 
     message: str
@@ -152,12 +151,11 @@ def _window(source: Source, line: int, place: int) -> tuple[str, int]:
     return source.text[start + skipped : min(end, start + skipped + MAX_SHOWN)], place - skipped
 
 
-@dataclass(slots=True)
-class Diagnostics:
+class Diagnostics(Struct):
     """Collects findings, so that one run reports all of them."""
 
-    found: list[Diagnostic] = field(default_factory=list)
-    _places: set[tuple[str, int, Source]] = field(default_factory=set)
+    found: list[Diagnostic] = []
+    _places: set[tuple[str, int, Source]] = set()
 
     def add(self, diagnostic: Diagnostic) -> None:
         """Add a finding; a second one with the same code and position is dropped."""

@@ -13,9 +13,9 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import yaml
+from msgspec import Struct
 
 from lfield.errors import InputFileError
 from lfield.text.input_files import invalid_byte
@@ -60,24 +60,21 @@ _CONSTANTS: dict[str, bool | None] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class YamlScalar:
+class YamlScalar(Struct, frozen=True):
     """One value: null, a boolean, a number or text."""
 
     value: bool | int | float | str | None
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
-class YamlList:
+class YamlList(Struct, frozen=True):
     """A list of nodes."""
 
     items: tuple[YamlNode, ...]
     span: Span
 
 
-@dataclass(frozen=True, slots=True)
-class YamlEntry:
+class YamlEntry(Struct, frozen=True):
     """One key of a mapping with its value."""
 
     key: str
@@ -85,8 +82,7 @@ class YamlEntry:
     value: YamlNode
 
 
-@dataclass(frozen=True, slots=True)
-class YamlMapping:
+class YamlMapping(Struct, frozen=True):
     """Entries by key, in the order of the text."""
 
     entries: dict[str, YamlEntry]

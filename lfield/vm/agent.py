@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
 from typing import Final, Literal, overload
+
+from msgspec import Struct, field
 
 from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
@@ -25,8 +26,7 @@ AgentKind = Literal["resource", "coordinator", "unknown"]
 CANCELLED = "CancelledException"
 
 
-@dataclass(frozen=True, slots=True)
-class TeamMember:
+class TeamMember(Struct, frozen=True):
     """An agent of the team as known to every host; its number is its position in the deployment."""
 
     number: int
@@ -39,8 +39,7 @@ class TeamMember:
     is_startable: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class MachineTeam:
+class MachineTeam(Struct, frozen=True):
     """The team as seen by one host.
 
     `members` are all agents of the deployment in order, `here` the number of the host, `incarnation` this run
@@ -74,8 +73,7 @@ class MemberTypes(Sequence[str]):
         return len(self._members)
 
 
-@dataclass(slots=True)
-class ResourceLoops:
+class ResourceLoops(Struct):
     """The loops of a resource. Ids of threads are keys, names and reasons are for messages."""
 
     #: The threads of the loops by their method's index.

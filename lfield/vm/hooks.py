@@ -8,8 +8,9 @@ meter gets the number of executed instructions, for simulated computing time.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Protocol
+
+from msgspec import Struct, field
 
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.block import Block
@@ -86,8 +87,7 @@ class HostLiveness(Protocol):
         """The measured transit time of a coordinator to that host, in seconds."""
 
 
-@dataclass(slots=True)
-class VmHooks:
+class VmHooks(Struct):
     """Hooks of one machine. `rules` is called before each portal call. `stubs` are by the ids of resources,
     which must not have started yet: their `init` does not run, and they are open at once. `meter` gets the
     number of instructions of each turn. `liveness` is for linked hosts that may be silent. `on_arrival` is

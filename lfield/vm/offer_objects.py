@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.bytecode.program import FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
@@ -18,8 +19,7 @@ from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import header
 
 
-@dataclass(frozen=True, slots=True)
-class FoundOffer:
+class FoundOffer(Struct, frozen=True):
     """One present offer.
 
     `way` is the field of the capability's class for its realisation. A direct one is a proxy for the agent

@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from msgspec import Struct
+
 from lfield.vm.agent import Agent
 
 #: Key of a call: the coordinator's id, the generation that started it, and the number of its ticket.
 CallKey = tuple[str, int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class CallRequest:
+class CallRequest(Struct, frozen=True):
     """Request of a coordinator to start a call here: ticket number, resource id, portal.
 
     `has_side_effects`: the portal may have side effects.

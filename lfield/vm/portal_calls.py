@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.bytecode.program import REFERENCES, SOURCE, TRACE
 from lfield.vm.agent import Agent, TeamMember
@@ -213,8 +214,7 @@ def serve(
     stand_in(_StubCall(scheduler, resource, served, method))
 
 
-@dataclass(frozen=True, slots=True)
-class _StubCall:
+class _StubCall(Struct, frozen=True):
     """A call that is answered by a stub (`hooks.StubCall`)."""
 
     scheduler: Scheduler

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lfield.capability.condition_compiler import compile_constants, compile_query, compile_template
 from lfield.capability.condition_parser import parse_query

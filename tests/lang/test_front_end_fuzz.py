@@ -1,11 +1,11 @@
 """For any text, the front end neither raises, hangs nor accepts an incomplete tree."""
 
-import dataclasses
 from pathlib import Path
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lang_expectations import GOLDEN, ROVER
+from msgspec import Struct
 
 from lfield.lang import tree
 from lfield.lang.deployment import parse_deployment
@@ -69,9 +69,9 @@ def assert_types_known(program: tree.CheckedProgram) -> None:
         assert node is not UNKNOWN
         if isinstance(node, list):
             waiting.extend(node)
-        elif dataclasses.is_dataclass(node) and id(node) not in seen and not isinstance(node, Type | Source):
+        elif isinstance(node, Struct) and id(node) not in seen and not isinstance(node, Type | Source):
             seen.add(id(node))
-            waiting.extend(getattr(node, f.name) for f in dataclasses.fields(node))
+            waiting.extend(getattr(node, name) for name in node.__struct_fields__)
         elif isinstance(node, Type):
             waiting.extend([node.element] if hasattr(node, "element") else [])
 

@@ -114,7 +114,7 @@ def classes(tree: ast.Module) -> list[ast.ClassDef]:
 
 
 def is_record(cls: ast.ClassDef) -> bool:
-    """Whether a class is a dataclass without methods; properties, `__str__` and the like are allowed."""
+    """Whether a class is a dataclass or struct without methods; properties and `__str__` are allowed."""
     return is_dataclass(cls) and not any(
         isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)
         and not each.name.startswith("__")
@@ -124,7 +124,20 @@ def is_record(cls: ast.ClassDef) -> bool:
 
 
 def is_dataclass(cls: ast.ClassDef) -> bool:
-    return any(ast.unparse(each).startswith(("dataclass", "dataclasses.d")) for each in cls.decorator_list)
+    """Whether a class is a dataclass or a msgspec struct; a struct that inherits from another has options."""
+    marks = [ast.unparse(each) for each in cls.decorator_list]
+    is_struct = any(last_name(each) == "Struct" for each in cls.bases)
+    return (
+        is_struct
+        or any(each.startswith(("dataclass", "dataclasses.d")) for each in marks)
+        or any(each.arg in ("frozen", "eq") for each in cls.keywords)
+    )
+
+
+def is_frozen(cls: ast.ClassDef) -> bool:
+    """Whether a dataclass or struct is a value, which nobody changes."""
+    options = [*map(ast.unparse, cls.decorator_list), *map(ast.unparse, cls.keywords)]
+    return any("frozen=True" in each for each in options)
 
 
 def attributes(tree: ast.Module) -> list[tuple[ast.ClassDef, frozenset[str], frozenset[str]]]:

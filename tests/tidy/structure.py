@@ -21,6 +21,7 @@ from code_tree import (
     class_names,
     classes,
     is_dataclass,
+    is_frozen,
     is_record,
     last_name,
     modules,
@@ -80,9 +81,10 @@ def foreign_assignments(trees: Trees) -> list[Finding]:
     """Attributes that are assigned on an object of the project outside its class.
 
     An object with behaviour is changed only by its class. A helper of the same file counts as part of that
-    class, and a record (a dataclass without methods) may be filled within its package. Excluded are modules,
-    and objects of libraries: no class of the project declares their attributes. Where annotations and calls
-    around the assignment do not give the class of the object, every class that declares the attribute counts.
+    class, and a record (a dataclass or struct without methods) may be filled within its package. Excluded
+    are modules, and objects of libraries: no class of the project declares their attributes. Where
+    annotations and calls around the assignment do not give the class of the object, every class that declares
+    the attribute counts.
     """
     known = [
         Declared(file, cls, declared | assigned)
@@ -157,8 +159,8 @@ def package_of(file: str) -> str:
 def long_constructors(trees: Trees) -> list[Finding]:
     """Constructors that take more than 7 arguments besides `self`.
 
-    For a dataclass that holds behaviour (not frozen, and with methods) its fields without a default count. A
-    frozen dataclass is a value and one without methods is a record: their fields are data, however many.
+    For a dataclass or struct that holds behaviour (not frozen, and with methods) its fields without a default
+    count. A frozen one is a value and one without methods is a record: their fields are data, however many.
     """
     return [
         Finding("constructor", file, cls.lineno, cls.name, f"{cls.name} takes {count} arguments")
@@ -175,8 +177,7 @@ def argument_count(cls: ast.ClassDef) -> int:
             given = method.args
             every = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
             return len([each for each in every if each is not None]) - 1
-    is_frozen = any("frozen=True" in ast.unparse(each) for each in cls.decorator_list)
-    if not is_dataclass(cls) or is_frozen or is_record(cls):
+    if not is_dataclass(cls) or is_frozen(cls) or is_record(cls):
         return 0
     return sum(is_required(each) for each in cls.body)
 

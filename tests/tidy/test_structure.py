@@ -241,8 +241,12 @@ def test_inherited_attributes_belong_to_the_base() -> None:
     assert structure.foreign_assignments(trees(a__part=PART, a__own=whole, a__use=use)) == []
 
 
-def test_record_is_filled_within_its_package_only() -> None:
-    record = "@dataclass(slots=True)\nclass Account:\n  level: int\n  @property\n  def full(self): ..."
+@pytest.mark.parametrize(
+    "head",
+    ["@dataclass(slots=True)\nclass Account:", "class Account(Struct):", "class Account(Node, eq=False):"],
+)
+def test_record_is_filled_within_its_package_only(head: str) -> None:
+    record = f"{head}\n  level: int\n  @property\n  def full(self): ..."
     use = "def f(account): account.level = 1"
     assert structure.foreign_assignments(trees(a__account=record, a__use=use)) == []
     assert len(structure.foreign_assignments(trees(a__account=record, b__use=use))) == 1

@@ -11,6 +11,8 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from msgspec import structs
+
 from lfield.driver import DeviceBinding, DeviceError, FileFinding, MissionFileError, PlanReport, PlanRequest
 from lfield_mavlink.files.fence_check import FenceCheck
 from lfield_mavlink.files.plan_file import FIRMWARES, PlanFile
@@ -81,7 +83,7 @@ def _of_options(request: PlanRequest) -> PlanRequest:
     """The request with kind and firmware of the options of a binding."""
     kind, firmware = (str(request.options.get(key, "")) for key in ("kind", "autopilot"))
     known = firmware if firmware in FIRMWARES else ""
-    return replace(request, kind=request.kind or kind, firmware=request.firmware or known)
+    return structs.replace(request, kind=request.kind or kind, firmware=request.firmware or known)
 
 
 class _PlanCheck:

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Protocol
 
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from lfield.capability.directory.agent_profile import (
@@ -52,8 +51,7 @@ class ContactTimes(Protocol):
         """When something last came from a host; None when nothing ever did."""
 
 
-@dataclass(slots=True)
-class _Remote:
+class _Remote(Struct):
     """The state received from another host in its `incarnation`.
 
     `is_in_sync` when no delta of it is missing here; else its values were current up to

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from lfield.capability.matching.condition_checker import POSITION
 from lfield.capability.model import Attribute, LiveAttribute, Registry
@@ -32,8 +33,7 @@ class AgentIdentity(Protocol):
         """Where it lives."""
 
 
-@dataclass(frozen=True, slots=True)
-class AgentProfile:
+class AgentProfile(Struct, frozen=True):
     """What never changes of an agent: its number in the deployment, what the mission states of it, and which
     values must be measured.
     """

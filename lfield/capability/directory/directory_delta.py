@@ -7,7 +7,6 @@ samples are structs: in a lively team there are thousands of them in every secon
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -23,8 +22,7 @@ FRESH_SHARE = 0.5
 TIME_TOLERANCE = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class Unavailability:
+class Unavailability(Struct, frozen=True):
     """Why an agent cannot be called, and `since` when, if known: `unreachable`, `died of ...`."""
 
     reason: str
@@ -38,8 +36,7 @@ class Unavailability:
         return f"{self.reason} for {seconds:.{0 if seconds >= 10 else 1}f} s"
 
 
-@dataclass(frozen=True, slots=True)
-class ReservedBy:
+class ReservedBy(Struct, frozen=True):
     """A coordinator has an agent for itself `since` then: others are not offered it (decision 53)."""
 
     holder: str
@@ -88,8 +85,7 @@ class AgentCondition(Struct, frozen=True, gc=False):
 UNCHANGED = AgentCondition()
 
 
-@dataclass(frozen=True, slots=True)
-class DirectoryDelta:
+class DirectoryDelta(Struct, frozen=True):
     """What changed in the agents of a host since its news number `since`; 0 is everything there is.
 
     `incarnation` identifies one run of the host, `sequence` grows within it.

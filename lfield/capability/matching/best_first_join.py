@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import count
+
+from msgspec import Struct
 
 from lfield.capability.matching.condition_evaluator import Judge
 from lfield.capability.matching.plan import Plan
@@ -45,8 +46,7 @@ class PlanStream:
         return self._made
 
 
-@dataclass(slots=True)
-class SearchBudget:
+class SearchBudget(Struct):
     """Remaining effort of a search: failed combinations, and steps; `parent` is charged with it."""
 
     failures: int

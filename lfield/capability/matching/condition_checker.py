@@ -9,8 +9,9 @@ are `need.attribute`, and `distance(need, need)` is in metres. Equality with a s
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Literal, cast
+
+from msgspec import Struct, field
 
 from lfield.capability import condition_tree
 from lfield.capability.condition_tree import Mistake
@@ -43,8 +44,7 @@ EXPECTATIONS: Mapping[str, Expectation] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ValueKind:
+class ValueKind(Struct, frozen=True):
     """What an expression is worth: its sort, with all members or texts it may have (() for any).
 
     The sort of an erroneous part is 'nothing', which is not reported again. `unit` is that of a number, None
@@ -60,8 +60,7 @@ _NUMBER, _BOOLEAN, _TEXT = ValueKind("number"), ValueKind("boolean"), ValueKind(
 _PART, _NOTHING = ValueKind("part"), ValueKind("nothing")
 
 
-@dataclass(frozen=True, slots=True)
-class NameScope:
+class NameScope(Struct, frozen=True):
     """What names mean: bare `names`, and for each of the `needs` of a composition its `members`.
 
     `parameters` are the sorts of the values that a program passes, by what is written in the query; None

@@ -9,8 +9,10 @@ grip-and-climb: no Grip
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.condition_evaluator import conjuncts
@@ -53,8 +55,7 @@ def _lines(refusals: Iterable[Rejection], indent: str) -> Iterator[str]:
         yield from _lines(refusal.inner, f"{indent}  ")
 
 
-@dataclass(frozen=True, slots=True)
-class _Node:
+class _Node(Struct, frozen=True):
     """Where an explanation is: at the end of a chain to a primitive, which is wanted on conditions.
 
     `depth` is how many rules may be chained above the agents of `primitive`; `used` are the compositions

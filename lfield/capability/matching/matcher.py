@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
+
+from msgspec import Struct
 
 from lfield.capability.matching.best_first_join import PlanStream, SearchBudget, SearchBudgetExceeded, teams
 from lfield.capability.matching.condition_evaluator import evaluator, fact_names
@@ -18,8 +19,7 @@ from lfield.capability.model import ANY_OFFER, Expression, OfferQuery, Registry,
 from lfield.capability.offer import AgentSource, Offer, Rejection
 
 
-@dataclass(frozen=True, slots=True)
-class MatchResult:
+class MatchResult(Struct, frozen=True):
     """The best offers, best first; how many there are; and notes on what the search left out.
 
     Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones. Of
@@ -58,8 +58,7 @@ class MatchResult:
         return found
 
 
-@dataclass(frozen=True, slots=True)
-class TeamResult:
+class TeamResult(Struct, frozen=True):
     """Teams of offers, best first, members best first; and the number of candidate agents.
 
     `others`: there are further teams. For the `cut` rules not all combinations of parts were tried; `more`:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain as joined
 from itertools import islice
+
+from msgspec import Struct
 
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.best_first_join import (
@@ -39,8 +40,7 @@ Used = frozenset[str]
 NOTHING: Used = frozenset()
 
 
-@dataclass(frozen=True, slots=True)
-class SearchLimits:
+class SearchLimits(Struct, frozen=True):
     """Limits of a search.
 
     depth           rules on top of one another
@@ -59,8 +59,7 @@ class SearchLimits:
     offers: int = 32
 
 
-@dataclass(frozen=True, slots=True)
-class _Way:
+class _Way(Struct, frozen=True):
     """A chain of one-to-one rules, at its end agents or a composition; it costs at least `bound`."""
 
     chain: Chain

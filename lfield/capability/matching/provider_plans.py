@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.capability import ways
 from lfield.capability.matching.condition_evaluator import conjuncts, evaluator
@@ -15,8 +16,7 @@ from lfield.capability.model import Attribute, Provider, Value
 from lfield.capability.offer import Candidate, Fact, Offer, Position
 
 
-@dataclass(frozen=True, slots=True)
-class CostContext:
+class CostContext(Struct, frozen=True):
     """The parts of a query that affect the cost of an agent: its attributes and its position."""
 
     named: frozenset[str] = frozenset()

@@ -14,8 +14,10 @@ parts that it names. The result is equivalent in three-valued logic; only what i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.capability import condition_tree
 from lfield.capability.matching.condition_checker import IDENTITY
@@ -36,8 +38,7 @@ _MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 _OPPOSITE: Mapping[str, str] = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", "<=": ">", ">": "<="}
 
 
-@dataclass(frozen=True, slots=True)
-class Join:
+class Join(Struct, frozen=True):
     """A join of two parts, by number, on a common value; each key function applies to its own part."""
 
     left: int
@@ -46,8 +47,7 @@ class Join:
     right_value: Judge
 
 
-@dataclass(frozen=True, slots=True)
-class PartCheck:
+class PartCheck(Struct, frozen=True):
     """A condition over several parts; `inputs` are its facts: the name, the part, its attribute."""
 
     judge: Judge
@@ -55,8 +55,7 @@ class PartCheck:
     parts: frozenset[int]
 
 
-@dataclass(frozen=True, slots=True)
-class PushedDown:
+class PushedDown(Struct, frozen=True):
     """The split condition: on single `parts` by number, between parts, and on the composition."""
 
     parts: tuple[tuple[Expression, ...], ...]
@@ -65,8 +64,7 @@ class PushedDown:
     whole: tuple[Expression, ...] = ()
 
 
-@dataclass(slots=True)
-class _Collected:
+class _Collected(Struct):
     """What was found while conditions were taken apart.
 
     An alternative is a condition for each part, of a choice at least one side is true.

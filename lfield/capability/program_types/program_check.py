@@ -7,8 +7,9 @@ where the promise is made.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from lfield.bytecode.program import Program
 from lfield.bytecode.side_effects import effectful_methods

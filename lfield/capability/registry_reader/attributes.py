@@ -11,9 +11,9 @@ ranking: {weights: {loss: 2.0, hop: 0.1}, attributes: {payload: 2.0}, nearby: 20
 
 from __future__ import annotations
 
-from dataclasses import fields as fields_of
-from dataclasses import replace
 from typing import cast, get_args
+
+from msgspec.structs import replace
 
 from lfield.capability.model import Attribute, AttributeType, Better, Weights
 from lfield.capability.registry_reader import messages
@@ -26,7 +26,7 @@ from lfield.text.yaml_source import YamlEntry
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
 
 #: The terms of the cost that have a weight, besides those of single attributes.
-_TERMS = tuple(f.name for f in fields_of(Weights) if f.name not in ("attributes", "nearby"))
+_TERMS = tuple(name for name in Weights.__struct_fields__ if name not in ("attributes", "nearby"))
 _HEAVIEST = 1e6
 
 

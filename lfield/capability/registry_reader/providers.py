@@ -22,7 +22,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from lfield.capability.matching.condition_checker import NameScope
 from lfield.capability.model import LiveAttribute, Provider, ServedPrimitive, Value

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.capability.model import (
     Attribute,
@@ -52,8 +54,7 @@ _EXAMPLES = {
 D = TypeVar("D", Attribute, Primitive)
 
 
-@dataclass(frozen=True, slots=True)
-class RegistryFile:
+class RegistryFile(Struct, frozen=True):
     """One file of a registry; that of a mission may override the others."""
 
     path: Path
@@ -61,8 +62,7 @@ class RegistryFile:
     mission: bool
 
 
-@dataclass(slots=True)
-class RegistryBuilder:
+class RegistryBuilder(Struct):
     """What is read so far, section by section: a section may refer to those that were read before it.
 
     `aliases` are the other ids of terms, and the ids out of use, with the id that counts.

@@ -18,9 +18,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 import lfield
 from lfield.capability.model import Composition, Expression, Registry, TaxonomyTerm
@@ -169,7 +170,7 @@ def _canonical(value: object) -> object:
         return value.text
     if isinstance(value, Composition):
         return [list(value.needs), _record(value)]
-    if is_dataclass(value):
+    if isinstance(value, Struct):
         return _record(value)
     if isinstance(value, Mapping):
         return {key: _canonical(item) for key, item in value.items()}
@@ -178,7 +179,7 @@ def _canonical(value: object) -> object:
     return [_canonical(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _record(value: Any) -> dict[str, object]:
+def _record(value: Struct) -> dict[str, object]:
     ignored = _IGNORED_OF.get(type(value), _IGNORED)
-    names = (field.name for field in fields(value) if field.name not in ignored)
+    names = (name for name in value.__struct_fields__ if name not in ignored)
     return {name: _canonical(getattr(value, name)) for name in names}

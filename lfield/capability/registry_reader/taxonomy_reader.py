@@ -14,7 +14,7 @@ version can be read with every later one; `taxonomy_version` is the least versio
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from lfield.capability.model import TaxonomyTerm
 from lfield.capability.registry_reader import messages

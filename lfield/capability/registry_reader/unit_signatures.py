@@ -6,8 +6,9 @@ Types are names of L here (`real`, `int[]`), as manifests and the registry write
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Literal
+
+from msgspec import Struct, field
 
 from lfield.capability.model import Argument, Portal
 from lfield.lang import syntax
@@ -26,8 +27,7 @@ RESERVED_TYPES = frozenset({"Exception", "Offer", *BUILTIN_EXCEPTIONS})
 Overload = tuple[tuple[str, ...], str]
 
 
-@dataclass(frozen=True, slots=True)
-class Signature:
+class Signature(Struct, frozen=True):
     """A resource, class or coordinator of a program as others see it.
 
     `portals` are the overloads by name: portals of a resource, public methods of a class. `constructors`

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -51,7 +50,7 @@ def dump_data(record: Dump, shown: BlockView, digest: bytes) -> dict[str, Any]:
 
 def thread_data(threads: Iterable[ThreadView]) -> list[dict[str, Any]]:
     """Threads with their frames, innermost first."""
-    found = [asdict(thread) for thread in threads]
+    found = [msgspec.to_builtins(thread) for thread in threads]
     for thread in found:
         for frame in thread["frames"]:
             frame["locals"] = dict(frame["locals"])

@@ -18,7 +18,9 @@ synchronously when the block reaches it, and its result is stored with those of 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.lang import types
 from lfield.lang.capability_port import OFFER_METHODS
@@ -46,16 +48,14 @@ from lfield.lang.tree_traversal import all_statements, descendants, statement_ex
 from lfield.lang.types import array_of
 
 
-@dataclass(slots=True, eq=False)
-class SettleResult(Stmt):
+class SettleResult(Stmt, eq=False):
     """The result of a synchronously executed realisation: stored into `target` when the block ends."""
 
     value: Expr
     target: Element
 
 
-@dataclass(frozen=True, slots=True)
-class AsyncVariant:
+class AsyncVariant(Struct, frozen=True):
     """The variant's method, and its ticket parameter."""
 
     method: Method

@@ -7,7 +7,6 @@ the next segment the whole state.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -33,8 +32,7 @@ from lfield.recording.turn_clocks import ReplayClock
 _NOTHING = b"\x90"
 
 
-@dataclass(frozen=True, slots=True)
-class GuardDifference:
+class GuardDifference(msgspec.Struct, frozen=True):
     """A decision that differs: the file, the monotonic and the wall-clock time in seconds, the input, and
     both decisions in words.
     """
@@ -47,8 +45,7 @@ class GuardDifference:
     replayed: str
 
 
-@dataclass(slots=True)
-class GuardReplay:
+class GuardReplay(msgspec.Struct):
     """The result: compared decisions and states (`digests`), how many differ, and the first that does.
 
     `cut` has the files with an end that is not readable, and why; `missing` those without any record.
@@ -57,8 +54,8 @@ class GuardReplay:
     digests: int = 0
     differences: int = 0
     first: GuardDifference | None = None
-    cut: dict[Path, str] = field(default_factory=dict)
-    missing: list[Path] = field(default_factory=list)
+    cut: dict[Path, str] = msgspec.field(default_factory=dict)
+    missing: list[Path] = msgspec.field(default_factory=list)
 
     def compare(self, recorded: bytes, replayed: bytes, difference: GuardDifference | None = None) -> bool:
         """Counts a comparison; returns whether both are equal."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,8 +28,7 @@ NO_RECORD = "it has no record"
 _DAMAGED = "it has a record that is damaged or of another version of lfield"
 
 
-@dataclass(frozen=True, slots=True)
-class GuardSegment:
+class GuardSegment(msgspec.Struct, frozen=True):
     """One file of a ring. `start` is None if not even its first record is complete; `end` says where the
     readable part ends, and why.
     """

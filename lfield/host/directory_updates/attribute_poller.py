@@ -7,9 +7,10 @@ result; the last result keeps its age, as any value does.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
+
+from msgspec import Struct
 
 from lfield.capability.model import LiveAttribute
 from lfield.clock import Clock
@@ -30,8 +31,7 @@ class PolledMachine(Protocol):
         """Calls their portals."""
 
 
-@dataclass(slots=True)
-class _Poll:
+class _Poll(Struct):
     """A polled portal of an agent: the time of the last call, whether it is under way, and the last
     result."""
 

@@ -9,7 +9,8 @@ goes there gets an UnreachableResourceException for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.host.context import HostContext, LinkOpened, Part
 from lfield.host.effects import OpenLink
@@ -24,8 +25,7 @@ from lfield.wire.coordinator_messages import CallsEnded, CancelCalls, WatchCalls
 REPEAT_AFTER = 1.0
 
 
-@dataclass(slots=True)
-class _Wait:
+class _Wait(Struct):
     """A coordinator that waits here: the numbers of its calls by host, and when the hosts are asked again."""
 
     agent: Agent

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, deque
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.host.context import HostContext, Part
 from lfield.host.effects import AnswerPersonCall, WriteLogOnce
@@ -45,16 +46,14 @@ TIME_LIMIT, CANCELLED = "TimeLimitException", "CancelledException"
 RESTARTED = "RestartException"
 
 
-@dataclass(frozen=True, slots=True)
-class PersonCaller:
+class PersonCaller(Struct, frozen=True):
     """The caller of a portal: a person of the authority, or a user of the host's own computer (`name` '')."""
 
     name: str
     label: str
 
 
-@dataclass(slots=True, eq=False)
-class PersonCall:
+class PersonCall(Struct, eq=False):
     """A call: until it starts it may wait for a reservation; `result` when it has ended."""
 
     order: PortalCallRequest

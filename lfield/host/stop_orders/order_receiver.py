@@ -11,8 +11,9 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from msgspec import Struct, field
 
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, VerifiedCertificate
@@ -52,8 +53,7 @@ class FromHost(NamedTuple):
 Origin = Sender | FromHost
 
 
-@dataclass(slots=True)
-class PendingCheck:
+class PendingCheck(Struct):
     """A datagram whose signature is to be checked."""
 
     signed: SignedOrder
@@ -63,8 +63,7 @@ class PendingCheck:
     known: VerifiedCertificate | None
 
 
-@dataclass(slots=True)
-class _Requester:
+class _Requester(Struct):
     """The latest datagram with an order from one origin, and when it arrived; when execution was last
     announced to that origin. In seconds."""
 
@@ -73,8 +72,7 @@ class _Requester:
     announced: float
 
 
-@dataclass(slots=True)
-class _VerifiedOrder:
+class _VerifiedOrder(Struct):
     """An order that was verified here: the recipients of its answers, and its state."""
 
     askers: OrderedDict[Origin, _Requester] = field(default_factory=OrderedDict)
@@ -83,8 +81,7 @@ class _VerifiedOrder:
     handed_back: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class OrderPorts:
+class OrderPorts(Struct, frozen=True):
     """The host interface of an `OrderReceiver`.
 
     `send` sends bytes to an address, `relay` a message to a host that is in `linked()`. `check` checks a

@@ -16,10 +16,9 @@ A person uses a device likewise, and counts as alive while a portal call of that
 from __future__ import annotations
 
 from collections.abc import Container, Iterable
-from dataclasses import dataclass
 from typing import Protocol
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from lfield.driver.binding import DeviceBinding
 from lfield.host.effects import MakeDeviceSafe
@@ -48,8 +47,7 @@ class MembershipView(Protocol):
         """Classify the hosts that did not answer."""
 
 
-@dataclass(slots=True)
-class _Coordinator:
+class _Coordinator(Struct):
     """A coordinator: when it was last confirmed alive and last reported, and its newest record."""
 
     alive_at: float

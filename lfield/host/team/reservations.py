@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Literal
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from lfield.capability.directory.directory_delta import ReservedBy
 
@@ -24,8 +26,7 @@ PREEMPT_AFTER = 1.0
 RESERVED, LOST = "ReservedException", "ReservationLostException"
 
 
-@dataclass(frozen=True, slots=True)
-class HeldReservation:
+class HeldReservation(Struct, frozen=True):
     """A reservation: since when it is held, and when it expires unless it is renewed."""
 
     resource: str
@@ -35,8 +36,7 @@ class HeldReservation:
     expires_at: float
 
 
-@dataclass(frozen=True, slots=True)
-class PersistHolder:
+class PersistHolder(Struct, frozen=True):
     """Record the holder of a resource (`holder` None: free), then call `Reservations.on_durable`.
 
     With `is_lazy` it may be written together with other records: nothing depends on it.
@@ -48,15 +48,13 @@ class PersistHolder:
     is_lazy: bool
 
 
-@dataclass(frozen=True, slots=True)
-class RetryWaiter:
+class RetryWaiter(Struct, frozen=True):
     """A waiting coordinator may repeat its request."""
 
     start: StartKey
 
 
-@dataclass(frozen=True, slots=True)
-class DenyWaiter:
+class DenyWaiter(Struct, frozen=True):
     """A coordinator has waited too long to reserve: a ReservedException with this message."""
 
     start: StartKey
@@ -75,8 +73,7 @@ class ReservationDenied(Exception):
         self.kind, self.message = kind, message
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
+class _Waiting(Struct, frozen=True):
     """An entry in a queue. A call that `may_proceed` stays there until it starts, or until its deadline."""
 
     start: StartKey
@@ -85,8 +82,7 @@ class _Waiting:
     may_proceed: bool = False
 
 
-@dataclass(slots=True)
-class _Resource:
+class _Resource(Struct):
     """One resource: the last number given out, its holder, and its queue."""
 
     number: int

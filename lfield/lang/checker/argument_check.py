@@ -7,7 +7,8 @@ is an `init` that reads the number of its arguments.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+
+from msgspec import Struct, field
 
 from lfield.lang import messages, tree
 from lfield.lang.checker.library.sequencing_calls import sequencing_findings
@@ -23,8 +24,7 @@ _MAX_SHOWN = 8
 _NEGATIVE = "the first argument is arg[1]; arg[0] is the id of the agent itself"
 
 
-@dataclass(slots=True)
-class ArgumentUses:
+class ArgumentUses(Struct):
     """The constant indexes that an `init` reads, each with its place, and the resources it finds by them."""
 
     indexes: dict[int, tree.Expr] = field(default_factory=dict)
@@ -143,8 +143,8 @@ def _evaluated(node: object) -> Iterator[object]:
 
 
 def _parts(node: tree.Stmt | tree.Expr) -> Iterator[object]:
-    for one in fields(node):
-        value = getattr(node, one.name)
+    for name in node.__struct_fields__:
+        value = getattr(node, name)
         for part in value if isinstance(value, list) else (value,):
             if isinstance(part, tree.Stmt | tree.Expr):
                 yield part

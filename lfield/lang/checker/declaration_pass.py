@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.lang import messages, syntax
 from lfield.lang.capability_port import parse_query_name
@@ -16,8 +17,7 @@ from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
 from lfield.text.source_text import Span
 
 
-@dataclass(slots=True)
-class DeclaredUnit:
+class DeclaredUnit(Struct):
     """A unit with what the second pass checks: bodies (None: nothing was written) and initialisers."""
 
     unit: Unit

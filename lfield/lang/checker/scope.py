@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.lang import messages, syntax
 from lfield.lang.checker.symbols import Symbols
@@ -14,8 +15,7 @@ from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Span
 
 
-@dataclass(slots=True)
-class Scope:
+class Scope(Struct):
     """The locals of one block and of the enclosing ones.
 
     `uncertain` after a statement with a syntax error: it may have declared any name, so unknown names are no
@@ -50,8 +50,7 @@ class Scope:
         return any(scope.uncertain for scope in self.chain())
 
 
-@dataclass(slots=True)
-class BodyContext:
+class BodyContext(Struct):
     """The context of an expression or statement: program, unit, method, locals, loops."""
 
     symbols: Symbols

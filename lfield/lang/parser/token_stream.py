@@ -7,8 +7,9 @@ next boundary. `ParsingAborted` ends the file: what follows could only repeat th
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import replace
 from typing import Self
+
+from msgspec.structs import replace
 
 from lfield.lang import messages
 from lfield.lang.scanner import Scan, Token, TokenKind

@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+
+from msgspec import Struct, field
 
 from lfield.lang import syntax, tree
 from lfield.lang.parser import parse_file
@@ -84,8 +85,7 @@ def _text_of(kind: MapType | FutureType) -> str:
     return text
 
 
-@dataclass(frozen=True, slots=True)
-class LibraryBody:
+class LibraryBody(Struct, frozen=True):
     """A method of the library whose body is not checked yet, and what the types in it mean.
 
     `function`: it sees no members of its unit.
@@ -97,8 +97,7 @@ class LibraryBody:
     function: bool = False
 
 
-@dataclass(slots=True)
-class LibraryUses:
+class LibraryUses(Struct):
     """The methods of the library that a program uses, and the texts they are from."""
 
     #: What the names of types mean while a method of the library is checked.

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import random
 from collections.abc import Collection
-from dataclasses import dataclass, field
 from typing import Literal
+
+from msgspec import Struct, field
 
 from lfield.replication.lease.effects import (
     Checkpoint,
@@ -34,8 +35,7 @@ from lfield.wire.quorum_messages import Promise, Propose
 PHASE_TIMEOUT = 2.0
 
 
-@dataclass(slots=True)
-class FailoverAttempt:
+class FailoverAttempt(Struct):
     """An attempt to resume an agent from `checkpoint`, with its next step at `due` and its end at `deadline`.
 
     Hosts that have not answered by `answer_deadline` are not waited for. The new start begins before

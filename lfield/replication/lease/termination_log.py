@@ -10,10 +10,9 @@ therefore informs the proposer, and waits until the recovery has started or its 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from hashlib import blake2b
 
-from msgspec import structs
+from msgspec import Struct, structs
 
 from lfield.replication.lease.effects import CheckpointStore, Effect, RecordTermination, SendQuorumMessage
 from lfield.replication.lease.quorum_members import CLOCK_DRIFT, FencingTokens, QuorumMembers
@@ -26,8 +25,7 @@ from lfield.wire.quorum_messages import Promise
 PROMISE_LIFETIME = 40.0
 
 
-@dataclass(slots=True)
-class PromisedFence:
+class PromisedFence(Struct):
     """A recovery as start `fence` that this member has promised to `host` ('' if no longer known).
 
     The recovery may start until `valid_until`, in seconds on this host's clock.

@@ -5,8 +5,9 @@ A host with a journal writes every change that other hosts may rely on before it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
+
+from msgspec import Struct
 
 from lfield.journal.records import CoordinatorRecord
 from lfield.replication.transfer.effects import Effect, PersistRecord, TransferRefusal
@@ -30,8 +31,7 @@ UNREADABLE = "its stored copy here cannot be read"
 MAX_STARTS = 64
 
 
-@dataclass(slots=True, eq=False)
-class CoordinatorCopy:
+class CoordinatorCopy(Struct, eq=False):
     """One start of one coordinator, as known to one host; its size does not grow with the number of hops.
 
     `sequence` is the highest transfer number that this start used or tried here. `refusal` is set when that

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.bytecode.program import (
     ANY,
@@ -49,8 +50,7 @@ _TICKET_STATES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class FrameView:
+class FrameView(Struct, frozen=True):
     """One activation record: `Owner.method`, position, source line, named slots.
 
     `calls`: those of each enclosing `together` with their states; `reserved`: the resources of each
@@ -66,8 +66,7 @@ class FrameView:
     reserved: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class ThreadView:
+class ThreadView(Struct, frozen=True):
     """One thread, its frames innermost first. `call` is the portal call it serves, 0 for none."""
 
     id: int
@@ -76,8 +75,7 @@ class ThreadView:
     frames: tuple[FrameView, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class BlockView:
+class BlockView(Struct, frozen=True):
     """A decoded block. `heap` has the number and bytes of each kind of heap object.
 
     `interval` is the heartbeat interval in seconds, 0 for none.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import TypeVar
+
+from msgspec import Struct
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import FINALLY, LIBRARY_SOURCE, MESSAGE, TRACE, Program
@@ -28,8 +29,7 @@ _THROW = BY_NAME["throw"].code
 Frame = TypeVar("Frame")
 
 
-@dataclass(frozen=True, slots=True)
-class FrameLocation:
+class FrameLocation(Struct, frozen=True):
     """One frame of a thread: its position in the block, method, instruction and source line."""
 
     frame: int

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
+
+from msgspec import Struct
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, SEQUENCING, Opcode
 from lfield.bytecode.program import (
@@ -27,8 +28,7 @@ from lfield.vm.reference.library_functions import FUNCTIONS, Function, growable_
 _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
 
 
-@dataclass(frozen=True, slots=True)
-class HostCallSite:
+class HostCallSite(Struct, frozen=True):
     """A host call group: its own operand, its arguments, and those that must not be null."""
 
     op: int
@@ -37,8 +37,7 @@ class HostCallSite:
     checked: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class PreparedProgram:
+class PreparedProgram(Struct, frozen=True):
     """A program as the engine runs it: a step per instruction, and its groups by first instruction.
 
     `host_calls` are the groups that always exit, whether or not there are readings.

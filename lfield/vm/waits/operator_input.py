@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import WAITING
@@ -32,8 +33,7 @@ NO_READER = "{agent} does not wait for a line any more"
 TOO_MANY = f"{MAX_KEPT} lines are kept already, and no agent of this host reads them"
 
 
-@dataclass(slots=True, eq=False)
-class _Reader:
+class _Reader(Struct, eq=False):
     """A thread that waits for a line; `seconds` is its limit."""
 
     agent: Agent

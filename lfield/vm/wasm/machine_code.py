@@ -11,7 +11,6 @@ import hashlib
 import platform
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
@@ -53,8 +52,7 @@ class CodeCache(Protocol):
         """The machine code of each module, for memories with that reservation. Raises EngineUnavailable."""
 
 
-@dataclass(frozen=True, slots=True)
-class MachineCode:
+class MachineCode(msgspec.Struct, frozen=True):
     """Machine code for memories with a reservation; `points` and `unsupported` are the module's."""
 
     compiled: wasmtime.Module

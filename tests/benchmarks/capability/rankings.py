@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from harness.checkout import Checkout
@@ -17,6 +16,7 @@ from harness.number_text import PERCENT
 from harness.processes import Processes
 from harness.samples import Contender, timed
 from msgspec import structs
+from msgspec.structs import replace
 
 from lfield.capability.condition_compiler import compile_query, parse_expression
 from lfield.capability.matching.condition_checker import (

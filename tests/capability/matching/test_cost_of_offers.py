@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 
 import pytest
+from msgspec.structs import replace
 from small_registry import Crew, candidate, composition, constraint_of, equivalence, provider, registry
 
 from lfield.capability.matching.matcher import Matcher

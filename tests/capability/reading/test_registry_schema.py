@@ -50,7 +50,7 @@ def test_schema_lists_the_names_that_the_reader_knows() -> None:
     assert known["name"]["maxLength"] == MAX_NAME
     ranking = SCHEMA["properties"]["ranking"]["properties"]
     weights = ranking["weights"]["properties"]
-    assert {*weights, *ranking} - {"weights"} == set(Weights.__dataclass_fields__)
+    assert {*weights, *ranking} - {"weights"} == set(Weights.__struct_fields__)
 
 
 def test_schema_allows_no_additional_keys() -> None:

@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+from msgspec import structs
+
 from lfield.capability.model import Argument, PortalMap, Provider, Registry, TaxonomyTerm
 from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.operator.registry import sheets
@@ -73,12 +75,12 @@ def _mapped(registry: Registry, provider: Provider) -> Provider:
         return mapped.target == mapped.portal and mapped.arguments == same and mapped.result is None
 
     serves = {
-        name: replace(
+        name: structs.replace(
             served, portals={key: m for key, m in served.portals.items() if not is_same(served.primitive, m)}
         )
         for name, served in provider.serves.items()
     }
-    return replace(provider, serves=serves)
+    return structs.replace(provider, serves=serves)
 
 
 def _brief(sheet: Sheet) -> Sheet:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capability_port import CapabilityTypes, PlaceholderSort, PlaceholderValue

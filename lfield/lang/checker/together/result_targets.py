@@ -6,7 +6,8 @@ All assignments happen at its end, in the order of the calls. So a local is assi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.lang import messages
 from lfield.lang.checker.conversions import with_article
@@ -28,8 +29,7 @@ from lfield.lang.tree_traversal import all_statements
 from lfield.lang.types import UNKNOWN
 
 
-@dataclass(frozen=True, slots=True)
-class StartedCall:
+class StartedCall(Struct, frozen=True):
     """A call of a together, and whether it is in a loop of it."""
 
     start: StartCall

@@ -5,7 +5,8 @@ The body of a method is checked as if there were no `together`; then each of the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from msgspec import Struct
+from msgspec.structs import replace
 
 from lfield.lang import messages
 from lfield.lang.capability_port import is_portal
@@ -40,8 +41,7 @@ from lfield.lang.tree_traversal import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _CallSite:
+class _CallSite(Struct, frozen=True):
     """The context of statements of a together: in a loop, and inside which forbidding keyword."""
 
     loop: bool = False

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols
@@ -14,8 +15,7 @@ from lfield.lang.tree_traversal import all_statements, descendants, statement_ex
 from lfield.lang.types import ArrayType, Type
 
 
-@dataclass(slots=True)
-class _Filled:
+class _Filled(Struct):
     """An array that a together assigns elements of; `place` counts the calls.
 
     `dimensions` are those of the innermost array that is filled: 2 by `a[i]` of a `real[][]`, 1 by `a[i][j]`.
@@ -26,8 +26,7 @@ class _Filled:
     place: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Read:
+class _Read(Struct, frozen=True):
     """A variable or field in a together. Of `a[i].length()` only what is `depth` deep is read: 1."""
 
     expr: Expr

@@ -6,7 +6,8 @@ They are in one name space. The order of declarations and files does not matter.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.declaration_pass import (
@@ -23,8 +24,7 @@ from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import UNKNOWN, VOID
 
 
-@dataclass(frozen=True, slots=True)
-class DeclaredProgram:
+class DeclaredProgram(Struct, frozen=True):
     """What the second pass checks: the bodies of units and functions."""
 
     units: list[DeclaredUnit]

@@ -7,7 +7,8 @@ can be resumed, with its slots from the block.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+
+from msgspec import Struct, field
 
 from lfield.bytecode.opcodes import BY_CODE, Opcode
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
@@ -19,8 +20,7 @@ from lfield.vm.wasm.stack_depth import STRETCH
 LONG_METHOD = 10_000
 
 
-@dataclass(frozen=True, slots=True)
-class LoweredInstruction:
+class LoweredInstruction(Struct, frozen=True):
     """An instruction that costs one of the budget: a quad, or a group with its operands.
 
     `into` is the slot of its result, -1 for none.
@@ -34,15 +34,13 @@ class LoweredInstruction:
     into: int = -1
 
 
-@dataclass(frozen=True, slots=True)
-class JumpExit:
+class JumpExit(Struct, frozen=True):
     """Continues there."""
 
     to: int
 
 
-@dataclass(frozen=True, slots=True)
-class BranchExit:
+class BranchExit(Struct, frozen=True):
     """Continues at `yes` if the boolean in a slot is true, else at `no`."""
 
     slot: int
@@ -50,30 +48,26 @@ class BranchExit:
     no: int
 
 
-@dataclass(frozen=True, slots=True)
-class CallExit:
+class CallExit(Struct, frozen=True):
     """Calls a method, then continues."""
 
     what: LoweredInstruction
     to: int
 
 
-@dataclass(frozen=True, slots=True)
-class ReturnExit:
+class ReturnExit(Struct, frozen=True):
     """Leaves the method."""
 
     what: LoweredInstruction
 
 
-@dataclass(frozen=True, slots=True)
-class ThrowExit:
+class ThrowExit(Struct, frozen=True):
     """Throws the object in a slot."""
 
     what: LoweredInstruction
 
 
-@dataclass(frozen=True, slots=True)
-class EngineCallExit:
+class EngineCallExit(Struct, frozen=True):
     """Exits the engine for an instruction that it does not support; continues there later."""
 
     what: LoweredInstruction
@@ -83,8 +77,7 @@ class EngineCallExit:
 BlockExit = JumpExit | BranchExit | CallExit | ReturnExit | ThrowExit | EngineCallExit
 
 
-@dataclass(slots=True)
-class BasicBlock:
+class BasicBlock(Struct):
     """Consecutive instructions from `pc` on, and how they end."""
 
     pc: int

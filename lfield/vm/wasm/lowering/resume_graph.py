@@ -7,8 +7,9 @@ normal control skips them. A loop whose only point is its header needs none, suc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
+
+from msgspec import Struct
 
 from lfield.vm.wasm.lowering.control_flow_graph import (
     BasicBlock,
@@ -25,16 +26,14 @@ from lfield.vm.wasm.lowering.dominators import (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ResumeTest:
+class ResumeTest(Struct, frozen=True):
     """Goes to the switch if the method is being resumed, else on."""
 
     switch: int
     on: int
 
 
-@dataclass(frozen=True, slots=True)
-class ResumeSwitch:
+class ResumeSwitch(Struct, frozen=True):
     """Continues at the point with that number, or at the test of the next loop around it."""
 
     targets: dict[int, int]

@@ -26,7 +26,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from lfield.bytecode.program import Program
 from lfield.vm.memory.heap_schema import Expected, HeapSchema, SuspensionPoints
@@ -39,8 +40,7 @@ _PAIR = struct.Struct("<ii")
 _SCHEMA_HEAD = struct.Struct("<5i")
 
 
-@dataclass(frozen=True, slots=True)
-class HeaderRecord:
+class HeaderRecord(Struct, frozen=True):
     """Records of the objects with one lower header half; without `references`, every word after it is one."""
 
     number: int
