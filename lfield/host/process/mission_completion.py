@@ -152,14 +152,14 @@ class _PendingFailovers:
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        #: Since when each coordinator is unheard.
+        #: Since when the outcome of each coordinator is unknown.
         self._since: dict[str, float] = {}
 
     def pending_agents(self, found: Mapping[str, CoordinatorOutcome]) -> set[str]:
-        """Those of the unheard coordinators for which a failover would not have ended yet."""
+        """Those of unknown outcome for which a failover would not have ended yet."""
         leases, now = self._host.core.leases, self._host.clock.monotonic()
-        unheard = {agent for agent, fate in found.items() if fate.outcome == "unheard"}
-        self._since = {agent: self._since.get(agent, now) for agent in unheard & set(leases.leased_agents)}
+        unknown = {agent for agent, fate in found.items() if fate.outcome == "unheard"}
+        self._since = {agent: self._since.get(agent, now) for agent in unknown & set(leases.leased_agents)}
         if not leases.remaining:
             return set()
         longest = FAILOVER_TIME + FAILOVER_LEASES * leases.quorum.members.lease

@@ -102,7 +102,7 @@ def _verify(program: Program, edits: Sequence[Edit]) -> None:
 def changed_methods(program: Program, edits: Sequence[Edit]) -> set[int]:
     """The methods of which a change affects the code: those with a constant too."""
     entries = [method.entry for method in program.core.methods]
-    found = set()
+    found: set[int] = set()
     for edit in edits:
         if edit.constant:
             used = -1 - edit.at
