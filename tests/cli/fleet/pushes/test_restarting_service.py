@@ -14,15 +14,23 @@ pytestmark = pytest.mark.process
 
 
 def test_a_push_waits_for_a_service_that_restarts(lfield, here, robots, monkeypatch) -> None:
+    """One that has its bundle already; before that, one that does not listen counts as off."""
     team = robots("alpha", "bravo")
     team.up()
     team.mission()
-    team.kill("bravo")
     # For any start time of a process here.
     monkeypatch.setattr(service_link, "RESTART_TIME", 60.0)
     monkeypatch.setattr(push, "FIRST_CONTACT", 60.0)
     restart = threading.Timer(1.0, lambda: team.up("bravo"))
-    restart.start()
+    upload = push._upload_all
+
+    async def upload_and_kill(*words):
+        results = await upload(*words)
+        team.kill("bravo")
+        restart.start()
+        return results
+
+    monkeypatch.setattr(push, "_upload_all", upload_and_kill)
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
     restart.join()
 
