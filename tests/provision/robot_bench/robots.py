@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -85,6 +86,9 @@ hostname "$NAME"; echo "127.0.1.1 $NAME" >>/etc/hosts
 ! id lfield >/dev/null 2>&1 || userdel lfield
 ! getent group lfield >/dev/null || groupdel lfield
 id pi >/dev/null 2>&1 || useradd --create-home --shell /bin/bash --password '*' pi
+# The wheels are for the Python of the tests.
+python3 -c "import sys; sys.exit('%d.%d' % sys.version_info[:2] != '$PYTHON_TAG')" ||
+  ln -sf "$PYTHON" /usr/bin/python3
 rm -f /etc/sudoers.d/*
 [ "$SUDO" = password ] || echo 'pi ALL=(root) NOPASSWD: ALL' >/etc/sudoers.d/pi
 eval "$SETUP"
@@ -219,6 +223,8 @@ class RobotBench:
             "SYSTEMD": "yes" if kind.has_systemd else "no",
             "AUTHORIZED": kind.authorized,
             "SETUP": kind.setup,
+            "PYTHON": str(Path(sys._base_executable).resolve()),  # type: ignore[attr-defined]
+            "PYTHON_TAG": "{}.{}".format(*sys.version_info[:2]),
         }
         spaces = ["unshare", "--mount", "--net", "--uts", "--pid", "--fork", "--kill-child"]
         process = self._start(spaces, script, values)
