@@ -92,7 +92,7 @@ FORMS: dict[str, tuple[str, ...]] = {
     "Node": ("(new Node(#))|int", "#.next|Node!", "#[#]|Node[]! int", "#[1]|Node[]!"),
     "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|", "(new int[] {#, #})|int int"),
     "real[]": ("(new real[#])|int", "(new real[4])|", "(new real[] {#, 0.5, #})|real real"),
-    "Node[]": ("(new Node[#])|int", "(new Node[2])|", "(new Node[] {#, null, o0})|Node"),
+    "Node[]": ("(new Node[#])|int", "(new Node[2])|", "(new Node[] {#, null, #})|Node Node"),
     "string[]": ("(new string[2])|", "(new string[] {#, #})|string string"),
     "Store": ("all[#]|int", 'findStore("store")|'),
 }
