@@ -135,7 +135,7 @@ def is_dataclass(cls: ast.ClassDef) -> bool:
 
 
 def is_frozen(cls: ast.ClassDef) -> bool:
-    """Whether a dataclass or struct is a value, which nobody changes."""
+    """Whether a dataclass or struct is frozen."""
     options = [*map(ast.unparse, cls.decorator_list), *map(ast.unparse, cls.keywords)]
     return any("frozen=True" in each for each in options)
 

@@ -111,7 +111,7 @@ class Flight:
         return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
 
     async def do_foreign_control(self) -> str:
-        """Who has control instead of this program; '' for nobody."""
+        """The controller that has replaced this program, '' for none."""
         return self._motion.foreign_control
 
     async def _await_home(self) -> None:

@@ -30,6 +30,8 @@ NAMES = (
 _SETTINGS = ("XDG_C", "XDG_D", "XDG_S", "LFIELD_")
 LFIELD = Path(sys.executable).with_name("lfield")
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
+#: Not that of the environment of the tests. typeshed does not declare the attribute, which venv uses too.
+BASE_PYTHON = Path(sys._base_executable).resolve()  # type: ignore[attr-defined]
 
 
 class Desk:
@@ -99,7 +101,7 @@ def pack_python(archive: Path) -> None:
         return None if parts & unused or any(part.startswith("config-") for part in parts) else info
 
     with tarfile.open(archive, "w:gz", compresslevel=1) as tar:
-        tar.add(Path(sys._base_executable).resolve(), f"bin/{name}")  # type: ignore[attr-defined]
+        tar.add(BASE_PYTHON, f"bin/{name}")
         link = tarfile.TarInfo("bin/python3")
         link.type, link.linkname = tarfile.SYMTYPE, name
         tar.addfile(link)

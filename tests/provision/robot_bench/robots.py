@@ -10,12 +10,13 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+
+from robot_bench.desk import BASE_PYTHON, PYTHON
 
 TOOLS = ("unshare", "nsenter", "ip", "ssh", "ssh-keygen", "sudo", "useradd", "flock", "runuser")
 SSHD = Path("/usr/sbin/sshd")
@@ -223,8 +224,8 @@ class RobotBench:
             "SYSTEMD": "yes" if kind.has_systemd else "no",
             "AUTHORIZED": kind.authorized,
             "SETUP": kind.setup,
-            "PYTHON": str(Path(sys._base_executable).resolve()),  # type: ignore[attr-defined]
-            "PYTHON_TAG": "{}.{}".format(*sys.version_info[:2]),
+            "PYTHON": str(BASE_PYTHON),
+            "PYTHON_TAG": PYTHON,
         }
         spaces = ["unshare", "--mount", "--net", "--uts", "--pid", "--fork", "--kill-child"]
         process = self._start(spaces, script, values)
