@@ -136,8 +136,8 @@ class Script:
         names = [self.host_of(number) for number in range(self.count)]
         number = self.presses.on_order(order, names, self.now())
         for name in set(names) - self.hung:
-            no_listener = AddressError(f"{name}:8181", "no program listens there")
-            self.presses.on_answer(number, name, no_listener if name in self.dead else EmergencyStopResult({}))
+            refused = AddressError(f"{name}:8181", "no program listens there")
+            self.presses.on_answer(number, name, refused if name in self.dead else EmergencyStopResult({}))
         return set(names) - self.dead - self.hung
 
     async def lift(self) -> OrderOutcome:
