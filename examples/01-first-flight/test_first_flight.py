@@ -51,6 +51,7 @@ def test_half_the_charge_gives_shorter_legs(lfield_mission):
     assert 2.0 < longest["0.45"] < 3.0
 
 
+@pytest.mark.few(0)
 def test_cut_link_in_flight_costs_only_time(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="lead: at")

@@ -33,7 +33,7 @@ def lifts(team):
     return [(host, match[1]) for host, match in found if match]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("count", "lift", "way"),
     [

@@ -62,6 +62,7 @@ def small_team(path, count):
     devices.write_text(devices.read_text().partition(f"  m{count + 1}:")[0])
 
 
+@pytest.mark.few(0)
 def test_one_vehicle_flies_one_strip_after_the_other(lfield_mission, tmp_path):
     path = deployment(tmp_path, 1, TINY)
     small_team(path, 1)

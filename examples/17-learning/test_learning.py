@@ -38,6 +38,7 @@ def test_shared_experience_is_learnt_sooner_with_the_same_hops():
     assert shared_hops == alone_hops
 
 
+@pytest.mark.few(0)
 def test_same_seed_repeats_a_run_exactly():
     assert learning.run(2, True, 3) == learning.run(2, True, 3)
 

@@ -53,7 +53,7 @@ def test_weak_rover_is_compensated(lfield_mission, who):
     assert not team.said("pushes no more")
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("who", ["left", "middle", "right"])
 @pytest.mark.parametrize("fault", ["broken", "silent"])
 def test_failed_rover_is_left_behind_and_two_continue(lfield_mission, who, fault):
@@ -94,7 +94,7 @@ def test_tracked_objects_keep_the_order_of_their_fake(lfield_mission):
     ]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(
     ("world", "away", "turned"), [("slope=0.03", 0.1, 0.3), ("mud=2", 0.05, 0.05), ("slope=-0.06", 0.1, 0.4)]
 )

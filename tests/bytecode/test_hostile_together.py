@@ -144,6 +144,7 @@ def run(program: Program) -> None:
     assert not [agent.report for agent in desk.endings if agent.report.startswith("bug in lfield")]
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("part", range(4))
 def test_a_changed_program_is_refused_or_harmless(part: int) -> None:
     ran = 0

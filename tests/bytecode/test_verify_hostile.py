@@ -179,6 +179,7 @@ def _seconds(count: int) -> float:
         gc.enable()
 
 
+@pytest.mark.few(0)
 def test_verification_time_is_linear() -> None:
     """Eight times the records take far less than the 64 times that a quadratic check would take."""
     assert min(_seconds(12_000) for _ in range(3)) < 30 * _seconds(1_500)

@@ -87,6 +87,7 @@ def test_a_long_condition_has_the_right_value(condition: str, result: str) -> No
         assert desk.output == result.split("\n")
 
 
+@pytest.mark.few(0)
 def test_a_long_else_if_chain_runs_one_branch() -> None:
     rungs = " else ".join(f"if (x == {i}) told({i});" for i in range(2, LINKS))
     for x, result in ((2, ["2"]), (LINKS - 1, [str(LINKS - 1)]), (1, ["0"])):

@@ -54,6 +54,7 @@ def test_same_seed_makes_the_same_inputs(name):
     assert len(set(made())) > 5
 
 
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", READS)
 def test_every_decoding_line_is_reached_except_listed_ones(name):
     assert unreached(TARGETS[name], READS[name]) == set(UNREACHED.get(name, ()))

@@ -157,6 +157,7 @@ def test_positions_are_in_the_encoding_of_the_editor(tmp_path: Path) -> None:
             assert found["range"]["start"] == {"line": 1, "character": text.split("\n")[1].index("n)")}
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("method", "params", "code"),
     [
@@ -186,6 +187,7 @@ def test_text_without_a_file_has_findings(session: LspSession) -> None:
     assert [one["code"] for one in session.await_diagnostics(document["uri"], version=1)] == ["L215"]
 
 
+@pytest.mark.few(0)
 def test_missing_pygls_is_an_error_with_the_command_to_install_it(tmp_path: Path) -> None:
     without = (
         "import sys; sys.modules['pygls'] = None\nfrom lfield.cli.main import main\nsys.exit(main(['lsp']))"

@@ -56,6 +56,7 @@ def test_programs_contain_every_instruction() -> None:
     pytest.fail(f"no program has {sorted(missing)}")
 
 
+@pytest.mark.few(0)
 def test_engine_compared_with_itself_shows_no_difference() -> None:
     fuzz = EngineFuzzer(ReferenceEngine, mutants=3)
     assert [report for seed in range(10) for report in fuzz.seed(seed)] == []
@@ -81,6 +82,7 @@ def test_engines_agree_on_programs_of_hypothesis(pytestconfig: pytest.Config) ->
     same()
 
 
+@pytest.mark.few(0)
 def test_difference_is_reduced(capsys: pytest.CaptureFixture[str]) -> None:
     engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
     assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1

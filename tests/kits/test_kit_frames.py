@@ -18,7 +18,7 @@ SPEEDS = {
 }
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize(("place", "stack"), [("origin", "px4"), ("pose", "ardupilot")])
 def test_copter_passes_the_kit_in_a_team_frame(desk, try_kit, place, stack):
     link = desk.fake(

@@ -59,6 +59,7 @@ def test_no_temporary_file_remains_while_a_bundle_runs(tmp_path: Path, folder: P
         assert path.parent == folder
 
 
+@pytest.mark.few(0)
 def test_other_options_give_another_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     found = {bytes_of(BuildRequest(deploy, simulate=simulate)) for simulate in (False, True)}
@@ -109,6 +110,7 @@ def test_only_python_modules_of_a_module_folder_count(
     assert len(built) == 2
 
 
+@pytest.mark.few(0)
 def test_a_changed_included_file_causes_a_build(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_plain(tmp_path / "here")
     deploy.with_suffix(".L").write_text('include "more.L";\n' + PLAIN)

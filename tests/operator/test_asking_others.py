@@ -174,6 +174,7 @@ def test_answers_are_reported_while_another_host_is_still_asked(doors, monkeypat
     assert [(place.host, type(answer)) for place, answer in rest.items()] == [("h0", AddressError)]
 
 
+@pytest.mark.few(0)
 async def test_links_that_end_while_connecting_leave_no_pending_futures(doors):
     """Python itself prints a future with an unread exception on stderr."""
     said: list[str] = []

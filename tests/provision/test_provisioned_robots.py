@@ -84,6 +84,7 @@ def test_second_run_changes_nothing(trial, alpha):
     assert {finding["code"] for finding in doctor["findings"]} >= {"python"}
 
 
+@pytest.mark.few(0)
 def test_manual_changes_are_repaired_unless_a_mission_runs(trial, alpha):
     alpha.path("/tmp/wait.L").write_text(
         "coordinator Wait { init(string[] arg) { while (true) { sleep(1.0); } } }\n"

@@ -36,6 +36,7 @@ def breaking(radio: Radio, every: float, lasting: float) -> Iterator[None]:
         radio.mend()
 
 
+@pytest.mark.few(0)
 def test_push_completes_despite_outages_and_a_killed_desk(tmp_path: Path) -> None:
     with Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, tmp_path)

@@ -135,6 +135,7 @@ def test_a_mission_continues_without_the_folder_of_its_recording(tmp_path: Path)
     assert len(re.findall(r"the recording of (north|south) ended: ", output)) == 2
 
 
+@pytest.mark.few(0)
 def test_a_recording_stays_within_its_limit_and_the_rest_is_replayed(tmp_path: Path) -> None:
     running = start(
         tmp_path, 0, "--record", "records", "--record-limit", "1", "--until-done", program=CARRIER

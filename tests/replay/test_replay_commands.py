@@ -155,7 +155,7 @@ def test_another_bundle_is_refused(command: str, recorded: Path, tmp_path: Path)
 
 
 @pytest.mark.process
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("seconds", ["0.001", "0.05", "1.0", "20.0"])
 def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -> None:
     for place in ('sum = sum + findPost("two")', "fc.takeoff(height);", 'print("climbed'):
@@ -187,6 +187,7 @@ def one_host(recorded: Path, folder: Path, host: str) -> Path:
     return folder / found.name
 
 
+@pytest.mark.few(1)
 @pytest.mark.process
 @pytest.mark.parametrize("damage", ["no host", "a damaged record", "a missing host that calls"])
 def test_the_same_calls_of_an_incomplete_recording_prove_nothing(
@@ -212,6 +213,7 @@ def test_the_same_calls_of_an_incomplete_recording_prove_nothing(
     assert found["differences"] == 0
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_other_calls_of_an_incomplete_recording_are_a_difference(recorded: Path, tmp_path: Path) -> None:
     other = write_mission(tmp_path, PROGRAM.replace("climb(3.0)", "climb(4.0)"))

@@ -190,7 +190,7 @@ def test_cut_links_make_no_host_count_as_silent(tmp_path, seed):
 ROUGH = FaultRates(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10.0, power=30.0)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("seed", range(3))
 def test_under_random_faults_no_start_has_two_copies(tmp_path, seed):
     fleet = Fleet(

@@ -161,6 +161,7 @@ def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 @pytest.mark.parametrize(
     ("given", "only", "expected"),

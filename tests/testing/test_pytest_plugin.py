@@ -63,6 +63,7 @@ def test_a_run_without_the_plugin_has_no_fixture_and_imports_no_lfield(project):
     assert "fixture 'lfield_mission' not found" in said
 
 
+@pytest.mark.few(0)
 def test_a_conftest_with_the_plugin_has_the_fixture(project):
     (project / "conftest.py").write_text('pytest_plugins = ["lfield.testing.plugin"]\n')
     status, said = run(project, "-m", "pytest", "-q", "-k", "it_ends")
@@ -111,7 +112,7 @@ FOREIGN = {
 }
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("name", FOREIGN)
 def test_a_configuration_that_pytest_refuses_is_ignored(project, name):
     file, text = FOREIGN[name]

@@ -91,6 +91,7 @@ def test_live_slots_satisfy_the_definition(shape):
     assert _compare(_boss(SHAPES[shape](12))) > 20
 
 
+@pytest.mark.few(0)
 def test_live_slots_of_golden_programs_satisfy_the_definition():
     paths = sorted(GOLDEN.rglob("*.L"))
     compared = 0

@@ -49,6 +49,7 @@ def run_program(lfield, name: str, *words: object, env: dict[str, str]) -> subpr
     )
 
 
+@pytest.mark.few(0)
 def test_the_query_program_prints_offers_and_reasons(lfield, alone) -> None:
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
     mission = lfield.mission(PROGRAM.replace("PAUSE", "600.0"), DEPLOYMENT)

@@ -186,6 +186,7 @@ agents:
     assert ("00" * 32).encode() not in (lfield.folder / "sent" / "mission.lfm").read_bytes()
 
 
+@pytest.mark.few(0)
 def test_a_driver_different_from_that_of_the_build_is_refused(lfield) -> None:
     """The manifest of the build has one more limit than that of the robot."""
     lfield.mission(ARM, "//Arm:arm@here\n", ARM_DEVICES)

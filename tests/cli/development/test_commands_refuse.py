@@ -281,6 +281,7 @@ def test_a_computer_in_the_deployment_needs_no_host_option(lfield):
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
 
 
+@pytest.mark.few(0)
 def test_a_host_named_by_a_loopback_address_is_this_computer(lfield):
     deployment = lfield.mission(
         GOOD,
@@ -345,6 +346,7 @@ def test_an_address_of_another_computer_is_refused(lfield, refused, good):
     refused(69, "the name is not known; correct it", *up, "alpha=no.such.host.invalid:1")
 
 
+@pytest.mark.few(0)
 def test_a_missing_vendor_library_names_the_extra_to_install(lfield):
     lfield.write("shim/pymavlink/__init__.py", "raise ImportError('No module named pymavlink')\n")
     example = Path(__file__).parents[3] / "examples" / "01-first-flight" / "mission.dL"

@@ -51,6 +51,7 @@ def test_a_host_option_limits_the_report_to_its_devices(lfield, deployment):
     assert "zulu" in unknown.err[-1]
 
 
+@pytest.mark.few(0)
 def test_each_finding_as_json_has_its_code(lfield, deployment):
     doctor = lfield("doctor", "--deploy", deployment, "--json")
     assert (lfield.status(doctor), doctor.err) == (69, [])

@@ -169,6 +169,7 @@ def serial_site(tmp_path, monkeypatch):
         del sys.modules[name]
 
 
+@pytest.mark.few(0)
 def test_a_serial_driver_passes_its_own_tests_and_type_checks(serial_site):
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "tests"]
     tests = subprocess.run(command, cwd=serial_site, capture_output=True, text=True)

@@ -88,6 +88,7 @@ def test_checks_without_motion_run_on_a_fake(lfield, driver, fake, settings, pas
     assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
 
 
+@pytest.mark.few(0)
 def test_an_endpoint_option_replaces_those_of_the_file(lfield, bus):
     lfield.write(
         "crane.yaml",

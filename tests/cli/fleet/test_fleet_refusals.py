@@ -48,6 +48,7 @@ def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield
     assert {each["bundle"] for each in told(here("status", "--json")).values()} == {""}
 
 
+@pytest.mark.few(0)
 def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield, here, team) -> None:
     """Signed by keys of another authority, and pushed by a person who may."""
     here("build", "mission.dL", status=0)
@@ -57,6 +58,7 @@ def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield,
     assert {each["code"] for each in told(refused)["sent"].values()} == {"signature"}
 
 
+@pytest.mark.few(0)
 def test_a_refusal_is_reported_once(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "watcher", Right.OBSERVE))
     refused = here("stop", status=1)
@@ -64,6 +66,7 @@ def test_a_refusal_is_reported_once(lfield, here, team) -> None:
     assert refused.err[0].lower().count("refused") == 1
 
 
+@pytest.mark.few(0)
 def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
     other = Keyring(lfield.folder / "other").give() / "me"
     for command in ("status", "stop", "rollback"):
@@ -74,6 +77,7 @@ def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
     here("status", "--keys", other, status=69)
 
 
+@pytest.mark.few(0)
 def test_a_wrong_address_is_detected_by_the_certificate(lfield, here, team) -> None:
     text = team.inventory.read_text()
     (mission, service), (other_mission, other_service) = team.ports["alpha"], team.ports["bravo"]
@@ -85,6 +89,7 @@ def test_a_wrong_address_is_detected_by_the_certificate(lfield, here, team) -> N
     assert "bravo answered at the address of alpha" in refused.err[0]
 
 
+@pytest.mark.few(0)
 def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team) -> None:
     team.inventory.write_text(team.inventory.read_text().replace("bravo:", "brovo:"))
     refused = here("push", "mission.dL", status=64)
@@ -103,11 +108,13 @@ def test_two_bundles_never_run_in_one_mission(lfield, here, team) -> None:
     assert "alpha runs bundle" in told(other)["text"]
 
 
+@pytest.mark.few(0)
 def test_a_command_that_leaves_out_every_host_is_refused(here, team) -> None:
     for command in ("start", "stop"):
         here(command, "--without", "alpha", "--without", "bravo", status=64)
 
 
+@pytest.mark.few(0)
 def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) -> None:
     here("push", "mission.dL", status=0)
     for path in lfield.folder.glob("state-*/lfield-*/service/bundles/*.lfm"):
@@ -119,6 +126,7 @@ def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) ->
     here("start", status=0)
 
 
+@pytest.mark.few(0)
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
     # The clocks of the processes cannot be set, and the shortest certificate is valid for a second.
@@ -127,6 +135,7 @@ def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> Non
     assert "expired" in " ".join(refused.err)
 
 
+@pytest.mark.few(0)
 def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lfield, here, team) -> None:
     here("build", "mission.dL", status=0)
     here("sign", "mission.lfm", status=0)

@@ -32,6 +32,7 @@ def test_an_interrupted_command_names_what_robots_continue(
     assert [("interrupted: " in line, "'lfield status'" in line) for line in ended.err] == [(True, True)]
 
 
+@pytest.mark.few(0)
 def test_an_interrupted_start_continues(here, robots, monkeypatch) -> None:
     team = robots("alpha", "bravo")
     team.up()

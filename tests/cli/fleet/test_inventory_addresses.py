@@ -140,6 +140,7 @@ def test_all_hosts_on_this_computer_ignore_the_inventory(team) -> None:
     everything.wait()
 
 
+@pytest.mark.few(0)
 def test_the_own_host_is_found_by_its_address(team) -> None:
     team.inventory(alpha="'198.51.100.1:{alpha}', '127.0.0.2:{alpha}'")
     team.lfield.mission("coordinator Walker { init(string[] arg) { } }", "//Walker:tom@alpha\n")

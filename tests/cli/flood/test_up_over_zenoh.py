@@ -79,7 +79,7 @@ def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
     router.kill()
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("named", [False, True])
 def test_commands_beside_a_host_reach_others_over_the_routers_of_its_run(lfield, routers, alone, named):
     """The address is that of the run, so the routers are: with and without --inventory."""

@@ -293,6 +293,7 @@ def test_a_host_that_does_not_run_has_nothing_to_lift(lfield, half_team) -> None
     assert lifted.err == []
 
 
+@pytest.mark.few(0)
 def test_json_has_each_host_with_its_devices_or_its_error(lfield, half_team) -> None:
     stopped = lfield("estop", *half_team, "--no-wait", "--json", status=3)
     (line,) = stopped.out

@@ -397,6 +397,7 @@ def test_a_damaged_dump_is_refused(lfield, here, died, damage):
     assert "tom.block" in shown.err[0]
 
 
+@pytest.mark.few(0)
 def test_a_dump_that_cannot_be_written_is_reported(lfield):
     (lfield.folder / "dumps").mkdir(mode=0o700)
     (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way

@@ -120,6 +120,7 @@ def test_the_only_running_mission_is_queried_without_its_name(lfield, own, missi
     assert result.out[0] == "from the running team: 2 of 2 hosts answered", result.said
 
 
+@pytest.mark.few(0)
 def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
     """Its vehicles would fly without a way to stop them. The same holds for a host with keys."""
     place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"

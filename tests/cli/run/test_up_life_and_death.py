@@ -257,6 +257,7 @@ def test_a_port_in_use_is_reported_and_no_journal_is_made(lfield, tmp_path):
     assert not (tmp_path / "state").exists()
 
 
+@pytest.mark.few(0)
 def test_all_listens_at_the_map_and_else_on_free_ports(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     (port,) = lfield.ports.take(1)
@@ -366,6 +367,7 @@ def test_the_log_of_all_hosts_is_json(lfield):
     assert (lines[-1]["fields"]["hops"], lines[-1]["fields"]["status"]) == (2, 0)
 
 
+@pytest.mark.few(0)
 def test_a_host_that_cannot_start_is_in_the_json_log(lfield):
     program = (
         "resource Arm { Mavlink fc; init(string[] arg) { } }\ncoordinator Boss { init(string[] arg) { } }"

@@ -85,6 +85,7 @@ def echoes(terminal: int) -> bool:
     return bool(termios.tcgetattr(terminal)[3] & termios.ECHO)
 
 
+@pytest.mark.few(0)
 def test_typed_keys_do_not_move_the_live_table(lfield):
     """The echo of Ctrl-C and Enter would leave a line of the table in the log."""
     deployment = lfield.mission(

@@ -80,6 +80,7 @@ def test_a_bundle_without_a_valid_signature_does_not_run(lfield, here, made, tmp
     assert "is not of this authority" in refused(lfield, *maps)
 
 
+@pytest.mark.few(0)
 def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, made) -> None:
     maps = made()
     state = lfield.folder / "kept"
@@ -95,6 +96,7 @@ def test_a_refused_bundle_neither_creates_nor_discards_a_folder(lfield, here, ma
     assert journal.stat().st_ino == before
 
 
+@pytest.mark.few(0)
 def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) -> None:
     maps = made()
     lfield.write("robot.yaml", "unreachable_after: 5\n")
@@ -110,6 +112,7 @@ def test_a_robots_own_devices_file_needs_no_new_signature(lfield, here, made) ->
     assert [host.wait() for host in hosts] == [0, 0]
 
 
+@pytest.mark.few(0)
 def test_signed_bundles_that_differ_in_bindings_do_not_link_and_both_are_stopped(lfield, here, made) -> None:
     maps = made("?stays")
     here("sign", "mission.lfm", status=0)
@@ -138,6 +141,7 @@ def test_hosts_that_build_from_files_may_have_their_own_devices(lfield, made) ->
     assert hosts[1].out == ["here"]
 
 
+@pytest.mark.few(0)
 def test_a_bit_changed_after_signing_is_detected(lfield, here, made) -> None:
     maps = made()
     here("sign", "mission.lfm", status=0)

@@ -60,6 +60,7 @@ def test_a_start_waits_until_the_operator_leaves_out_the_missing_host(lfield, he
     bravo.wait_for("^here$")
 
 
+@pytest.mark.few(0)
 def test_a_host_with_an_old_bundle_is_named_by_the_printed_digests(lfield, here, maps) -> None:
     (old,) = (re.search(r"bundle +(\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
     bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")

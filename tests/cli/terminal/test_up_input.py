@@ -38,7 +38,7 @@ def said(process) -> list[str]:
     return [line for line in lines if " said " in line]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("options", [("--host", "alpha"), ("--all",)])
 def test_a_single_reading_host_needs_no_name(lfield, options):
     deployment = lfield.mission(PROGRAM, ONE.format(limit=50))

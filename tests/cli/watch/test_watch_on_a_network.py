@@ -200,6 +200,7 @@ def test_an_operator_with_only_observe_sees_the_page_and_gives_no_order(team) ->
     assert (look["stands"], look["paused"]) == (False, [])
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_access_rules_of_a_mission_leave_the_stop_button(team) -> None:
     page = Browsing(*team("maria", *ALL_RIGHTS))

@@ -341,6 +341,7 @@ def flood(recorder, hops, number):
     )
 
 
+@pytest.mark.few(0)
 def test_a_flood_of_events_is_delivered_at_a_megabyte_a_second_without_loss():
     """The watcher reads every batch at once, and a batch is sent 20 times a second at most: that is its
     bound."""

@@ -94,7 +94,7 @@ def test_a_plan_for_another_kind_of_vehicle_is_refused(mission):
     assert refused(deployment) == [("M101", "FIELD")]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_the_plan_is_flown_in_virtual_time(mission, lfield_mission, autopilot):
     options = f"autopilot: {autopilot}, waivers: {{autonomous_motion: a test, device_watchdog: a test}}"

@@ -119,6 +119,7 @@ async def test_a_slightly_better_path_is_not_used(network, alpha, bravo, /):
     assert alpha.count("moves") == bravo.count("moves") == 0
 
 
+@pytest.mark.few(0)
 async def test_a_healthy_link_and_its_standby_are_kept_for_an_hour(network, alpha, bravo, /):
     dialled = len(alpha.transport.dialled)
     await asyncio.sleep(3600.0)

@@ -156,6 +156,7 @@ class _TileServer(BaseHTTPRequestHandler):
         """Nothing is printed."""
 
 
+@pytest.mark.few(0)
 def test_tiles_are_requested_only_from_the_named_server(browser, page_of):
     server = ThreadingHTTPServer(("127.0.0.1", 0), _TileServer)
     threading.Thread(target=server.serve_forever, daemon=True).start()

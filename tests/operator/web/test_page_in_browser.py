@@ -291,6 +291,7 @@ def test_two_pages_watch_at_once(browser, page):
     browser.says("halt", "Stopped")
 
 
+@pytest.mark.few(0)
 def test_a_page_without_its_server_shows_it(browser, page):
     page.close()
     browser.says("trouble", "last known values")

@@ -52,7 +52,7 @@ def test_a_step_over_stays_in_the_frame_in_both_directions(debugger):
     assert _line(debugger) == LEG
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("move", [Debugger.step_line, Debugger.step_over])
 def test_steps_by_line_stop_at_the_same_places_in_both_directions(debugger, move):
     debugger.enter()
@@ -228,7 +228,7 @@ def test_a_search_for_an_unknown_name_is_refused(debugger, target):
         target(debugger)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["event", "hop", "portal", "device"])
 def test_backward_and_forward_searches_find_the_same_places(debugger, kind):
     targets = {

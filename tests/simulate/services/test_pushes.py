@@ -44,6 +44,7 @@ def test_the_same_seed_gives_the_same_run() -> None:
     assert run_push_seed(3).digest != run_push_seed(4).digest
 
 
+@pytest.mark.few(0)
 def test_a_push_scenario_leaves_nothing_in_memory() -> None:
     gc.collect()
     before = sum(type(found) is Service for found in gc.get_objects())

@@ -23,7 +23,7 @@ from simulation_testing.seed_runner import run_seed
 from simulation_testing.simulated_operator import Hold, SimulatedOperator
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("kind", ["split", "wrecked", "crowd", "flown"])
 def test_rare_scenarios_keep_every_promise(kind: str) -> None:
     seen = Counter[str]()
@@ -134,6 +134,7 @@ def test_a_late_order_does_not_end_a_stop_given_after_it(hold: Hold) -> None:
     fleet.close()
 
 
+@pytest.mark.few(0)
 def test_a_scenario_leaves_nothing_in_memory() -> None:
     """The objects of the simulated processes are freed with it: 2,000 scenarios fit into one process."""
     gc.collect()

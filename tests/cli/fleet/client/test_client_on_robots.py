@@ -59,6 +59,7 @@ def test_the_program_of_the_page_starts_calls_and_stops(active, lfield, alone) -
     assert ended.stdout.splitlines() == ["2", "alpha stopped", "bravo stopped"]
 
 
+@pytest.mark.few(0)
 def test_a_client_without_rights_is_refused_and_the_mission_continues(active, lfield, here) -> None:
     here("start", status=0)
     keys = lfield.keys.folder / "eve"
@@ -125,6 +126,7 @@ COUNT = ("call", {"agent": "post", "portal": "count", "arguments": [2]})
 HOLD = ("call", {"agent": "post", "portal": "hold", "arguments": [600.0], "timeout": 600.0})
 
 
+@pytest.mark.few(0)
 def test_rights_and_the_access_file_limit_an_assistant(active, assistant, lfield, here):
     lfield.keys.put("eve", lfield.keys.made("person", "eve", Right.OBSERVE))
     (_, status), (_, started), *wrong = assistant("--keys", lfield.keys.folder / "eve")(

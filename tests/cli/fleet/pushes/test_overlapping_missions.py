@@ -12,6 +12,7 @@ pytestmark = pytest.mark.process
 FIRST, SECOND = "//Walker:tom@alpha?post\n//Post:post@bravo\n", "//Walker:tom@bravo?post\n//Post:post@carol\n"
 
 
+@pytest.mark.few(0)
 def test_a_rollback_names_for_each_robot_the_command_to_its_previous_bundle(lfield, here, robots) -> None:
     team = robots("alpha", "bravo", "carol")
     team.up()

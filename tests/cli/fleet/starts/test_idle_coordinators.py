@@ -11,6 +11,7 @@ from robots import told
 pytestmark = pytest.mark.process
 
 
+@pytest.mark.few(0)
 def test_a_start_without_the_home_of_the_only_coordinator_reports_idle(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()

@@ -40,6 +40,7 @@ def test_a_robot_outside_the_mission_is_ignored_by_start_status_and_rollback(lfi
     assert told(here("rollback", "--json"))["outcome"] == "activated"
 
 
+@pytest.mark.few(0)
 def test_start_asks_for_robots_or_mission_if_a_local_mission_runs_too(lfield, here, robots) -> None:
     team = robots("alpha", "bravo")
     team.up()
