@@ -182,6 +182,19 @@ def test_no_file_uses_private_names_of_another_file(path: Path) -> None:
     assert seen_in(path)[1] == []
 
 
+#: First words of a docstring that leave its subject to a guess.
+HIDDEN_SUBJECT = re.compile(
+    r'^ *r?"""(?:It|Its|They|Their|That|There|Here|Nothing|What|Whether (?:it|its|they))\b.*', re.M
+)
+
+
+def test_no_docstring_begins_without_a_subject() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in files(*PRODUCT)}
+    assert [
+        f"{name_of(path)}: {line}" for path in texts for line in HIDDEN_SUBJECT.findall(texts[path])
+    ] == []
+
+
 #: Files outside the wire and the host that may read the snapshot of a host. All others use the read model.
 SNAPSHOT_READERS = {
     "lfield/operator/client.py",
