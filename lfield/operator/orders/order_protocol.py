@@ -51,10 +51,11 @@ LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 MAX_SIGNATURES = 8
 #: The shortest interval in seconds, before any round trip is measured.
 FIRST_INTERVAL = 0.06
-#: The data rate in bytes/s to all hosts together: half of a radio of 57.6 kbit/s; the answers need the other
-#: half. Once orders and answers of this size (bytes) have passed within the longest round trip, the rate is
-#: at least that.
-SEND_RATE, EXCHANGE = 3600.0, 400.0
+#: The data rate in bytes/s to all hosts together: less than half of a radio of 57.6 kbit/s; answers and links
+#: need the rest. Once one datagram of EXCHANGE bytes per host has passed within the longest round trip, the
+#: rate is at least that. The number is between the size of an order, 170, and that of an order with its
+#: answer, 340, which would leave nothing to the links.
+SEND_RATE, EXCHANGE = 3000.0, 250.0
 #: Bytes of a datagram besides order and certificate, with IPv6 and UDP headers; and of a certificate in an
 #: answer.
 OVERHEAD, SHOWN = 148, 500

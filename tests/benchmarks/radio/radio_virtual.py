@@ -11,10 +11,15 @@ from collections.abc import Iterator
 from harness.checkout import Checkout
 from harness.figure import Row
 from harness.samples import Tick, chosen
-from radio_stops import AT_REST, stops, unsigned
+from radio_stops import AT_REST, IDLE, stops, unsigned
 
-#: What else the radio carries: the links of hosts at rest, and beside them the telemetry of every vehicle.
-LOADS = {"links at rest": False, "watch open": True}
+#: Other traffic of the radio: bytes/s of each host for its links, and whether the desk receives the telemetry
+#: of every vehicle.
+LOADS = {
+    "links at rest": (IDLE, False),
+    "links with leases": (AT_REST, False),
+    "links with leases, watch open": (AT_REST, True),
+}
 #: Stops of a world, before the next one has another seed.
 AGAIN = 10
 
@@ -23,12 +28,12 @@ def virtual(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator
     """A stop of teams of one and of five hosts, from a desk that knows them, until all have confirmed."""
     for hosts in map(int, chosen("HOSTS", ("1", "5"))):
         case = f"stop of {hosts}, {cell}, virtual time"
-        for load, watched in LOADS.items():
+        for load, (links, watched) in LOADS.items():
             tick(f"{case}, {load}")
             count = max(samples, AGAIN)
             with unsigned():
                 # One host has no links.
-                noise = AT_REST if hosts > 1 else 0.0
+                noise = links if hosts > 1 else 0.0
                 found, size = stops(cell, hosts, count, at_rest=noise, watched=watched, again=AGAIN)
             yield Row(case, f"lfield, {load}", samples=found)
             yield Row("", "sent and received for it", "kB", [size / 1000])

@@ -36,8 +36,8 @@ HEADERS = 28
 DESK = "desk"
 #: Seconds that a host needs to make its devices safe, and seconds between two stops.
 EXECUTES, PAUSE = 0.05, 1.5
-#: Bytes/s that the links of each of five hosts carry at rest.
-AT_REST = 560.0
+#: Bytes/s that each of five hosts sends over its links at rest, without leases and with leases.
+IDLE, AT_REST = 80.0, 560.0
 #: The traffic of an open `lfield watch` per vehicle: bytes of a batch of telemetry with its headers and of
 #: the
 #: answer of the desk, and least seconds between two batches. That makes 6.3 kB/s on a fast path, as measured
