@@ -96,7 +96,7 @@ class IdConflictProbe:
         )
 
     def _request_count(self, key: Key, sent: int) -> int:
-        """How often an object was requested, by all clients."""
+        """The number of requests for an object, by all clients."""
         returned = sent if 2 * self._marks > len(self._requests) else 0
         return sent + max(0, self._bus_requests[key] - returned)
 
@@ -125,5 +125,5 @@ class Alternation:
 
     @property
     def last_return(self) -> float:
-        """When the last outlier was received; minus infinity for never."""
+        """The time when the last outlier was received; minus infinity for never."""
         return self._returns[-1] if self._returns else float("-inf")
