@@ -1,7 +1,7 @@
 """Limits of the binding: refuses commands that exceed them, and evaluates telemetry. Pure.
 
-A goal or speed beyond a limit is refused before anything is sent. The flight is watched as well: an autopilot
-may use its own speed, and its own height for a return.
+A goal or speed beyond a limit is refused before a command is sent. The flight is watched as well: an
+autopilot may use its own speed, and its own height for a return.
 """
 
 from __future__ import annotations

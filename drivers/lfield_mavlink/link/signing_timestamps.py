@@ -20,7 +20,7 @@ from lfield.driver import Clock, DeviceError, read_within
 
 #: Timestamps count units of 10 us since 1 January 2015.
 PER_SECOND, EPOCH = 100_000, 1_420_070_400
-#: How far ahead of use the timestamp is written, and the reserve that triggers the next write.
+#: The time ahead of use to which the timestamp is written, and the reserve that triggers the next write.
 AHEAD, LOW = 20 * PER_SECOND, 10 * PER_SECOND
 #: Bytes of a key.
 KEY = 32
