@@ -67,7 +67,7 @@ class KnownHosts:
         self._team = hashlib.sha256(authority).digest()[:16]
         #: The hosts of all teams, the most recently used one at the end.
         self._hosts: _Hosts = hosts if hosts is not None else OrderedDict()
-        #: Changes since it was read or saved.
+        #: Changes since the file was read or saved.
         self._changed: dict[tuple[bytes, str], None] = {}
 
     @classmethod
