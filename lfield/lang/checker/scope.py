@@ -27,7 +27,7 @@ class Scope(Struct):
     uncertain: bool = False
 
     def chain(self) -> Iterator[Scope]:
-        """This scope and those around it, from the inside."""
+        """The scope and those around it, from the inside."""
         scope: Scope | None = self
         while scope is not None:
             yield scope
