@@ -319,16 +319,14 @@ class Debugger:
         return InstructionTarget(self.team.table.portals)
 
     def hop_target(self, agent: str = "") -> Target:
-        """The target: the arrival of a coordinator on a host. Raises UsageError for an unknown one."""
+        """The target: the arrival of a coordinator. Raises UsageError for an unknown one."""
         known = [member.id for member in self.team.mission.team.coordinators]
         if agent and agent not in known:
             raise UsageError(f"there is no coordinator '{agent}'; {choice(agent, known, 'coordinators:')}")
         return HopTarget(agent)
 
     def event_target(self, kinds: Iterable[str] = ()) -> Target:
-        """The target: an event of some kinds, see events.md; without one, of any. Raises UsageError for
-        another.
-        """
+        """The target: an event of some kinds (events.md), or of any. Raises UsageError for another."""
         kinds = tuple(kinds)
         for kind in kinds:
             if kind not in KINDS:
