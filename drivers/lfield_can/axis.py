@@ -73,7 +73,7 @@ class CanAxis(Device):
         return self.protocol.ids()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame of this device; an invalid one is counted and dropped."""
+        """Handles a frame of this device; an invalid one is counted and dropped."""
         if frame.id in self._overheard:
             self.protocol.on_overheard(frame)
             return
@@ -124,7 +124,7 @@ class CanAxis(Device):
                 self.publish(enabled=False, state=self.protocol.state.state)
                 self._changes.notify()
             else:
-                # Its motion meanwhile is unknown: stop it.
+                # The motion of the device during the loss is unknown: stop it.
                 await self.make_safe()
         await self._check_id_conflict()
         if self.protocol.state.enabled and self._runs_out:
@@ -208,10 +208,10 @@ class CanAxis(Device):
         while True:
             await self.protocol.command_safe(state)
             if await self._changes.wait_for(is_safe, SAFE_REPEAT):
-                # Its velocity may come in a separate frame; `_moving` uses it.
+                # The velocity may arrive in a separate frame; `_moving` uses it.
                 await self._changes.wait_for(lambda: self.protocol.state.velocity is not None, SAFE_REPEAT)
                 if self.protocol.state.velocity is not None:
-                    # It was requested, but not published yet.
+                    # The value was requested, but not published yet.
                     self.publish(velocity=self.protocol.state.velocity)
                 return
             if self.clock.monotonic() >= start + SAFE_TIMEOUT or self._silence() > self.protocol.silence:

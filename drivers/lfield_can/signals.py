@@ -206,7 +206,7 @@ class CanSignals(Device):
         self._stream.quiet(on)
 
     def close(self) -> None:
-        """The driver ends."""
+        """Stops the cyclic commands when the driver ends."""
         self._stream.close()
 
     # -- opening and safe state -------------------------------------------------------------------------

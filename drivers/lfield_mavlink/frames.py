@@ -48,7 +48,7 @@ class GeodeticFrame:
 
 @lru_cache(maxsize=64)
 def _turn(team: Origin, origin: Place) -> float:
-    """Cached: used for every telemetry value, and both places are fixed."""
+    """The turn of the frames; cached, since both places are fixed and every telemetry value needs it."""
     return onto(team, origin)[2]
 
 

@@ -66,7 +66,7 @@ class LimitWatch:
         return Verdict.CORRECT
 
     def on_correction_sent(self, now: float) -> None:
-        """The correction was accepted, or nothing more will be sent: it must take effect from now on."""
+        """Records that the correction was accepted, or is the last one: it must take effect from now on."""
         if self._correction is not None:
             self._correction.less_at = min(self._correction.less_at, now)
 

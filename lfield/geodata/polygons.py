@@ -145,5 +145,5 @@ def _intersect(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 
 def _turn(a: Point, b: Point, c: Point) -> float:
-    """Above 0 if c is left of the way from a to b, below 0 if right."""
+    """A number above 0 if c is left of the way from a to b, below 0 if right."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -167,7 +167,7 @@ def unstated_options(
 
 
 def read_frames(path: Path | None, homes: Mapping[str, str]) -> Frames:
-    """Only the frames in a devices file (None: there is no file); `homes` are the hosts of its agents.
+    """The frames in a devices file (None: there is no file); `homes` are the hosts of its agents.
 
     Raises as `read_bindings`, for errors in those keys.
     """

@@ -78,7 +78,7 @@ class Mission:
 
     @property
     def needed(self) -> NeededDevices:
-        """By agent its device fields and their device types."""
+        """The device fields and their device types, by agent."""
         return needed_devices(self.program, self.team)
 
     @cached_property
@@ -173,7 +173,7 @@ def with_poses(registry: Registry, types: Mapping[str, str], frames: Frames) -> 
 
 
 def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:
-    """By agent of a team its device fields and their device types."""
+    """The device fields and their device types of a team, by agent."""
     classes = {record.name: record for record in program.core.classes}
     return {m.id: {field.name: field.type for field in classes[m.type].devices} for m in team.members}
 

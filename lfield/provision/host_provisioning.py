@@ -140,7 +140,7 @@ class UpdateGate:
         self._all_checked = asyncio.Event()
 
     def on_checked(self, host: str, *, refuses: bool = False) -> None:
-        """A host was checked, or cannot be. `refuses`: a mission there runs or has not ended.
+        """Record that a host was checked, or cannot be. `refuses`: a mission there runs or has not ended.
 
         Only the first call for a host counts.
         """
@@ -378,6 +378,6 @@ async def is_mission_running(connection: SshConnection) -> bool:
     try:
         listed = json.loads(answer)
     except ValueError:
-        # There is no lfield yet, or it does not start.
+        # The robot has no lfield yet, or it does not start.
         return bool(processes.strip())
     return not (isinstance(listed, dict) and listed.get("code") == "no-mission-running")

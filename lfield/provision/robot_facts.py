@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-#: Where lfield is installed on a robot: an environment for each version, and the link to the active one.
+#: The folder of lfield on a robot: an environment for each version, and the link to the active one.
 ROOT = "/opt/lfield"
 WHEELS, CURRENT = f"{ROOT}/wheels", f"{ROOT}/current"
 #: The file that marks a complete environment; its contents have no meaning.

@@ -146,7 +146,7 @@ class TeamOrder:
         return [offsets[number] for number in range(len(self.parts))]
 
     def _bounds(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """By two recordings, the lowest and the highest offset of the second one relative to the first."""
+        """For each pair of recordings, the lowest and the highest offset of the second to the first."""
         low: dict[tuple[int, int], float] = {}
         for hop, sent in self.sends.items():
             for arrived in self.arrivals.get(hop, ()):

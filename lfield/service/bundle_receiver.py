@@ -78,7 +78,7 @@ class BundleReceiver:
         self._uploads: dict[bytes, ArrivingUpload] = {}
 
     def on_offer(self, offer: BundleOffer, operator: str) -> PieceRequest:
-        """The missing pieces of an offer."""
+        """The pieces of an offer that are missing."""
         if self._has_file(offer.digest, offer.file):
             return PieceRequest(offer.file, offer.first, [])
         now = self._now()

@@ -162,11 +162,11 @@ class Message:
     signals: Sequence[Signal] = ()
     is_extended_frame: bool = False
     is_fd: bool = False
-    #: Whether its data are sent at the second bit rate of CAN FD.
+    #: Whether the data are sent at the second bit rate of CAN FD.
     is_switched: bool = False
     #: Seconds between two frames, as the file says; 0 if it does not.
     cycle: float = 0.0
-    #: Whether it is a SAE J1939 parameter group, with any priority and sender.
+    #: Whether the message is a SAE J1939 parameter group, with any priority and sender.
     is_j1939: bool = False
     #: Signals of the file that do not fit a frame, with the reasons.
     unusable: Mapping[str, str] = field(default_factory=dict)

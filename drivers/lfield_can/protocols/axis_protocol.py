@@ -42,7 +42,7 @@ class ProtocolContext:
 
 
 class AxisProtocol:
-    """One axis with one protocol. Nothing blocks; every wait is bounded and ends in a DeviceError.
+    """One axis with one protocol. No method blocks; every wait is bounded and ends in a DeviceError.
 
     The caller has checked limits, contact, and for motions that the axis is enabled.
     """
@@ -154,7 +154,7 @@ class AxisProtocol:
         """Stops (or starts) the frames that feed the device's own watchdog."""
 
     def on_silence(self) -> None:
-        """The device has not responded for too long: discards its state."""
+        """Discards the state of a device that has not responded for too long."""
         self.state.enabled = False
         self.state.position = self.state.velocity = None
 

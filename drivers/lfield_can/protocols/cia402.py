@@ -241,7 +241,7 @@ class Cia402(Cia402Node):
             await self.read_state()
 
     def is_safe(self, state: str, still: bool) -> bool:
-        """From the status word; a drive that is off cannot hold and need not."""
+        """Whether the status word shows the safe state; a drive that is off cannot hold and need not."""
         if state == "torque_off":
             return self.state.state in t.IDLE
         return still and (self.state.state in t.IDLE or self.state.state == "quick stop active")

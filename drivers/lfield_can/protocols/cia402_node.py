@@ -52,9 +52,9 @@ class Cia402Node(AxisProtocol):
         self._send_heartbeat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
-        #: When position and velocity were last received.
+        #: The time when position and velocity were last received.
         self._reported_at = dict.fromkeys((t.POSITION, t.VELOCITY), -MAX_VALUE_AGE)
-        #: How often each was received by process data.
+        #: The number of receptions of each by process data.
         self._report_counts = Counter[int]()
         #: Bits of the supported modes, 0 if not reported.
         self.modes = 0

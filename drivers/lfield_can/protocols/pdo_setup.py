@@ -116,7 +116,7 @@ class _PdoDirection:
         return cob, tuple(int.from_bytes(data, "little") for data in found)
 
     async def _map_ours(self) -> dict[int, Pdo]:
-        """By number, the PDOs with our mapping."""
+        """The PDOs with our mapping, by number."""
         mapped = {}
         for number, entries in enumerate(self._d.ours):
             try:
@@ -195,7 +195,7 @@ class _PdoDirection:
         return Pdo(pdo.number, identifier, pdo.entries)
 
     async def _id(self, pdo: Pdo, used: Mapping[int, Pdo]) -> int:
-        """One of the node's own ids: that of its number, or for a fifth PDO that of an unused one."""
+        """An id of the node itself: that of the PDO's number, or for a fifth PDO that of an unused one."""
         own = [self._d.first + 0x100 * n + self._number for n in range(4)]
         if pdo.number <= len(own):
             return own[pdo.number - 1]

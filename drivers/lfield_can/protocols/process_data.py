@@ -88,7 +88,7 @@ class ProcessData:
         return {entry: NUMBERS[entry].unpack(data[at])[0] for entry, at in pdo.places() if entry in NUMBERS}
 
     def on_written(self, index: int, subindex: int, data: bytes) -> None:
-        """An object was written by SDO: no frame may restore its old value."""
+        """Stores an object that was written by SDO: no frame may restore its old value."""
         self._values[index << 8 | subindex] = data
 
     def frame(self, entry: int, value: int) -> tuple[int, bytes]:

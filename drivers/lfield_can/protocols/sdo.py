@@ -135,7 +135,7 @@ class SdoClient:
         return []
 
     def on_timeout(self) -> list[Effect]:
-        """The answer is late. The transfer is repeated, or has failed."""
+        """Handles a late answer: the transfer is repeated, or has failed."""
         self._left -= 1
         given_up = self._abandon(TIMED_OUT)
         if not self._left:
@@ -143,7 +143,7 @@ class SdoClient:
         return [given_up, self._probe() if self._phase is _Phase.PROBING else self._send_request()]
 
     def on_cancelled(self) -> list[Effect]:
-        """The result is no longer needed."""
+        """Aborts a transfer whose result is no longer needed."""
         if self._phase is _Phase.IDLE:
             return []
         given_up = self._abandon(GENERAL_ERROR)

@@ -148,7 +148,7 @@ class Chain:
     async def sync_write(
         self, start: int, data: Mapping[int, bytes], *, protocol: int = 2, urgency: int = COMMAND
     ) -> None:
-        """One packet that writes to several servos. It has no answer."""
+        """Sends one packet that writes to several servos. The packet has no answer."""
         node = Node(BROADCAST_ID, protocol)
         size = len(next(iter(data.values())))
         body = b"".join(bytes((number,)) + part for number, part in data.items())

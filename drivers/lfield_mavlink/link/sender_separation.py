@@ -33,7 +33,7 @@ class Board(NamedTuple):
 
     @classmethod
     def of(cls, message: Any) -> Board:
-        """From uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
+        """The board of uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
         long = bytes(message.uid2).rstrip(b"\0")
         uid = long.hex() + (f"-{message.uid:x}" if message.uid else "") if long or message.uid else ""
         versions = (message.flight_sw_version, message.middleware_sw_version, message.os_sw_version)

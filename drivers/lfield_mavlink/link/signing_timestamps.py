@@ -72,7 +72,7 @@ class SigningTimestamps:
         return self._last
 
     def on_timestamp(self, timestamp: int) -> None:
-        """A peer with the key uses `timestamp`: ours must not be older."""
+        """Handles a `timestamp` of a peer with the key: ours must not be older."""
         self._start += max(timestamp - self.due, 0)
 
     @property

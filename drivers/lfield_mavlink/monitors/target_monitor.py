@@ -101,7 +101,7 @@ class TargetMonitor:
         if (sent := self._sent_at(place, now)) is not None:
             self._followed = max(self._followed, sent)
             self._reported = place if math.isfinite(sent) else self._reported
-            # It reports nothing about an ignored goal: only the last one shows that they are followed.
+            # The autopilot does not report an ignored goal: only the last goal shows that goals are followed.
             self._is_confirmed = self._is_confirmed or (
                 bool(self._places) and self._is_near(place, self._places[-1][1])
             )
@@ -139,7 +139,7 @@ class TargetMonitor:
         elif math.hypot(*velocity) > SAME:
             self._find(now, description)
         elif self._places and self._is_confirmed:
-            # It stops instead of continuing; once is its own behaviour when it enters the mode.
+            # The vehicle stops instead of continuing; once is its own behaviour when it enters the mode.
             self._stops_at = now if self._stops_at is None else self._stops_at
             if now - self._stops_at > FIRST_TARGET_TIMEOUT:
                 self._find(now, description)

@@ -179,7 +179,7 @@ class Camera:
         return camera
 
     async def _trigger(self) -> None:
-        """One picture by the autopilot, which reports no result."""
+        """Takes one picture by the autopilot, which reports no result."""
         capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
         camera = partial(self._vehicle.command, "triggerCamera", once=True, component="camera")
         if not await camera(capture, 0.0, 0.0, 1.0, optional=True):

@@ -183,7 +183,7 @@ class FileTransfer:
         request = self._request(Opcode.BURST_READ, session=session, offset=before, size=DATA)
 
         def is_of_burst(packet: Packet) -> bool:
-            # Its packets continue the request's sequence numbers.
+            # The packets of a burst continue the request's sequence numbers.
             newer = 0 < (packet.sequence - request.sequence) % 0x10000 < 0x8000
             return packet.requested == Opcode.BURST_READ and packet.session == session and newer
 

@@ -43,7 +43,7 @@ class PlanKind(IntEnum):
 
     @property
     def noun(self) -> str:
-        """For use in a sentence."""
+        """The name of the kind in a sentence."""
         return ("mission", "fence", "list of rally points")[self]
 
 

@@ -124,7 +124,7 @@ class _Moving:
 
 
 class Leg(_Moving):
-    """Straight to a goal and stay; `yaw` in rad, None to keep it."""
+    """A straight path to a goal, and a stay there; `yaw` in rad, None to keep it."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class Stay(_Moving):
 
 
 class Ring(_Moving):
-    """To the nearest point of a circle and round it.
+    """A path to the nearest point of a circle and round it.
 
     A following vehicle cuts the circle, so the target uses a larger one that compensates for that. `speed` is
     the target's; the vehicle, on the smaller circle, is not faster.

@@ -154,7 +154,7 @@ class AgentDirectory:
         self._own_status[agent] = condition if replacement is None else replacement(condition)
 
     def replace_own(self, agent: str, replacement: Callable[[AgentCondition], AgentCondition]) -> None:
-        """From now on replace the condition of an agent of this host: a test provides its attributes."""
+        """Replace the condition of an agent of this host from now on: a test provides its attributes."""
         self._replacements[agent] = replacement
 
     def next_delta(self) -> DirectoryDelta | None:

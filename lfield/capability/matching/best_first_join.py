@@ -208,7 +208,7 @@ class BestFirstJoin:
     # --- joins ----------------------------------------------------------------------------------------
 
     def _lookup(self, level: int) -> list[tuple[int, Judge, dict[Value, list[int]]]]:
-        """For each join of the part of a level to one before: the level of that, its value, and an index."""
+        """The joins of the part of a level to earlier parts: the level of that, its value, and an index."""
         part, before = self._order[level], self._order[:level]
         found = []
         for join in self._joins:

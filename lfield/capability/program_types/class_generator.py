@@ -187,7 +187,7 @@ def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterato
 
 
 def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
-    """One way: the mapped call, and the result for the caller."""
+    """The code of one way: the mapped call, and the result for the caller."""
     given = ", ".join(map(_argument_text, mapped.arguments))
     call = f"{field}.{mapped.target}({given})"
     result = mapped.result

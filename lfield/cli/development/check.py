@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[ReportableFinding]:
-    """Each finding once: a program may be named itself and by its deployment."""
+    """The findings, each once: a program may be named itself and by its deployment."""
     found: dict[str, ReportableFinding] = {}
     for finding in findings:
         data = finding.as_data()

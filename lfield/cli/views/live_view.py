@@ -90,7 +90,7 @@ class _TerminalEcho:
 
     def disable(self) -> None:
         """Disable the echo, unless this process is in the background: the kernel would stop it."""
-        # There is no controlling terminal, or it cannot be set.
+        # The process has no controlling terminal, or it cannot be set.
         with suppress(OSError, termios.error):
             if os.tcgetpgrp(self._stream.fileno()) == os.getpgrp():
                 self._is_disabled = self._set(is_on=False)

@@ -210,7 +210,9 @@ class TokenStream:
     # --- nesting --------------------------------------------------------------------------------------
 
     def nested(self) -> Self:
-        """One level deeper until its `with` ends, up to MAX_NESTING. No generator: every operator has one."""
+        """Enter a deeper level until its `with` ends, up to MAX_NESTING. No generator: every operator has
+        one.
+        """
         self.depth += 1
         self._limit(self.depth, self.current.span)
         return self

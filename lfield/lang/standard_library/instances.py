@@ -46,7 +46,7 @@ _NAME = re.compile(r"(\w+)\(")
 
 @cache
 def array_texts() -> dict[str, str]:
-    """For each method of arrays a class with it alone, by name."""
+    """For each method of arrays, by name, the text of a class with that method alone."""
     texts = (file.read_text(encoding="utf-8").removesuffix("}\n") for file in _METHODS)
     methods = [method for text in texts for method in text.split("    private ")[1:]]
     return {_NAME.findall(method)[0]: f"class Arrays {{\n    private {method}}}\n" for method in methods}

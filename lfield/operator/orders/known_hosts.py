@@ -100,7 +100,7 @@ class KnownHosts:
             self._changed[self._team, host] = None
 
     def on_verified(self, certificate: bytes, who: Identity) -> None:
-        """A handshake has verified a certificate in DER."""
+        """Store a certificate in DER that a handshake has verified."""
         if who.kind == "host":
             self.learn(who.name, certificate=certificate)
 

@@ -63,7 +63,7 @@ def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[
 
 
 def _slim(vehicle: VehicleState) -> VehicleState:
-    """Without raw telemetry: the shown values are fields of their own."""
+    """The state without raw telemetry: the shown values are fields of their own."""
     return replace(vehicle, devices=tuple(replace(device, readings={}) for device in vehicle.devices))
 
 

@@ -82,7 +82,7 @@ class RoverPace:
         return self._set[0] if self._set is not None and self._set[1] == own else own
 
     def enter(self, *, guided: bool) -> None:
-        """A mode was entered."""
+        """Discards the speed: a mode was entered."""
         self._control, self._set, self._guided = None, None, guided
 
     def arm(self) -> None:

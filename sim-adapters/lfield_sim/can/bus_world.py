@@ -101,7 +101,7 @@ class _DeviceAtPort:
             self._device.power_down()
 
     def step(self, now: float) -> None:
-        """One tick of the model."""
+        """Runs one tick of the model."""
         silent = bool(self._faults.get("silence", self._device.id))
         if silent is self._on:
             self.power(on=not silent, now=now)

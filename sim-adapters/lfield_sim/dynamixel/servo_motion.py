@@ -1,4 +1,4 @@
-"""From goals to motion: operating modes, profiles, position loop, and present-value registers.
+"""Motion of a servo from its goals: operating modes, profiles, position loop, and present-value registers.
 
 https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/, registers 10, 11, 20 and 100 to 146. Positions are
 counts in the register's frame (after direction and homing offset), like the profile.

@@ -64,8 +64,8 @@ class HostLocator:
         return ()
 
     def _choose(self, parties: Sequence[TargetTeam]) -> None:
-        """Of several runs of the mission, choose the one that was followed, or else the newest, which is the
-        last.
+        """Choose among several runs of the mission the one that was followed, or else the newest, which is
+        the last.
 
         If none was followed yet, any run is of the mission that was named. A run of another user does not
         replace a trusted one.

@@ -335,7 +335,7 @@ KINDS = {
             takeoff=2.5,
             goal_response=Response(1.02),
         ),
-        # Its missions have low jerk, GUIDED goes straight to its goal.
+        # Missions have low jerk, GUIDED goes straight to its goal.
         mission_limits={"braking": 1.25, "jerk": 1.5},
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),

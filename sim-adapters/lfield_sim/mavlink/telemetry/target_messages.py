@@ -77,7 +77,7 @@ def position_target_local_ned(autopilot: Autopilot, _: GeoOrigin) -> Any:
         case Track(place, speed):
             position, velocity, mask = place, speed, 0
         case Reach():
-            # Its own trajectory, slightly ahead of it.
+            # The autopilot's own trajectory, slightly ahead of the vehicle.
             position, velocity, mask = autopilot.vehicle.place, autopilot.vehicle.velocity, 0
         case Keep(speed):
             velocity, mask = speed, 0x7
