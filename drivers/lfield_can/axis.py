@@ -61,11 +61,11 @@ class CanAxis(Device):
     # -- frames and contact -----------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Reads its files. Raises DeviceError."""
+        """Reads the files of the axis. Raises DeviceError."""
         self.protocol.prepare()
 
     def listens(self) -> frozenset[int]:
-        """The keys of the frames that it receives."""
+        """The keys of the frames that the axis receives."""
         return self.protocol.ids() | self._overheard
 
     def commands(self) -> frozenset[int]:
@@ -73,7 +73,7 @@ class CanAxis(Device):
         return self.protocol.ids()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame of this device; an invalid one is counted and dropped."""
+        """Handles a frame of this device; an invalid one is counted and dropped."""
         if frame.id in self._overheard:
             self.protocol.on_overheard(frame)
             return
@@ -94,7 +94,7 @@ class CanAxis(Device):
         self.protocol.quiet(on)
 
     def close(self) -> None:
-        """The driver ends."""
+        """Ends the protocol when the driver ends."""
         self.protocol.close()
 
     async def watch(self) -> None:
@@ -124,7 +124,7 @@ class CanAxis(Device):
                 self.publish(enabled=False, state=self.protocol.state.state)
                 self._changes.notify()
             else:
-                # Its motion meanwhile is unknown: stop it.
+                # The motion of the device during the loss is unknown: stop it.
                 await self.make_safe()
         await self._check_id_conflict()
         if self.protocol.state.enabled and self._runs_out:
@@ -139,8 +139,8 @@ class CanAxis(Device):
             self.publish(**await self.protocol.poll())
 
     async def _set_up_again(self) -> None:
-        """Sets it up after a restart. It may be moving: another device with its id may have booted, or
-        another master on the bus may have disabled it.
+        """Sets the axis up after a restart. The axis may be moving: another device with its id may have
+        booted, or another master on the bus may have disabled it.
         """
         with suppress(DeviceError):  # the set-up below reports the cause
             await self.protocol.command_safe(self.safe_state)
@@ -150,7 +150,7 @@ class CanAxis(Device):
         self.note(log_messages.SET_UP_AGAIN.line())
 
     async def _check_id_conflict(self) -> None:
-        """Two devices with one id both follow every command: logged once, and stopped."""
+        """Logs and stops two devices with one id, since both follow every command."""
         if self.protocol.needs_setup:
             return  # the set-up reports it
         conflict, reported = self.protocol.conflict, self._reported_conflict
@@ -171,7 +171,7 @@ class CanAxis(Device):
         return identity
 
     def _touched(self) -> bool:
-        """Only queried until its first message; then it is set up."""
+        """Whether the device was found and so set up; before its first message it is only queried."""
         return self._found
 
     async def _serial(self) -> str:
@@ -208,10 +208,10 @@ class CanAxis(Device):
         while True:
             await self.protocol.command_safe(state)
             if await self._changes.wait_for(is_safe, SAFE_REPEAT):
-                # Its velocity may come in a separate frame; `_moving` uses it.
+                # The velocity may arrive in a separate frame; `_moving` uses it.
                 await self._changes.wait_for(lambda: self.protocol.state.velocity is not None, SAFE_REPEAT)
                 if self.protocol.state.velocity is not None:
-                    # It was requested, but not published yet.
+                    # The value was requested, but not published yet.
                     self.publish(velocity=self.protocol.state.velocity)
                 return
             if self.clock.monotonic() >= start + SAFE_TIMEOUT or self._silence() > self.protocol.silence:
@@ -243,7 +243,7 @@ class CanAxis(Device):
 
     @property
     def _runs_out(self) -> bool:
-        """Whether it is outside its bounds and moves farther out, as a velocity may cause."""
+        """Whether the axis is outside its bounds and moves farther out, as a velocity may cause."""
         position, velocity = self.protocol.state.position, self.protocol.state.velocity
         if position is None or velocity is None or self._still:
             return False
@@ -339,7 +339,7 @@ class CanAxis(Device):
     # -- parts of instructions --------------------------------------------------------------------------
 
     async def _travel(self, goal: float) -> None:
-        """Waits until it is at rest at its goal, as long as it makes progress."""
+        """Waits until the axis is at rest at its goal, as long as it makes progress."""
         near: float = self.binding.option("tolerance")
         progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
         while True:
@@ -389,7 +389,7 @@ class CanAxis(Device):
             )
 
     def _check_outward(self, what: str, direction: float) -> None:
-        """Beyond a bound, only motion back is permitted."""
+        """Beyond a bound, permits only motion back."""
         position = self.protocol.state.position
         if position is None:
             return

@@ -50,7 +50,7 @@ def cycles(file: DbcFile, texts: Sequence[str], commands: Sequence[str]) -> dict
 
 
 class CommandStream:
-    """The commands of one device, and what they contain."""
+    """The commands of one device, and the values in them."""
 
     def __init__(self, bus: Bus, clock: Clock, ttl: float) -> None:
         self._bus, self._clock, self._ttl = bus, clock, ttl
@@ -71,7 +71,7 @@ class CommandStream:
         protections: Mapping[str, Protection],
         periods: Mapping[str, float],
     ) -> None:
-        """Before the first command: the file, the values of the safe state; the others are by message."""
+        """Sets the file and the values of the safe state before the first command."""
         self._file, self._protections, self._periods = file, protections, periods
         for term in safe:
             self._safe[term.message] = {**self._safe.get(term.message, {}), term.signal: term.value}
@@ -89,7 +89,7 @@ class CommandStream:
         return sum(task.overruns for task in self._tasks.values())
 
     def values(self, message: str) -> Values:
-        """What a message contains: the safe values, overlaid by setpoints."""
+        """The values of a message: the safe values, overlaid by setpoints."""
         return self._values[message]
 
     def check(self, message: str) -> None:
@@ -97,7 +97,7 @@ class CommandStream:
         self._file.encode(message, self._safe[message])
 
     def forget_setpoints(self) -> None:
-        """Commands contain the safe values until something is set."""
+        """Discards the setpoints: commands contain the safe values until a new setpoint."""
         self._values = dict(self._safe)
         self._expiry.clear()
 
@@ -109,7 +109,7 @@ class CommandStream:
         self._start(message)
 
     async def send_safe(self, message: str) -> None:
-        """The same with the values of the safe state, which do not expire."""
+        """Sends a message like `send`, with the values of the safe state, which do not expire."""
         await self._bus.send(self._frame(message, self._safe[message]))
         self._start(message)
 
@@ -123,7 +123,7 @@ class CommandStream:
                 self._tasks[name].resume()
 
     def close(self) -> None:
-        """The driver ends."""
+        """Stops the cyclic frames when the driver ends."""
         for task in self._tasks.values():
             task.stop()
 

@@ -45,7 +45,7 @@ class CanSignals(Device):
         self._safe: list[Term] = []
         self._confirm: list[Term] = []
         self._accepted: list[Term] = []
-        #: Since when it has not accepted its cyclic commands.
+        #: The time since which the device has not accepted its cyclic commands.
         self._refused_since: float | None = None
         self._protections: dict[str, Protection] = {}
         self._stream = CommandStream(bus, clock, binding.ttl)
@@ -53,7 +53,7 @@ class CanSignals(Device):
         self._malformed = 0
         #: Problems of frames by message, the last first. Each kind is logged once.
         self._problems: dict[str, list[str]] = {}
-        #: When the last frame of a message was not used, and why.
+        #: The time when the last frame of a message was not used, and the reason.
         self._refused: dict[str, tuple[float, str]] = {}
         #: For J1939 messages with any sender: our sender and its time, and other logged senders.
         self._sources: dict[str, tuple[int, float]] = {}
@@ -84,7 +84,7 @@ class CanSignals(Device):
         log_warnings(self._file.warnings, option("dbc"), self.note)
 
     def _check_safe(self) -> None:
-        """The safe state must be a complete message for each command, and be confirmed."""
+        """Checks that the safe state is a complete message for each command, and is confirmed."""
         for term in self._safe:
             if term.message not in self._commands:
                 raise DbcError(f"the safe state sends {term.message}, which is not among its 'commands'")
@@ -106,11 +106,11 @@ class CanSignals(Device):
         return frozenset(self._file.key(name) for name in self._file.names if name not in self._commands)
 
     def commands(self) -> frozenset[int]:
-        """The messages that it sends."""
+        """The messages that the driver sends to the device."""
         return frozenset(self._file.key(name) for name in self._commands)
 
     def on_frame(self, frame: Frame) -> None:
-        """A message of the device; deviations from the file are counted and logged, the rest is used."""
+        """Handles a message of the device; deviations from the file are counted and logged, the rest used."""
         decoded = self._file.decode(frame)
         if decoded is None:
             self._malformed += 1
@@ -175,14 +175,14 @@ class CanSignals(Device):
                 await self._on_recovered()
 
     async def _on_recovered(self) -> None:
-        """Its state meanwhile is unknown: command its safe state."""
+        """Commands the safe state: the state of the device during the loss is unknown."""
         try:
             await self.make_safe()
         except DeviceError as error:
             self.note(log_messages.NOT_SAFE.line(reason=error.reason))
 
     def _check_accepted(self, silent: bool) -> None:
-        """A device that refuses its cyclic commands, such as their counters, for `max_age` is made safe."""
+        """Makes a device safe that refuses its cyclic commands, such as their counters, for `max_age`."""
         now = self.clock.monotonic()
         wrong = (
             self._mismatches(self._accepted, -math.inf) if self._stream.is_streaming and not silent else []
@@ -202,11 +202,11 @@ class CanSignals(Device):
             self._overruns_logged, self._overruns_at = count, now
 
     def quiet(self, on: bool) -> None:
-        """Stops cyclic commands; sends only what the program sets."""
+        """Stops cyclic commands; then only messages that the program sets are sent."""
         self._stream.quiet(on)
 
     def close(self) -> None:
-        """The driver ends."""
+        """Stops the cyclic commands when the driver ends."""
         self._stream.close()
 
     # -- opening and safe state -------------------------------------------------------------------------
@@ -234,7 +234,7 @@ class CanSignals(Device):
         return f"DBC device, received {', '.join(received) or 'nothing'}"
 
     def _touched(self) -> bool:
-        """Opening only listens."""
+        """Always False: opening only listens."""
         return False
 
     async def _make_safe(self, state: str) -> None:
@@ -251,7 +251,7 @@ class CanSignals(Device):
         raise self.error(f"its safe state is not confirmed: {self._failure_text()}")
 
     def _confirmed(self, since: float) -> bool:
-        """Whether all confirming signals were received since then, with matching values."""
+        """Whether all confirming signals were received after a time, with matching values."""
         return all(self._fits(term, since) for term in self._confirm)
 
     def _fits(self, term: Term, since: float) -> bool:
@@ -263,7 +263,7 @@ class CanSignals(Device):
         return ", ".join(wrong) or "its confirming messages came too rarely"
 
     def _mismatches(self, terms: Sequence[Term], since: float) -> list[str]:
-        """Signals that were not received since then or do not match; one text each."""
+        """Signals that were not received after a time or do not match; one text each."""
         wrong = []
         for term in terms:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
@@ -274,7 +274,9 @@ class CanSignals(Device):
         return wrong
 
     def _moving(self) -> str:
-        """A file does not describe motion: it is at rest while its safe state is confirmed."""
+        """The reason why the device may move, or '': a file describes no motion, so the device is at rest
+        while its safe state is confirmed.
+        """
         if not self._confirm:
             return ""
         silence = self._silence()
@@ -301,7 +303,7 @@ class CanSignals(Device):
         await self._transmit(message, named)
 
     async def do_read(self, signal: str) -> float:
-        """The last value, or the next one."""
+        """Returns the last value of a signal, or the next one."""
         message, name = self._named(signal)
         oldest = self.clock.monotonic() - self._patience
 

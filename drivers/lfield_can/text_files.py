@@ -47,7 +47,7 @@ def _decoded(data: bytes) -> str:
 
 
 def _unmarked_utf16(data: bytes) -> str:
-    """The keywords of both formats are ASCII: in UTF-16 every other byte of them is 0."""
+    """The kind of UTF-16 without a mark, or '': every other byte of the keywords of both formats is 0."""
     head = data[:64]
     if len(head) < 4 or b"\0" not in head:
         return ""

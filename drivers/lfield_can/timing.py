@@ -18,7 +18,7 @@ class ChangeNotifier:
         self._event = asyncio.Event()
 
     def notify(self) -> None:
-        """Something has changed."""
+        """Wakes the waiting tasks after a change."""
         self._event.set()
         self._event = asyncio.Event()
 
@@ -112,14 +112,14 @@ class Sync:
         self._repeating = PeriodicTask(clock)
 
     def require(self, node: int, identifier: int) -> None:
-        """A node needs it, with the id of its object 0x1005."""
+        """Starts SYNC for a node, with the id of its object 0x1005."""
         idle = not self._needed_by
         self._needed_by[node] = identifier
         if idle:
             self._repeating.start(self._period, self._send)
 
     def release(self, node: int) -> None:
-        """It is not needed, or must pause while the bus is muted."""
+        """Ends SYNC for a node that does not need it, or while the bus is muted."""
         self._needed_by.pop(node, None)
         if not self._needed_by:
             self._repeating.stop()

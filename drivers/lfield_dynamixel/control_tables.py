@@ -25,7 +25,7 @@ class Item:
 
     @property
     def _sign_bit(self) -> int:
-        """The value of its sign bit; 0 for none, or two's complement."""
+        """The value of the sign bit; 0 for none, or two's complement."""
         return 1 << int(self.sign.removeprefix("bit ")) if self.sign.startswith("bit ") else 0
 
     def encode(self, counts: int) -> bytes:
@@ -87,7 +87,7 @@ class Model:
         return 2 * self.centre - 1
 
     def homing_within(self, offset: int) -> int:
-        """A homing offset within half a turn, where it has no more: one of a full turn is none."""
+        """A homing offset within half a turn, for models with no more: an offset of a full turn is none."""
         if self.homing > 0:
             return offset
         half = self.centre

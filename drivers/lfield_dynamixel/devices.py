@@ -11,7 +11,7 @@ from lfield_dynamixel.members import POLL_INTERVAL, STILL, Readings
 from lfield_dynamixel.motion import STUCK_TIME, MovingMembers
 from lfield_dynamixel.servo import POSITION_MODES, ROUNDED, Servo
 
-#: It pushes with the commanded force at this share of the current, for so many seconds.
+#: A servo pushes with the commanded force at this share of the current, for so many seconds.
 PUSHING_SHARE, PUSHING_TIME = 0.85, 0.1
 
 
@@ -43,7 +43,7 @@ class Dynamixel(MovingMembers):
         await self.travel("moveTo", {self.servo.node.number: angle})
 
     async def do_move_until(self, angle: float, current: float) -> None:
-        """Moves until it arrives or is blocked with that current; it keeps pushing."""
+        """Moves until the servo arrives or is blocked with that current; it keeps pushing."""
         number = self.servo.node.number
         self.check_angles("moveUntil", {number: angle})
         self._check_current("moveUntil", current)
@@ -58,7 +58,7 @@ class Dynamixel(MovingMembers):
         await self._close(angle, current)
 
     async def _close(self, angle: float, current: float) -> None:
-        """Waits until it has arrived or pushes; otherwise it is blocked by something else."""
+        """Waits until the servo has arrived or pushes; otherwise another object blocks it."""
         number, tolerance = self.servo.node.number, self.binding.option("tolerance")
         moved_at, pushes_since = self.clock.monotonic(), math.inf
         while True:
@@ -84,7 +84,7 @@ class Dynamixel(MovingMembers):
             await asyncio.sleep(POLL_INTERVAL)
 
     async def do_set_position(self, angle: float) -> None:
-        """A position setpoint, with the profile."""
+        """Sends a position setpoint, with the profile."""
         number = self.servo.node.number
         self.check_angles("setPosition", {number: angle})
         self.check_ready("setPosition", POSITION_MODES)
@@ -93,13 +93,13 @@ class Dynamixel(MovingMembers):
         await self._command("setPosition", *self.goals({number: angle}, start)[self.servo])
 
     async def do_set_velocity(self, velocity: float) -> None:
-        """A velocity setpoint."""
+        """Sends a velocity setpoint."""
         self._check_speed("setVelocity", velocity)
         limit = self.binding.limits.get("speed", math.inf)
         await self._set_goal("setVelocity", "velocity", velocity, self.servo.model.velocity, limit)
 
     async def do_set_current(self, current: float) -> None:
-        """A current setpoint."""
+        """Sends a current setpoint."""
         self._check_current("setCurrent", current)
         limit = self.binding.limits.get("current", math.inf)
         await self._set_goal("setCurrent", "current", current, self.servo.model.current, limit)
@@ -175,7 +175,7 @@ class DynamixelGroup(MovingMembers):
         )
 
     async def do_move_to(self, angles: list[float]) -> None:
-        """Moves all, with simultaneous arrival."""
+        """Moves all members, with simultaneous arrival."""
         await self.travel("moveTo", self._by_id("moveTo", angles))
 
     async def do_move_joint(self, name: str, angle: float) -> None:
@@ -187,7 +187,7 @@ class DynamixelGroup(MovingMembers):
         await self.travel("moveJoint", {numbers[name]: angle})
 
     async def do_set_positions(self, angles: list[float]) -> None:
-        """A setpoint for all in one packet without confirmation; a missing member is an error."""
+        """Sends a setpoint for all in one packet without confirmation; a missing member is an error."""
         goals = self._by_id("setPositions", angles)
         self.check_angles("setPositions", goals)
         self.check_ready("setPositions", POSITION_MODES)

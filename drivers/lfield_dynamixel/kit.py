@@ -52,7 +52,7 @@ async def complete(bench: Bench) -> str:
 
 @KIT.check("without torque a servo refuses goals", moves=True)
 async def refused_without_torque(bench: Bench) -> str:
-    """The refusal names the call that is needed."""
+    """The refusal of a motion without torque names the call that is needed."""
     await bench.call("torque", False)
     reason = await refused(bench, "moveTo", _goal(bench, 0.0))
     if "torque" not in reason:
@@ -62,7 +62,7 @@ async def refused_without_torque(bench: Bench) -> str:
 
 @KIT.check("torque on does not move it", moves=True)
 async def torque_on(bench: Bench) -> str:
-    """Holds its position."""
+    """The servo holds its position when its torque is switched on."""
     before = _angles(bench)
     await bench.call("torque", True)
     await bench.until(lambda: bool(bench.query("torqueOn")), 3.0, "the torque to be on")
@@ -90,7 +90,7 @@ async def turns(bench: Bench) -> str:
 
 @KIT.check("a cancelled motion stops", moves=True)
 async def cancels(bench: Bench) -> str:
-    """It holds its position on the way, and follows the next goal."""
+    """A cancelled servo holds its position on the way, and follows the next goal."""
     await _get_ready(bench)
     start = _angles(bench)
     goal = [angle + turn for angle, turn in zip(start, _inwards(bench, start), strict=True)]
@@ -108,7 +108,9 @@ async def cancels(bench: Bench) -> str:
 
 @KIT.check("angles outside its bounds are refused", moves=True)
 async def limits(bench: Bench) -> str:
-    """Beyond the bounds of the binding; for a group, also a goal for another number of members."""
+    """Goals beyond the bounds of the binding are refused; for a group, also a goal for another number of
+    members.
+    """
     await _get_ready(bench)
     start = _angles(bench)
     joints = joints_of(bench.binding).values()
@@ -130,7 +132,7 @@ async def speed(bench: Bench) -> str:
 
 @KIT.check("a setpoint that is not renewed ends", moves=True)
 async def ends_safely(bench: Bench) -> str:
-    """After its time-to-live the guard brings it into the safe state, where it is at rest."""
+    """The guard brings the servo into the safe state after the time-to-live; the servo is then at rest."""
     await _get_ready(bench)
     last = bench.now
     await bench.call("setPositions" if _is_group(bench) else "setPosition", _goal(bench, 0.0))
@@ -176,7 +178,7 @@ async def torque_off(bench: Bench) -> str:
 
 
 async def _get_ready(bench: Bench) -> None:
-    """Torque on, slow."""
+    """Switches the torque on and sets a slow profile."""
     await bench.call("setProfile", min(PROFILE[0], bench.binding.limits.get("speed", math.inf)), PROFILE[1])
     await bench.call("torque", True)
 
@@ -187,7 +189,7 @@ def _stopped(bench: Bench, known_notes: int) -> str:
 
 
 def _inwards(bench: Bench, angles: list[float]) -> list[float]:
-    """So far towards the middle of its bounds, for each."""
+    """The motion of each servo towards the middle of its bounds."""
     middles = [
         joint.offset if joint.calibration else (joint.lowest + joint.highest) / 2.0
         for joint in joints_of(bench.binding).values()
@@ -196,7 +198,7 @@ def _inwards(bench: Bench, angles: list[float]) -> list[float]:
 
 
 def _is_off(bench: Bench, start: list[float]) -> bool:
-    """Whether it has left its position."""
+    """Whether a servo has left its position."""
     return any(abs(now - then) > NEAR for now, then in zip(_angles(bench), start, strict=True))
 
 

@@ -60,7 +60,7 @@ class Members(Device):
         self.opened = False
 
     def publish_readings(self, readings: Readings) -> None:
-        """Publishes what the members measure."""
+        """Publishes the measured values of the members."""
         raise NotImplementedError
 
     # -- opening ----------------------------------------------------------------------------------------
@@ -79,7 +79,9 @@ class Members(Device):
         return ", ".join(identities)
 
     def _touched(self) -> bool:
-        """Opening only reads, until it sets the watchdog: that releases a servo stopped by it."""
+        """Whether the watchdog was set, which releases a servo stopped by it; before that, opening only
+        reads.
+        """
         return self._watchdog is not None
 
     @property
@@ -135,7 +137,7 @@ class Members(Device):
     # -- watching ---------------------------------------------------------------------------------------
 
     async def poll(self) -> None:
-        """Polls the members once and publishes it; failures are logged, not raised."""
+        """Polls the members once and publishes the readings; failures are logged, not raised."""
         observed = await self.observe(urgency=POLL)
         self.publish_readings(observed)
         self._polls += 1
@@ -145,7 +147,7 @@ class Members(Device):
             await self.check_for_double(there[self._polls // ID_CHECK_EVERY % len(there)])
 
     async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Readings:
-        """The readings of members that answer. Silent ones are tried only now and then."""
+        """The readings of members that answer. Silent members are asked at intervals only."""
         asked = await self._present_members(urgency) if alone else list(self.servos.values())
         answers = await self._read(asked, "present", urgency, alone=alone)
         observed = {number: self.servos[number].reading(status) for number, status in answers.items()}
@@ -186,7 +188,7 @@ class Members(Device):
         return found
 
     async def check_for_double(self, servo: Servo) -> None:
-        """Stops all members when another servo has joined with the id of one."""
+        """Stops all members when another servo has joined with the id of a member."""
         if not await self._is_doubled(servo, POLL, fewest=1):
             return
         with suppress(DeviceError):  # those that receive it stop
@@ -197,7 +199,7 @@ class Members(Device):
         self._publish_conditions()
 
     async def _is_doubled(self, servo: Servo, urgency: int, fewest: int = FEWEST_ROUNDS) -> bool:
-        """Whether another servo with its id has joined; logged once."""
+        """Whether another servo with the same id has joined; logged once."""
         number, place = servo.node.number, servo.model.present
         conflict = await self.chain.id_conflict(servo.node, *place, urgency=urgency, fewest=fewest)
         if conflict and number not in self.conflicts:
@@ -208,7 +210,7 @@ class Members(Device):
         return bool(conflict)
 
     def _on_missing(self, servo: Servo) -> None:
-        """A member does not answer; logged once."""
+        """Logs once that a member does not answer."""
         number = servo.node.number
         if number not in self._probe_at:
             self.note(log_messages.SERVO_SILENT.line(number=servo.joint.label))
@@ -304,7 +306,7 @@ class Members(Device):
         )
 
     def _motion_of(self, number: int) -> str:
-        """How one member still moves in the safe state; '' when it is at rest."""
+        """The motion of one member that is still moving in the safe state; '' when it is at rest."""
         at, observed = self._readings.get(number, (0.0, None))
         if observed is None:
             return "does not answer"
@@ -317,7 +319,7 @@ class Members(Device):
             return turns
         known = self.conditions.get(number)
         if self.safe_state == "torque_off" and known is not None and known.torque:
-            # It was limp: another master on the bus has switched its torque on.
+            # The servo was limp: another master on the bus has switched its torque on.
             return "stiff again"
         return ""
 
@@ -337,9 +339,9 @@ class Members(Device):
         self._publish_conditions()
 
     def _places(self, readings: Readings) -> dict[Servo, Present]:
-        """Where each member is to hold; for a silent one that may receive, its last position.
+        """The position at which each member is to hold; for a silent one that may receive, its last position.
 
-        One that holds something by its force holds by continuing.
+        A member that holds an object by its force continues to do so.
         """
         now = self.clock.monotonic()
         fresh = {n: value for n, (at, value) in self._readings.items() if now - at <= MAX_AGE}
@@ -347,12 +349,12 @@ class Members(Device):
         return {s: value for s, value in places.items() if not (s.pushing or self._is_limp(s))}
 
     def _is_limp(self, servo: Servo) -> bool:
-        """Whether it is known to be limp: a goal would switch an AX on."""
+        """Whether a servo is known to be limp: a goal would switch an AX on."""
         known = self.conditions.get(servo.node.number)
         return known is not None and not known.torque
 
     async def send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
-        """Writes to several at once, one packet per address; also reaches those that cannot answer."""
+        """Writes to several servos at once, one packet per address; also reaches those that cannot answer."""
         for address in sorted({address for address, _ in writes.values()}):
             data = {s.node.number: part for s, (at, part) in writes.items() if at == address}
             protocol = next(iter(writes)).node.protocol

@@ -1,6 +1,7 @@
 """Motions of one servo or of several that move together.
 
-A motion is checked before anything is sent, and done when the state confirms it. When it fails, all stop.
+A motion is checked before packets are sent, and done when the state confirms it. When it fails, all servos
+stop.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class MovingMembers(Members):
     """Members that move together."""
 
     async def do_torque(self, on: bool) -> None:
-        """Torque on at the present position, or off."""
+        """Switches the torque on at the present position, or off."""
         await self.read_conditions()
         if on:
             for servo in self.servos.values():
@@ -42,7 +43,7 @@ class MovingMembers(Members):
         await self.read_conditions()
 
     async def do_set_profile(self, velocity: float, acceleration: float) -> None:
-        """The profile of later motions; sent with every goal, so that a restart cannot lose it."""
+        """Sets the profile of later motions; sent with every goal, so that a restart cannot lose it."""
         if not (0.0 <= velocity < math.inf and 0.0 <= acceleration < math.inf):
             raise self.error(
                 f"setProfile requires finite numbers of at least 0, not {velocity:g} and {acceleration:g}"
@@ -53,12 +54,12 @@ class MovingMembers(Members):
     async def do_stop(self) -> None:
         """Stops and holds; confirmed at rest. Members without torque stay limp."""
         await self._make_safe("torque_hold")
-        # It overshot that position while it slowed down, and would return to it.
+        # The servo overshot that position while it slowed down, and would return to it.
         await self._make_safe("torque_hold")
         self.publish_readings(await self.observe())
 
     async def travel(self, what: str, angles: Angles) -> None:
-        """Moves each to its angle so that all arrive together. Raises DeviceError."""
+        """Moves each servo to its angle so that all arrive together. Raises DeviceError."""
         self.check_angles(what, angles)
         await self.read_conditions()
         self.check_ready(what, POSITION_MODES)
@@ -76,7 +77,7 @@ class MovingMembers(Members):
             raise
 
     def goals(self, angles: Angles, start: Readings) -> dict[Servo, tuple[int, bytes]]:
-        """The writes that send each to its angle; profiles are scaled by distance for equal durations."""
+        """The writes that send each servo to its angle; profiles are scaled for equal durations."""
         ways = {number: abs(angle - start[number].position) for number, angle in angles.items()}
         longest = max(ways.values())
         speed = min([self._speed(), *(self.servos[number].top_speed for number in angles)])
@@ -150,7 +151,7 @@ class MovingMembers(Members):
                 )
 
     def check_ready(self, what: str, modes: Collection[str]) -> None:
-        """Refuses what a servo would not follow, naming the call that is needed."""
+        """Refuses an instruction that a servo would not follow, naming the call that is needed."""
         for servo in self.servos.values():
             label = servo.joint.label
             if servo.mode not in modes:

@@ -94,7 +94,7 @@ def condition(model: Model, status: Status) -> Condition:
 
 
 class Servo:
-    """One servo on a chain. Call `open` first; everything else needs its model.
+    """One servo on a chain. Call `open` first; all other methods need its model.
 
     Angles, speeds and currents are those of its `joint`. `mode` is its operating mode by name, `reach` the
     range of angles (rad) in position mode, `top_speed` its own limit (rad/s). `is_slave`: it follows the
@@ -114,12 +114,12 @@ class Servo:
         self.pushing = False
 
     def set_pushing(self, pushing: bool) -> None:
-        """Sets whether it presses on an object."""
+        """Sets whether the servo presses on an object."""
         self.pushing = pushing
 
     async def open(self, expected: str = "") -> str:
-        """Finds it and reads its settings; returns its identity. Raises DeviceError, also for another model
-        than expected.
+        """Finds the servo and reads its settings; returns its identity. Raises DeviceError, also for another
+        model than expected.
         """
         if await self.chain.ping(self.node) is None and await self.chain.ping(self.node) is None:
             raise NoAnswer(self.node.number, "check its power, and the bus, baud rate and protocol")
@@ -156,7 +156,7 @@ class Servo:
         return int.from_bytes(status.data, "little")
 
     async def read_settings(self) -> None:
-        """Reads what the driver relies on: mode, kind of profile, limits of position and speed."""
+        """Reads the settings that the driver needs: mode, kind of profile, limits of position and speed."""
         modes = self.model.modes
         if not self.keeps_answers and await self.read_item(STATUS_RETURN_LEVEL) < self.model.answers:
             await self.set_return_level(self.model.answers)
@@ -170,18 +170,18 @@ class Servo:
             self.time_based, self.is_slave = bool(drive_mode & _TIME_BASED), bool(drive_mode & _SLAVE)
             self.top_speed = await self.read_item("velocity_limit") * self.model.velocity
         limits = await self.read_item("min_position_limit"), await self.read_item("max_position_limit")
-        # A damaged one may be beyond its positions, and no goal.
+        # A damaged limit may be beyond the positions of the servo, and no goal.
         low, high = (min(counts, self.model.last) for counts in limits)
         one, other = (self.joint.to_joint(self.model.to_angle(counts)) for counts in (low, high))
         self._limits, self.reach = (low, high), (min(one, other), max(one, other))
 
     @property
     def keeps_answers(self) -> bool:
-        """Whether its status return level is in its EEPROM, as in an AX or a Feetech servo."""
+        """Whether the status return level is in the EEPROM, as in an AX or a Feetech servo."""
         return self.item(STATUS_RETURN_LEVEL).address < self.model.ram
 
     async def set_return_level(self, level: int) -> None:
-        """Sets its status return level; these writes may be unanswered. Confirmed; raises DeviceError."""
+        """Sets the status return level; these writes may be unanswered. Confirmed; raises DeviceError."""
         for name, value in (("lock", 0), (STATUS_RETURN_LEVEL, level), ("lock", 1)):
             if self.model.has(name):
                 await self.chain.write_unconfirmed(self.node, *self.write_of(name, value))
@@ -248,11 +248,11 @@ class Servo:
     # -- measured values --------------------------------------------------------------------------------
 
     async def present(self, *, urgency: int = COMMAND) -> Present:
-        """Its present measured values. Raises DeviceError."""
+        """The present measured values. Raises DeviceError."""
         return self.reading(await self.chain.read(self.node, *self.model.present, urgency=urgency))
 
     def reading(self, status: Status) -> Present:
-        """The measured values of its joint in an answer."""
+        """The measured values of the joint in an answer."""
         own, sign = present(self.model, status), self.joint.direction
         return replace(
             own,
@@ -263,18 +263,18 @@ class Servo:
         )
 
     async def condition(self, *, urgency: int = COMMAND) -> Condition:
-        """Its present torque, hardware errors and watchdog. Raises DeviceError."""
+        """The present torque, hardware errors and watchdog. Raises DeviceError."""
         return condition(self.model, await self.chain.read(self.node, *self.model.state, urgency=urgency))
 
     @property
     def is_bounded(self) -> bool:
-        """Whether it keeps within its position limits: in position mode, also under another name."""
+        """Whether the servo keeps within its position limits: in position mode, also under another name."""
         return self.model.modes.get(self.mode) == self.model.modes.get("position")
 
     # -- motion -----------------------------------------------------------------------------------------
 
     async def stiffen(self) -> None:
-        """Switches the torque on, confirmed; first sets its goal to its position."""
+        """Switches the torque on, confirmed; first sets the goal to the present position."""
         await self.write_hold_goal(await self.present())
         if self.model.has("torque_limit"):
             await self.restore_torque_limit()
@@ -293,11 +293,11 @@ class Servo:
         self.mode = mode
 
     async def restore_torque_limit(self) -> None:
-        """Sets its torque limit to its maximum: an AX that has shut down has 0."""
+        """Sets the torque limit to its maximum: an AX that has shut down has 0."""
         await self.write_item("torque_limit", await self.read_item("max_torque"))
 
     async def limit_force(self, current: float) -> None:
-        """Limits the force of its later motions, in A of its motor. Raises DeviceError."""
+        """Limits the force of later motions, in A of the motor. Raises DeviceError."""
         if self.model.has("goal_current"):
             await self.write_item("goal_current", round(current / self.model.current))
         elif current <= (stall := self.model.stall or 0.0):
@@ -360,9 +360,7 @@ class Servo:
     # -- its own watchdog -------------------------------------------------------------------------------
 
     async def set_watchdog(self, longest: float) -> float | None:
-        """Sets its own watchdog to at most `longest` seconds without a packet; returns the actual time
-        (s).
-        """
+        """Sets the watchdog to at most `longest` s without a packet; returns the actual time (s)."""
         if not self.model.watchdog:
             return None
         counts = min(max(int(longest / self.model.watchdog + 1e-9), 1), WATCHDOG_LONGEST)
@@ -372,9 +370,9 @@ class Servo:
         return counts * self.model.watchdog
 
     async def clear_watchdog(self) -> None:
-        """Ends the stop by its watchdog: goals are writable again, and it holds.
+        """Ends the stop by the watchdog: goals are writable again, and the servo holds.
 
-        A limp one gets no goal, which may switch the torque on, depending on its drive mode.
+        A limp servo gets no goal, which may switch the torque on, depending on its drive mode.
         """
         observed, torque = await self.present(), (await self.condition()).torque
         await self.chain.write(self.node, self.item("bus_watchdog").address, b"\0")
@@ -383,7 +381,7 @@ class Servo:
 
     @property
     def cure(self) -> str:
-        """The remedy after it has shut down."""
+        """The remedy after the servo has shut down."""
         if self.node.protocol != 2:
             return "torque(true) restores it when the cause is gone"
         return "reboot() restarts it"
@@ -394,5 +392,5 @@ class Servo:
 
 
 def _counts(value: float, unit: float, greatest: int) -> int:
-    """A value in counts, not above it, and never 0, which means unlimited in a profile."""
+    """A value in counts, rounded down, and never 0, which means unlimited in a profile."""
     return max(math.floor(min(value / unit, greatest) * ROUNDED), 1)

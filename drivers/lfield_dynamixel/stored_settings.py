@@ -1,6 +1,6 @@
 """Stored registers that a binding requires: that a servo answers writes, and the values of its calibration.
 
-They are read when a device is opened, and written only by `lfield setup`. The name of a setting is that of
+All are read when a device is opened, and written only by `lfield setup`. The name of a setting is that of
 its register with the id of the servo: `homing_offset of servo 3`.
 """
 

@@ -100,7 +100,7 @@ class MavlinkDriver(Driver):
             port.link.close()
 
     def _quiet(self) -> None:
-        """No heartbeats and no requests: the autopilots' own failsafes must be able to start."""
+        """Stops heartbeats and requests: the autopilots' own failsafes must be able to start."""
         self._quieted = True
         for vehicle in self._vehicles.values():
             vehicle.set_quiet(True)
@@ -169,7 +169,7 @@ class MavlinkDriver(Driver):
     # -- messages -------------------------------------------------------------------------------------
 
     def _why_silent(self) -> str:
-        """Why no message of a vehicle may arrive: messages of other vehicles arrive, or noise, or nothing."""
+        """The reason why no message of a vehicle may arrive: other vehicles send, or noise, or no sender."""
         if others := str(self._neighbours):
             return f"received: {others}; is 'system' in its binding right?"
         if self._received_bytes:
@@ -178,7 +178,7 @@ class MavlinkDriver(Driver):
         return "; ".join(self._ports[number].link.why_silent() for number in self._uses.vehicles)
 
     def _commander(self, system: int) -> str:
-        """Who else has just commanded a vehicle, as far as seen on the links."""
+        """Another station that has just commanded a vehicle, as far as received on the links."""
         return self._neighbours.commander(system, self.clock.monotonic())
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
@@ -204,7 +204,7 @@ class MavlinkDriver(Driver):
                 self._on_vehicle(vehicle, source, message)
 
     def _on_vehicle(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
-        """A message with the ids of a vehicle's autopilot."""
+        """Handles a message with the ids of a vehicle's autopilot."""
         system, now = vehicle.system, self.clock.monotonic()
         if not self._sources[system].on_packet(source, message, now):
             vehicle.on_other_source()
@@ -212,7 +212,7 @@ class MavlinkDriver(Driver):
             vehicle.on_message(message)
 
     def _on_payload(self, source: Source, message: Any) -> None:
-        """A message of a camera or gimbal; those of another vehicle with this system id are ignored."""
+        """Handles a message of a camera or gimbal; of another vehicle with this system id, it is ignored."""
         system, component, kind = message.get_srcSystem(), message.get_srcComponent(), message.get_msgId()
         if system not in self._vehicles or not is_of_payload(component, kind):
             return
@@ -221,7 +221,9 @@ class MavlinkDriver(Driver):
             self._vehicles[system].on_component(message)
 
     def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
-        """A heartbeat of a component that is not an autopilot but uses its ids: logged once per source."""
+        """Ignores a heartbeat of a component that is no autopilot but uses its ids: logged once per
+        source.
+        """
         if (vehicle.system, source) in self._reported or len(self._reported) >= MOST_REPORTED:
             return
         self._reported.add((vehicle.system, source))
@@ -234,7 +236,7 @@ class MavlinkDriver(Driver):
         )
 
     def _on_neighbour(self, message: Any) -> None:
-        """A message of another system: its id must differ from our stations'."""
+        """Handles a message of another system, whose id must differ from our stations'."""
         self._neighbours.on_message(message)
         vehicle = self._stations.get(message.get_srcSystem())
         if vehicle is None or message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -281,16 +283,14 @@ class MavlinkDriver(Driver):
             await asyncio.sleep(HEARTBEAT)
 
     def _heartbeat_ports(self, vehicle: MavlinkVehicle) -> list[Port]:
-        """The links for heartbeats of its station. Links to payload only do not lead to its failsafe."""
+        """The links for heartbeats of a vehicle's station, except those that lead to payload only."""
         everywhere = vehicle.may_send_heartbeat
         return [
             port for number, port in enumerate(self._ports) if everywhere or number not in self._uses.vehicles
         ]
 
     def _request_boards(self) -> None:
-        """Requests the unique id over other links on which its system id arrives: it may be another
-        vehicle.
-        """
+        """Requests the unique id over other links with the same system id: it may be another vehicle."""
         now = self.clock.monotonic()
         for system, sources in self._sources.items():
             for source in sources.due(now):

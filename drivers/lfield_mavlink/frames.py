@@ -33,13 +33,13 @@ class GeodeticFrame:
         return _turn(self.team, self.origin)
 
     def to_team(self, place: Vector) -> Vector:
-        """Metres from its origin to metres from the team's."""
+        """Metres from the origin of the vehicle to metres from the origin of the team."""
         there = self.origin.shifted(place, self.radius)
         north, east, _ = onto(self.team, there)
         return (north, east, self.team.altitude - there.altitude)
 
     def from_team(self, place: Vector) -> Vector:
-        """The inverse; NaN stays NaN."""
+        """The inverse of `to_team`; NaN stays NaN."""
         if not all(map(math.isfinite, place)):
             return place
         latitude, longitude = round_from(self.team, place[0], place[1])
@@ -48,7 +48,7 @@ class GeodeticFrame:
 
 @lru_cache(maxsize=64)
 def _turn(team: Origin, origin: Place) -> float:
-    """Cached: used for every telemetry value, and both places are fixed."""
+    """The turn of the frames; cached, since both places are fixed and every telemetry value needs it."""
     return onto(team, origin)[2]
 
 
@@ -70,7 +70,7 @@ class HomeFrame:
         return self.local.to_team((north, east, down))
 
     def from_team(self, place: Vector) -> Vector:
-        """The inverse."""
+        """The inverse of `to_team`."""
         north, east, down = (p - h for p, h in zip(self.local.from_team(place), self.home, strict=True))
         return (north, east, down)
 

@@ -30,7 +30,7 @@ class Place:
 
     @classmethod
     def scaled(cls, latitude: int, longitude: int, altitude: int) -> Place | None:
-        """From 1e-7 degrees and millimetres as in messages; None for an invalid position.
+        """The place of 1e-7 degrees and millimetres as in messages; None for an invalid position.
 
         Autopilots send 0, 0 before they know their position.
         """

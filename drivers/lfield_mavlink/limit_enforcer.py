@@ -42,7 +42,7 @@ class _LimitState:
     value: float = 0.0
     is_logged: bool = False
     corrected: bool = False
-    #: Since when the value is within its limit after a correction.
+    #: The time since which the value is within its limit after a correction.
     well_since: float | None = None
 
 
@@ -134,7 +134,7 @@ class LimitEnforcer:
         kept.is_logged = True
 
     def _exempt_reason(self, name: str) -> str:
-        """Why an excess is not corrected; '' when it is."""
+        """The reason why an excess is not corrected; '' when it is."""
         mode = self._state.mode
         if not self._motion.ours:
             return f"since a pilot or a failsafe controls it in {mode}"
@@ -149,7 +149,7 @@ class LimitEnforcer:
         """Corrects by the autopilot's own means. Raises DeviceError."""
         why = self._describe(name, kept)
         if name == "speed":
-            # Lower by as much as it is too fast: some autopilots exceed a commanded speed by half.
+            # Lower by as much as the vehicle is too fast: some autopilots exceed a commanded speed by half.
             await self._motion.slow_down(kept.limit * max(kept.limit / kept.value, LEAST), why)
         else:
             await self._motion.halt(why)

@@ -1,7 +1,7 @@
 """Limits of the binding: refuses commands that exceed them, and evaluates telemetry. Pure.
 
-A goal or speed beyond a limit is refused before anything is sent. The flight is watched as well: an autopilot
-may use its own speed, and its own height for a return.
+A goal or speed beyond a limit is refused before a command is sent. The flight is watched as well: an
+autopilot may use its own speed, and its own height for a return.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class LimitWatch:
         return Verdict.CORRECT
 
     def on_correction_sent(self, now: float) -> None:
-        """The correction was accepted, or nothing more will be sent: it must take effect from now on."""
+        """Records that the correction was accepted, or is the last one: it must take effect from now on."""
         if self._correction is not None:
             self._correction.less_at = min(self._correction.less_at, now)
 

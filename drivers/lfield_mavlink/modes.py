@@ -25,9 +25,9 @@ class Profile:
     """A kind of vehicle under one autopilot.
 
     `guided` is the mode for our setpoints, `arming` the mode for arming. `hold`, `land` and `home` are the
-    safe states. `own` are modes that it enters by itself on the ground after a commanded motion, so they are
-    not foreign. `retreats` are further modes of its failsafes; in `autonomous` modes it moves by itself.
-    `piloted` modes are a pilot's: the ground station failsafe does not act in them.
+    safe states. `own` are modes that the vehicle enters by itself on the ground after a commanded motion, so
+    they are not foreign. `retreats` are further modes of its failsafes; in `autonomous` modes it moves by
+    itself. `piloted` modes are a pilot's: the ground station failsafe does not act in them.
     """
 
     autopilot: int
@@ -47,7 +47,7 @@ class Profile:
 
     @property
     def by_trajectory(self) -> bool:
-        """Whether it needs a stream of setpoints: PX4 except for fixed wings."""
+        """Whether the vehicle needs a stream of setpoints: PX4 except for fixed wings."""
         return self.px4 and self.kind != "plane"
 
     @property
@@ -57,7 +57,7 @@ class Profile:
 
     @property
     def px4(self) -> bool:
-        """Whether it is a PX4: byte-wise parameters, NaN for unused values, streamed setpoints."""
+        """Whether the autopilot is PX4: byte-wise parameters, NaN for unused values, streamed setpoints."""
         return self.autopilot == PX4
 
     @property
@@ -75,7 +75,7 @@ class Profile:
         return {"land": self.land, "hold": self.hold, "return": self.home}[state]
 
     def safe_action(self, state: str) -> str:
-        """What a vehicle of this kind does in a safe state: a rover cannot land, and holds."""
+        """The action of a vehicle of this kind in a safe state: a rover cannot land, and holds."""
         mode = self.safe(state)
         return {"RTL": "return", "SURFACE": "surface"}.get(mode, "hold" if mode == self.hold else state)
 
@@ -255,7 +255,7 @@ PX4_MODE_TEXTS: Mapping[str, tuple[str, ...]] = {
     "TERMINATION": ("Termination",),
 }
 _PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
-#: Modes in which it moves without sticks or setpoints.
+#: Modes in which a vehicle moves without sticks or setpoints.
 _PX4_AUTONOMOUS = frozenset(_PX4_MODES.values()) - frozenset(
     {
         "MANUAL",

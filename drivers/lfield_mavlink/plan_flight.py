@@ -23,7 +23,7 @@ PERIOD = 0.25
 #: Seconds in which the end of a mission is reported after the motors are off.
 REPORTED = 3.0
 RETURN = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
-#: What a plan on the ground must begin with is not needed in the air.
+#: The finding about a missing takeoff, which is not needed in the air.
 _NEEDS_TAKEOFF = "M108"
 
 
@@ -81,7 +81,7 @@ class PlanFlight:
         profile, started = self._vehicle.profile, self._vehicle.clock.monotonic()
         modes = {profile.mission, *((profile.home, profile.land) if last == RETURN else ())}
         if profile.px4:
-            # It leaves the mode when the mission is complete.
+            # The vehicle leaves the mode when the mission is complete.
             modes.add(profile.hold)
         self._motion.claim(*modes)
         flight = Order(frozenset(modes), command=Command(dialect.MAV_CMD_MISSION_START))

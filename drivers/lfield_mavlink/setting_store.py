@@ -23,7 +23,7 @@ FOREIGN = 0.5
 
 
 class SettingStore:
-    """Reads parameters and compares them with files; it writes nothing."""
+    """Reads parameters and compares them with files; writes none."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters, watchdog: Watchdog) -> None:
         self._vehicle, self._parameters, self._watchdog = vehicle, parameters, watchdog
@@ -38,7 +38,9 @@ class SettingStore:
         return {name: float(value) for name, value in values if value is not None}
 
     async def compare(self, file: str, data: bytes) -> SettingsComparison:
-        """The differences of a file, and why it must not be written. Raises MissionFileError, DeviceError."""
+        """The differences of a file, and the reasons against writing it. Raises MissionFileError,
+        DeviceError.
+        """
         content = read_parameters(file, data)
         present = await self._parameters.read_all()
         unknown = [name for name in content.values if name not in present]

@@ -15,7 +15,7 @@ from lfield.driver import DeviceBinding, DeviceError
 
 #: Range of ids of vehicles and stations: 255 is the default of ground stations.
 IDS = 254
-#: What to do about a conflict.
+#: The remedy for a conflict.
 _CHOOSE = "choose another by 'station: ID' in its binding, 1 to 254, and run lfield setup again"
 
 

@@ -55,7 +55,7 @@ from lfield_mavlink.watchdog import Watchdog
 
 #: Seconds within which two vehicles with one system id are detected.
 SETTLES = 6.0
-#: Requests for its unique id before it is armed, and seconds for a second answer.
+#: Requests for the unique id before the vehicle is armed, and seconds for a second answer.
 ASKED, SECOND = 2, 0.2
 
 
@@ -132,7 +132,7 @@ class MavlinkVehicle(Contact):
     # -- messages -------------------------------------------------------------------------------------
 
     def on_message(self, message: Any) -> None:
-        """A message of this vehicle's autopilot."""
+        """Handles a message of this vehicle's autopilot."""
         now = self.clock.monotonic()
         self._note_sources()
         if self._identity.other_vehicle:
@@ -158,7 +158,7 @@ class MavlinkVehicle(Contact):
     # -- identity -------------------------------------------------------------------------------------
 
     def _note_sources(self) -> None:
-        """Logs changes of its addresses."""
+        """Logs changes of the vehicle's addresses."""
         if self._sources is None:
             return
         while self._sources.events:
@@ -168,12 +168,12 @@ class MavlinkVehicle(Contact):
             self._reconnected("a change of its address")
 
     def on_other_source(self) -> None:
-        """A packet with its ids came from an unknown address."""
+        """Handles a packet with the vehicle's ids from an unknown address."""
         self._note_sources()
         self._changed.set()
 
     def reconnected(self) -> None:
-        """A link to it was reopened."""
+        """Handles a link to the vehicle that was reopened."""
         self._reconnected("a link was reopened")
 
     def _reconnected(self, reason: str) -> None:
@@ -199,7 +199,7 @@ class MavlinkVehicle(Contact):
         return "" if self._sources is None else self._sources.conflict(self.clock.monotonic())
 
     async def check_alone(self) -> None:
-        """Ensures that one vehicle has this system id, and which. Raises DeviceError.
+        """Ensures that one vehicle has this system id, and identifies it. Raises DeviceError.
 
         Two vehicles behind one peer, such as a router, both answer a request.
         """
@@ -243,7 +243,7 @@ class MavlinkVehicle(Contact):
         return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
 
     def _touched(self) -> bool:
-        """Opening sends requests and selects telemetry: it does not affect motion."""
+        """Always False: opening sends requests and selects telemetry, which does not affect motion."""
         return False
 
     async def _renew(self) -> None:

@@ -1,8 +1,8 @@
 """Autopilot parameters that a binding requires: failsafes for a failure of this computer, and the speed
 limit.
 
-They are stored in the autopilot: checked when the vehicle is opened and before arming, written by `lfield
-setup` only.
+The parameters are stored in the autopilot: checked when the vehicle is opened and before arming, written by
+`lfield setup` only.
 
 ArduPilot's ground station failsafe acts FS_GCS_TIMEOUT seconds after our last heartbeat, at least 2 s (a
 rover waits FS_TIMEOUT more). A velocity setpoint ends after GUID_TIMEOUT (on a rover after 3 s, not
@@ -50,9 +50,9 @@ class Need:
     the bits `lacks`. A time (`clock`) is at most the rest of the permitted time, from `least` to `most`;
     times of one clock are added, and `after` is what later ones need at least; different clocks run in
     parallel. A speed (`unit` per m/s) is at most the limit of the binding, and required only with a limit.
-    With `zero`, 0 is as good as any number below the bound. A parameter that is not `needed` may be missing;
-    it then counts `otherwise` seconds. `states` are the safe states it applies to, by default all; a `whole`
-    time has no fraction of a second.
+    With `zero`, 0 is permitted like any number below the bound. A parameter that is not `needed` may be
+    missing; it then counts `otherwise` seconds. `states` are the safe states it applies to, by default all; a
+    `whole` time has no fraction of a second.
     """
 
     names: tuple[str, ...] = ()
@@ -72,13 +72,15 @@ class Need:
     states: tuple[str, ...] = ()
 
     def suits(self, binding: DeviceBinding) -> bool:
-        """Whether it applies to a binding."""
+        """Whether the parameter applies to a binding."""
         if self.unit is not None and "speed" not in binding.limits:
             return False
         return not self.states or binding.safe_state in self.states
 
     def required_value(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
-        """The required value when it is `present`; `left` is the rest of its clock's time."""
+        """The required value of a parameter with the value `present`; `left` is the rest of its clock's
+        time.
+        """
         if self.unit is not None:
             most = binding.limits["speed"] * self.unit[name]
             return present if self._is_within(present, most) else 0.0 if self.zero else most
@@ -121,7 +123,7 @@ _COPTER = (
     _STATION,
     _NO_OTHERS,
     _SETPOINT,
-    # Not bit 1, with which it continues a mission.
+    # Not bit 1, with which ArduPilot continues a mission.
     Need(
         ("FS_OPTIONS",),
         "a landing is never turned into a return, and a mission does not continue",
@@ -143,7 +145,7 @@ _COPTER = (
 _ROVER = (
     Need(("FS_GCS_ENABLE",), _GONE, 1),
     Need(("FS_ACTION",), _GONE, {"land": 2, "hold": 2, "return": 1}),
-    # It waits for this after FS_GCS_TIMEOUT; 1 s is the documented minimum.
+    # A rover waits for this after FS_GCS_TIMEOUT; 1 s is the documented minimum.
     Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, most=1.0, after=2.0, needed=False),
     Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
     _STATION,
@@ -175,7 +177,7 @@ _PX4 = (
     Need(("COM_DL_LOSS_T",), _SOON, clock="link", least=5.0, after=NOTICES, whole=True),
     Need(clock="link", otherwise=NOTICES),
     Need(("NAV_DLL_ACT",), _GONE, {"land": 3, "hold": 1, "return": 2}),
-    # Modes in which it ignores the loss of the station: a goal is flown in one of them.
+    # Modes in which PX4 ignores the loss of the station: a goal is flown in one of them.
     Need(("COM_DLL_EXCEPT",), "the action applies to every mode", 0, needed=False),
 )
 #: PX4 permanently lowers the other two once the first is below them: so their old values are backed up too.
@@ -204,7 +206,7 @@ class Watchdog:
         self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     async def seconds(self, longest: float) -> float:
-        """The time-out of its watchdog once it is set up for at most `longest` seconds. Raises
+        """The time-out of the vehicle's watchdog once it is set up for at most `longest` seconds. Raises
         DeviceError.
         """
         return (await self._compare(longest))[1]
@@ -216,11 +218,11 @@ class Watchdog:
         return settings
 
     async def settings_with(self, values: Values) -> list[Setting]:
-        """The same as if these values, by name, were stored. Raises DeviceError."""
+        """The required parameters as if these values, by name, were stored. Raises DeviceError."""
         return (await self._compare(2.0 * self._vehicle.binding.ttl, values))[0]
 
     def protects(self, name: str) -> bool:
-        """Whether a parameter is one of them, so that no program may change it."""
+        """Whether the binding requires a parameter, so that no program may change it."""
         return any(name in need.names for need in self._needs())
 
     def _needs(self) -> Iterator[Need]:
@@ -231,7 +233,7 @@ class Watchdog:
         self, longest: float, values: Values = MappingProxyType({})
     ) -> tuple[list[Setting], float]:
         needs = list(self._needs())
-        # A missing one is detected by a time-out: request all at once.
+        # A missing parameter is detected by a time-out: request all at once.
         parameters = await asyncio.gather(*map(self._read, needs))
         settings, clocks = list[Setting](), dict[str, float]()
         for need, (name, present) in zip(needs, parameters, strict=True):
@@ -247,7 +249,7 @@ class Watchdog:
 
     @property
     def _moves_by_itself(self) -> bool:
-        """Whether it moves without setpoints: then its data link failsafe counts too."""
+        """Whether the vehicle moves without setpoints: then its data link failsafe counts too."""
         profile, binding = self._vehicle.profile, self._vehicle.binding
         return not profile.by_trajectory or binding.waives(AUTONOMOUS)
 

@@ -35,8 +35,8 @@ class AdmissionPolicy:
 
     #: The own revocation list as it is sent, and its number; empty and 0 without a list.
     list, number = b"", 0
-    #: Why the own list may be lost with this process, and the consequence, in a sentence; '' when it is
-    #: stored.
+    #: The reason why the own list may be lost with this process, and the consequence, in a sentence; '' when
+    #: it is stored.
     persist_error = ""
 
     def __init__(self) -> None:
@@ -66,10 +66,10 @@ class AdmissionPolicy:
         return hello
 
     def on_handshake(self, who: Identity, hello: Hello) -> None:
-        """A peer has completed its handshake."""
+        """Record a peer that has completed its handshake."""
 
     def on_revocation_list(self, data: bytes) -> Sequence[LogLine]:
-        """Merge a revocation list; returns the log lines, none when the list adds nothing.
+        """Merge a revocation list; returns the log lines, none when the list adds no certificate.
 
         Raises KeysError for an invalid list.
         """
@@ -100,7 +100,7 @@ class CertificateAdmission(AdmissionPolicy):
         self._store_list = store_list
         self._authority, self.own, self.time = keys.authority, own, time
         self.revoked, self.list, self.number = revoked, data, revoked.number
-        #: Digests of received lists that contained nothing new; they are not parsed again.
+        #: Digests of received lists without new certificates; they are not parsed again.
         self._outdated: set[bytes] = set()
         #: Peers that completed a handshake in this mission, by the serial numbers of their certificates.
         self._greeted: dict[str, str] = {}
@@ -121,7 +121,7 @@ class CertificateAdmission(AdmissionPolicy):
             known=known,
             expected=expected,
         )
-        # Every link is verified every second; whether anything flies is looked up only when it matters.
+        # Every link is verified every second; whether a vehicle flies is looked up only when it matters.
         found = judge(is_mission_active=False)
         if found.extent != "all" and known != "new":
             found = judge(is_mission_active=self.is_mission_active())
@@ -156,7 +156,7 @@ class CertificateAdmission(AdmissionPolicy):
         return received, *(_missing_revocations(own, read) if newer else _missing_revocations(read, own))
 
     def on_list_stored(self, why: str) -> None:
-        """Storing the own list has succeeded ('') or failed (`why`)."""
+        """Handle the result of storing the own list: success ('') or a failure (`why`)."""
         line = log_messages.CRL_STORED.line(number=self.number)
         if why:
             known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}

@@ -26,7 +26,7 @@ def identity_in(certificate: bytes, authority: bytes) -> Identity:
 
 
 def identity_in_der(certificate: bytes, authority: bytes) -> Identity:
-    """The same for a certificate in DER."""
+    """The identity in a certificate in DER, as `identity_in`."""
     return identity_of_certificate(certificate_in_der(certificate), authority)
 
 

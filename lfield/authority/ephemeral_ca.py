@@ -1,6 +1,6 @@
 """An ephemeral CA for a run whose hosts are all started by one command: `up --all`, tests.
 
-It is in memory only, so no other process can obtain its keys: the links of such a run are as protected as
+The CA is in memory only, so no other process can obtain its keys: the links of such a run are as protected as
 those of a team, without `lfield keys`.
 """
 

@@ -1,6 +1,6 @@
 """The proven identity of a peer, and its rights.
 
-It is a URI in the subjectAltName of a certificate that the CA of the team has signed:
+An identity is a URI in the subjectAltName of a certificate that the CA of the team has signed:
 
     lfield://host/alpha                      a host, by its name in the deployment
     lfield://person/anna?may=observe,stop    a person, with rights
@@ -96,7 +96,7 @@ def uri_of(kind: Literal["host", "person"], name: str, may: Iterable[Right] = ()
 def identity_of(certificate: Mapping[str, Any]) -> Identity:
     """The identity in a certificate that TLS has verified, from `ssl.SSLSocket.getpeercert()`.
 
-    Anything that a CA of lfield does not write is a STRANGER; nothing is raised.
+    A certificate with other contents than a CA of lfield writes is a STRANGER; no error is raised.
     """
     try:
         return from_uris(
@@ -113,7 +113,7 @@ def identity_of(certificate: Mapping[str, Any]) -> Identity:
 def from_uris(
     uris: Iterable[str], *, serial: int, valid_from: float, valid_until: float, authority: str
 ) -> Identity:
-    """The same for the fields of a certificate that was parsed by other means."""
+    """The identity from the fields of a certificate that was parsed by other means."""
     ours = [uri for uri in uris if uri.lower().startswith("lfield:")]
     if len(ours) != 1:
         return ANONYMOUS
@@ -145,7 +145,7 @@ def _read(uri: str) -> tuple[Literal["host", "person"], str, frozenset[Right]]:
 
 
 def _common_name(issuer: Iterable[Iterable[tuple[str, str]]]) -> str:
-    """The fingerprint of the CA, which is its common name."""
+    """The fingerprint of the CA, which is the common name."""
     names = [value for part in issuer for key, value in part if key == "commonName"]
     if len(names) != 1 or re.fullmatch(r"[0-9a-f]{64}", names[0]) is None:
         raise ValueError("no authority of ours")
@@ -162,7 +162,7 @@ _TIME = re.compile(r"([A-Z][a-z]{2}) ([ \d]\d) (\d\d):(\d\d):(\d\d) (\d{4}) GMT"
 
 
 def seconds_of(text: str) -> float:
-    """Seconds since 1970 UTC of a time as OpenSSL prints it: `Nov  3 20:00:00 2026 GMT`.
+    """Seconds since 1970 UTC of a time as printed by OpenSSL: `Nov  3 20:00:00 2026 GMT`.
 
     Like `ssl.cert_time_to_seconds`, but this package does not import sockets. Raises ValueError.
     """

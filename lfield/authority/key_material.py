@@ -39,12 +39,12 @@ def key_name(holder: Holder) -> str:
 class Keys:
     """The own certificate and private key, the CA certificate and the revocation list.
 
-    `authority`, `certificate` and `key` are PEM; `revoked` is DER, empty where there is no list.
+    `authority`, `certificate` and `key` are PEM; `revoked` is DER, empty without a list.
     """
 
     holder: Holder
     authority: bytes
     certificate: bytes
-    #: Not in repr(): what is printed may be stored.
+    #: Not in repr(): printed text may be stored.
     key: bytes = field(repr=False)
     revoked: bytes = b""

@@ -52,7 +52,7 @@ def find_keys(
 ) -> Path | None:
     """The folder with the keys of a host (`name`) or of this user (`OWN`); None if there is none.
 
-    `named` is the value of --keys. Raises KeysError where a folder was named and has no such keys.
+    `named` is the value of --keys. Raises KeysError if a named folder has no such keys.
     """
     said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
     usual = [_entry_path(base, name) for base in _default_folders(system)]
@@ -177,7 +177,7 @@ def read_file(path: Path, max_bytes: int, *, secret: bool = False, needed: bool 
     except OSError as error:
         raise KeysError(f"{path} cannot be used: {_reason(error)}") from None
     if not data:
-        # An empty list would mean that nothing is revoked.
+        # An empty list would mean that no certificate is revoked.
         raise KeysError(
             f"{path} is empty: it was cut short when it was copied; copy it again from where its authority is"
         )

@@ -1,9 +1,9 @@
-"""The folder of a CA on the operator's computer: its key, and everything that it has issued.
+"""The folder of a CA on the operator's computer: its key, and all certificates that it has issued.
 
     authority.pem  authority.key    its certificate and private key
     revoked.crl                     the newest revocation list
-        issued/SERIAL.pem               every issued certificate, so that each can be revoked
-        hosts/alpha  people/anna        key folders to be copied (keystore.py)
+    issued/SERIAL.pem               every issued certificate, so that each can be revoked
+    hosts/alpha  people/anna        key folders to be copied (keystore.py)
 
 Private keys in `hosts` and `people` may be deleted after copying: renewing does not need them. A person with
 `authority.key` can make keys with every right. A certificate is in `issued` before its keys are written.
@@ -110,7 +110,7 @@ class Ledger:
             write_private(folder / AUTHORITY, self.authority.certificate, 0o644)
 
     def revoke(self, holder: Holder, name: str, at: float) -> list[Identity]:
-        """Revoke all certificates of a holder. Raises KeysError when there is nothing to revoke."""
+        """Revoke all certificates of a holder. Raises KeysError when it has none to revoke."""
         found = [row.who for row in self._rows_of(holder, name, at) if row.state != "revoked"]
         if not found:
             raise KeysError(f"{holder} {name} has no keys of this authority that are not revoked already")
@@ -136,7 +136,7 @@ class Ledger:
     def _revoke(self, found: list[Identity], at: float) -> list[Identity]:
         self._check_time(at)
         serials = self.revoked.serials.union(who.serial for who in found)
-        # Above the number of any list that hosts may have, also after the folder was restored from a copy.
+        # A number above that of any list that hosts may have, also after the folder was restored from a copy.
         number = max(self.revoked.number + 1, int(at))
         self.revoked = RevocationList(number, serials, at)
         self._list = self.authority.revocation_list(self.revoked)

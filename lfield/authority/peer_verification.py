@@ -28,7 +28,7 @@ from lfield.authority.identity import NO_RIGHTS, Identity, Right, sorted_rights
 #: For `SSLContext.verify_flags`: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, which the ssl module does not define.
 NO_CHECK_TIME = 0x200000
 
-#: How a peer is known here: not at all, by a handshake in this mission, or by an open link between hosts.
+#: The knowledge of a peer: none, by a handshake in this mission, or by an open link between hosts.
 PeerStage = Literal["new", "greeted", "linked"]
 
 #: The rights of operators while only the current mission may be finished.
@@ -62,7 +62,7 @@ NONE_REVOKED = RevocationList()
 class AdmissionDecision:
     """The decision about an authenticated peer; `why` is the reason for a restriction.
 
-    `finish`: a host may stop and be stopped, and operations under way end, hops included; nothing new starts.
+    `finish`: a host may stop and be stopped, and operations under way end, hops included; no new ones start.
     `denied_rights` are rights that the mission denies the peer, each with a sentence that names the rule.
     """
 
@@ -169,7 +169,9 @@ def _day(at: float) -> str:
 
 
 def _foreign(who: Identity, authority: str, expected: str) -> str:
-    """Why a peer is not a member of the team, or not the expected host; '' for the expected host."""
+    """The reason why a peer is not a member of the team, or not the expected host; '' for the expected
+    host.
+    """
     if who.kind == "stranger":
         return "its certificate names no host and no person: make keys with 'lfield keys'"
     if who.authority != authority:

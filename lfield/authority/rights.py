@@ -48,12 +48,12 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     EmergencyStop: (Right.STOP, Right.OPERATE),
     # A pause only makes devices safe, as a stop does.
     Pause: (Right.STOP, Right.OPERATE),
-    # Of its own service only, over the control socket.
+    # Only from the host's own service, over the control socket.
     BallotHold: (Right.COMMAND, Right.COMMAND),
     ForgetRequest: (Right.OPERATE, None),
     RecoverRequest: (Right.OPERATE, None),
     StartRequest: (Right.OPERATE, None),
-    # Programs act on it.
+    # Programs act on this input.
     InputLine: (Right.OPERATE, None),
     # The access file of the mission decides which portals.
     PortalCallRequest: (Right.OPERATE, None),
@@ -63,7 +63,7 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     BundlePiece: (Right.COMMAND, None),
     StageRequest: (Right.COMMAND, None),
     Proposal: (Right.COMMAND, None),
-    # Any host may ask for votes, and may make a ballot fail, which changes nothing.
+    # Any host may request votes, and may make a ballot fail, which has no effect.
     VoteQuery: (Right.OBSERVE, None),
     VoteReport: (Right.COMMAND, None),
     MissionCommand: (Right.COMMAND, None),
@@ -73,7 +73,7 @@ HOST_RIGHTS = frozenset({Right.OBSERVE, Right.STOP})
 
 
 def missing_permission(who: Identity, verdict: AdmissionDecision, message: Message) -> str:
-    """Why an observer may not send a message, in a sentence; '' if it may."""
+    """The reason why an observer may not send a message, in a sentence; '' if it may."""
     rights = RIGHTS.get(type(message))
     if rights is None:
         return f"{who} sent a {type(message).__name__}, which only hosts may send"

@@ -49,11 +49,11 @@ class TrustedClock:
         return max(self._clock.time(), self._clock.monotonic() + max(self._signed, self._from_peers)[0])
 
     def on_signature(self, at: float, what: str) -> None:
-        """The CA has signed something with this notBefore; `what` is `the certificate of host bravo`."""
+        """Handle a notBefore that the CA has signed; `what` is `the certificate of host bravo`."""
         self._signed = max(self._signed, (at - self._clock.monotonic(), f"{what} began then"))
 
     def on_peer_time(self, at: float, who: Identity) -> None:
-        """An authenticated host has sent its time."""
+        """Handle the time of an authenticated host."""
         if who.kind == "host" and who.valid_from <= at < who.valid_until:
             self._from_peers = max(
                 self._from_peers, (at - self._clock.monotonic(), f"{who} has sent that time")
@@ -66,7 +66,7 @@ class TrustedClock:
     def warning(self) -> LogLine | None:
         """The warning when the system clock is behind; None when it is not, or was reported.
 
-        It is repeated only for a new source of the time.
+        The warning is repeated only for a new source of the time.
         """
         behind = self.now() - self._clock.time()
         if behind < MIN_WARNING:

@@ -13,7 +13,7 @@ from lfield.errors import ConstraintError
 
 
 def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expression:
-    """A condition over the attributes of one offer. Raises ConstraintError with everything wrong in it."""
+    """A condition over the attributes of one offer. Raises ConstraintError with all mistakes."""
     expression, mistakes = parse_expression(text)
     if expression is not None:
         mistakes = check_expression(expression, NameScope.of_offer(attributes), "boolean")
@@ -23,7 +23,7 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
 
 
 def compile_query(text: str, attributes: Mapping[str, Attribute]) -> OfferQuery:
-    """A wish over the attributes of offers. Raises ConstraintError with everything wrong in it."""
+    """A query over the attributes of offers. Raises ConstraintError with all mistakes."""
     query, mistakes = read_query(text, attributes)
     if query is None or mistakes:
         raise _constraint_error(text, mistakes)
@@ -41,9 +41,9 @@ def compile_template(text: str, attributes: Mapping[str, Attribute]) -> OfferQue
 def read_query(
     text: str, attributes: Mapping[str, Attribute], *, parameters: bool = False
 ) -> tuple[OfferQuery | None, list[Mistake]]:
-    """The wish in a text, or None and everything wrong in it.
+    """The query in a text, or None and all mistakes.
 
-    With `parameters`, it is a compiled query, with `$n0` for the first value.
+    With `parameters`, the text is a compiled query, with `$n0` for the first value.
     """
     written, mistakes = condition_parser.parse_query(text, parameters=parameters)
     if written is None:
@@ -78,7 +78,7 @@ def parse_expression(text: str) -> tuple[Expression | None, list[Mistake]]:
 def compile_constants(
     constants: Iterable[object], attributes: Mapping[str, Attribute]
 ) -> dict[str, OfferQuery]:
-    """Those constants of a program that are valid queries, compiled. Other texts are left out.
+    """The constants of a program that are valid queries, compiled. Other texts are left out.
 
     A text that ends with a SEPARATOR is a query with parameters.
     """

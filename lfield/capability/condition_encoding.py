@@ -1,6 +1,6 @@
 """The tree of a condition as plain data: its form in a bundle, so that a robot needs no parser.
 
-A node is a list: its kind, the first character and the one behind the last, then its own fields. Decoding
+A node is a list: its kind, the first character and the one after the last, then its own fields. Decoding
 accepts data of any origin: kinds, types and places are checked, heights are computed and limited.
 """
 

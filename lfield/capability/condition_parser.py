@@ -50,7 +50,7 @@ _Parsed = TypeVar("_Parsed")
 
 
 class ParsedQuery(Struct, frozen=True):
-    """A query as it is written: a condition with its text, keys to order by (True: descending), a limit."""
+    """A query as written: a condition with its text, keys to order by (True: descending), a limit."""
 
     condition: ConditionExpr | None = None
     text: str = ""
@@ -67,7 +67,7 @@ class _ConditionError(Exception):
 
 
 def parse_condition(text: str) -> tuple[ConditionExpr | None, list[Mistake]]:
-    """The tree of a text, or None and what is wrong. Names are not resolved."""
+    """The tree of a text, or None and the mistakes. Names are not resolved."""
     return _parse(text, _condition)
 
 
@@ -110,7 +110,7 @@ def _mistake(found: Diagnostic, parameters: bool) -> Mistake:
     return Mistake(found.span.start, found.span.end, found.message, hint)
 
 
-# --- what surrounds the expressions ---------------------------------------------------------------------
+# --- around the expressions -----------------------------------------------------------------------------
 
 
 def _condition(s: TokenStream) -> ConditionExpr:
@@ -237,12 +237,12 @@ def _parameter(raw: syntax.Expr) -> ConditionParameter | None:
 
 
 def _is_index(raw: syntax.Expr) -> bool:
-    """Whether what is in brackets is an index, and not a unit."""
+    """Whether the expression in brackets is an index, and not a unit."""
     return isinstance(raw, syntax.Literal_) or raw.span.text.startswith("$")
 
 
 def _check_path(raw: syntax.Expr) -> None:
-    """Refuse what a path of names and indexes cannot have."""
+    """Refuses invalid parts of a path of names and indexes."""
     match raw:
         case syntax.Member(object=owner):
             _check_path(owner)

@@ -1,6 +1,6 @@
-"""Conditions and values over attributes as trees, and what is wrong with their texts.
+"""Conditions and values over attributes as trees, and the mistakes in their texts.
 
-They are written as expressions are in L; condition_parser.py makes the trees, matching/condition_checker.py
+Conditions are written as expressions of L; condition_parser.py makes the trees, matching/condition_checker.py
 resolves their names, condition_encoding.py is their form in a bundle.
 """
 
@@ -19,7 +19,7 @@ MAX_TEAM = 1000
 
 
 class Mistake(Struct, frozen=True):
-    """What is wrong with a text, where: characters `start` to `end` of it."""
+    """A mistake in a text: characters `start` to `end` of it."""
 
     start: int
     end: int
@@ -56,7 +56,7 @@ PARAMETER_SORTS = {"n": "number", "t": "text", "b": "boolean"}
 class ConditionParameter(ConditionExpr, eq=False):
     """A value that the program passes: `$kg`, `$at[0]`, `$mass[g]` with its unit.
 
-    `path` is what it is in the program; in a compiled query a letter and a number, `n0`, and no unit.
+    `path` is the expression in the program; in a compiled query a letter and a number, `n0`, and no unit.
     """
 
     path: str
@@ -64,7 +64,7 @@ class ConditionParameter(ConditionExpr, eq=False):
 
     @property
     def sort(self) -> str:
-        """The sort of the value in a compiled query; '' in one that is not compiled."""
+        """The sort of the value in a compiled query; '' in a query that is not compiled."""
         is_compiled = self.path[1:].isdecimal()
         return PARAMETER_SORTS.get(self.path[:1], "") if is_compiled else ""
 

@@ -1,13 +1,13 @@
 """The registry as plain data: the YAML of `capabilities/` and of a mission, merged and checked.
 
     Term            a node of the taxonomy: `skill.material_handling.lifting`
-    Attribute       what an offer may state: `payload`, in kg, the more the better
+    Attribute       a quantity that an offer may state: `payload`, in kg, the more the better
     Primitive       a term that can be called: the L type `Lift` with its portals
     Provider        a resource type that serves primitives, with the portals and attributes it has
     Equivalence     one-to-one: an agent that climbs can also lift, with some loss
     Composition     one-to-many: a grip and a climb together lift, by an L class that combines them
 
-Everything is in SI units here; other units end in the reader.
+All values are in SI units; the reader converts other units.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from lfield.text.source_text import Source, Span
 AttributeType = Literal["real", "int", "boolean", "text", "set"]
 Better = Literal["more", "less", "none"]
 
-#: What an attribute can be worth: a number, a truth, a text, or the members of a set.
+#: The value of an attribute: a number, a truth, a text, or the members of a set.
 Value = float | int | bool | str | frozenset[str]
 
 
-#: The place of what was not read from a file here: a bundle has no places.
+#: The place of parts that were not read from a file: a bundle has no places.
 NO_SPAN = Span(Source("", ""), 0, 0)
 
 
@@ -55,7 +55,7 @@ class Expression:
 
 
 class SortKey(Struct, frozen=True):
-    """What offers are ordered by: a number, the least first, or the most first where it is `descending`."""
+    """A key to order offers by: a number, the least first, or the most first if it is `descending`."""
 
     value: Expression
     descending: bool = False
@@ -72,7 +72,7 @@ class OfferQuery(Struct, frozen=True):
     limit: int | None = None
 
 
-#: Any agent.
+#: A query for any agent.
 ANY_OFFER = OfferQuery()
 
 
@@ -92,11 +92,12 @@ class TaxonomyTerm(Struct, frozen=True):
 
 
 class Attribute(Struct, frozen=True):
-    """Something offers differ in.
+    """A quantity in which offers differ.
 
     `better` is the preferred direction; `typical` is a usual amount, against which fitness is
     measured (in the attribute's unit). `values` are all members a set or a text may have, () for any.
-    A `live` one changes while the team works: it comes from telemetry, and counts for `max_age` seconds.
+    A `live` attribute changes while the team works: it comes from telemetry, and is valid for `max_age`
+    seconds.
     """
 
     name: str
@@ -111,7 +112,7 @@ class Attribute(Struct, frozen=True):
     meaning: str = ""
 
     def accepts(self, value: Value) -> bool:
-        """Whether a value that came from elsewhere is of its type."""
+        """Whether a foreign value is of the attribute's type."""
         match self.type:
             case "boolean":
                 return isinstance(value, bool)
@@ -148,9 +149,9 @@ class Primitive(Struct, frozen=True):
 class Argument(Struct, frozen=True):
     """One argument of a mapped call: a parameter of the canonical portal, or a constant.
 
-    What arrives is `parameter * factor + offset`, in the unit of the portal that is called. For a result
-    the same is read the other way: it is `value * factor + offset` in the canonical unit, where `parameter`
-    is ''; or else the caller gets the parameter it gave, or the constant.
+    The passed value is `parameter * factor + offset`, in the unit of the portal that is called. A result is
+    converted in the other direction: it is `value * factor + offset` in the canonical unit, where `parameter`
+    is ''; otherwise the caller gets the parameter that it gave, or the constant.
     """
 
     parameter: str = ""
@@ -160,7 +161,7 @@ class Argument(Struct, frozen=True):
 
 
 class PortalMap(Struct, frozen=True):
-    """How one canonical portal is served: by the portal `target`, with `arguments` in its order.
+    """The mapping of one canonical portal to the portal `target`, with `arguments` in its order.
 
     `result` is the conversion of the emitted value; None when nothing is emitted or converted.
     """
@@ -200,9 +201,8 @@ class LiveAttribute(Struct, frozen=True):
 class ServedPrimitive(Struct, frozen=True):
     """A primitive as one resource type serves it; its `attributes` count before those of the type.
 
-    `when` is a condition on the agent, for what not every one of the type has: a copter grips only when
-    `tools == gripper`. Of the attributes those are `nominal` that are usual values: not stated for
-    these very robots.
+    `when` is a condition on the agent, for abilities that not every agent of the type has: a copter grips
+    only if `tools == gripper`. The `nominal` attributes are usual values, not stated for these robots.
     """
 
     primitive: str
@@ -214,7 +214,7 @@ class ServedPrimitive(Struct, frozen=True):
 
 
 class Provider(Struct, frozen=True):
-    """A resource type of L with what it serves, by primitive; `nominal` as in Served."""
+    """A resource type of L with the primitives that it serves; `nominal` as in ServedPrimitive."""
 
     type: str
     serves: Mapping[str, ServedPrimitive]
@@ -229,8 +229,8 @@ class Provider(Struct, frozen=True):
 class Equivalence(Struct, frozen=True):
     """One-to-one: every offer of `by` that fulfils `when` also serves `serves`, mapped.
 
-    `loss` from 0 (as good as the real thing) up to 1 is what the detour costs. Those that follow from the
-    taxonomy (the specific serves the general) are made by the registry, with a loss of 0.
+    `loss` from 0 (equal to the primitive itself) up to 1 is the cost of the substitution. The rules that
+    follow from the taxonomy (the specific serves the general) are made by the registry, with a loss of 0.
     """
 
     name: str
@@ -257,7 +257,7 @@ class Composition(Struct, frozen=True):
 
     The class is `coordinator specific`, has the portals of the primitive as public methods, and takes the
     parts in its constructor in the order of `needs`. `where` are conditions over the parts (`grip.robot !=
-    climb.robot`); `attributes` are expressions over them for what the whole is worth (`min(grip.payload,
+    climb.robot`); `attributes` are expressions over them for the attributes of the whole (`min(grip.payload,
     climb.payload)`). Parts that are `distinct` have no agent in common.
     """
 
@@ -275,10 +275,10 @@ class Composition(Struct, frozen=True):
 
 
 class Weights(Struct, frozen=True):
-    """What the parts of a cost count (matching/ranking.py has the formula); a mission may set its own.
+    """The weights of the parts of a cost (matching/ranking.py has the formula); a mission may set its own.
 
-    `attributes` weighs single attributes within the fitness; one that is not there counts 1. `nearby` is a
-    usual distance between two of the team, in metres, against which nearness is measured.
+    `attributes` weighs single attributes within the fitness; the weight of any other attribute is 1. `nearby`
+    is a usual distance between two of the team, in metres, against which nearness is measured.
     """
 
     fitness: float = 1.0
@@ -292,12 +292,12 @@ class Weights(Struct, frozen=True):
 
 
 class Registry(Struct, frozen=True):
-    """Everything together. Made by `reading.reader.read_registry`, which checks that all of it fits.
+    """The whole registry. Made by `registry_files.read_registry`, which checks that all parts fit.
 
-    `version` is that of the taxonomy: it grows with every change, and no id is ever taken away.
+    `version` is that of the taxonomy: it grows with every change, and no id is ever removed.
     `agents` are the attribute values of single agents of a mission, which count before all others.
     `constraints` are the queries that the program of a mission holds as constants, by their text.
-    `digest` changes with anything that would change an answer: hosts of one mission must agree on it.
+    `digest` changes with every change that affects an answer: hosts of one mission must agree on it.
     """
 
     terms: Mapping[str, TaxonomyTerm]

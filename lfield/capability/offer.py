@@ -1,4 +1,4 @@
-"""What matching takes and gives: candidates with their facts, offers, and refusals with their reasons.
+"""Input and output of matching: candidates with their facts, offers, and refusals with their reasons.
 
 Candidates and facts are structs: in a lively team thousands of them are made for one question.
 """
@@ -20,7 +20,7 @@ Provenance = Literal["nominal", "stated", "told", "measured"]
 
 
 class Fact(Struct, frozen=True, gc=False):
-    """The value of an attribute, and where it is `of`.
+    """The value of an attribute, and its provenance `of`.
 
     A measured one is `age` seconds old; the others have no age.
     """
@@ -41,12 +41,12 @@ class Fact(Struct, frozen=True, gc=False):
                 return other
 
 
-#: Where something is: north, east and, where that is known, down, in metres, in the frame of the team.
+#: A position: north, east and, if known, down, in metres, in the frame of the team.
 Position = tuple[float, float, float | None]
 
 
 class Candidate(Struct, frozen=True, gc=False):
-    """An agent of a resource type as this host knows it now.
+    """An agent of a resource type as known to this host.
 
     `facts` are the values reported by its host, by attribute, and `stated` those of the mission, which take
     precedence; those of its type and the primitive are in the registry. `hops` is 0 when it is on this host,
@@ -91,7 +91,7 @@ class CostTerm(Struct, frozen=True):
 
 
 class Penalty(Struct, frozen=True):
-    """What an attribute adds to the fitness of an agent: `share * penalty`. None: its value is not known."""
+    """The part of an attribute in the fitness of an agent: `share * penalty`. None: the value is unknown."""
 
     attribute: str
     value: Value | None
@@ -122,12 +122,12 @@ class Offer(Struct, frozen=True):
 
     @property
     def score(self) -> float:
-        """From 0 (never) to 1 (nothing could be better)."""
+        """From 0 (never) to 1 (the best possible)."""
         return 1.0 / (1.0 + self.cost)
 
 
 class Rejection(Struct, frozen=True):
-    """A candidate that is not offered: an agent, or a rule, with every reason why.
+    """A candidate that is not offered: an agent, or a rule, with all reasons.
 
     `str()` is a line: `arm2: payload 1.2 < 2.0`. The `inner` refusals of a rule are those of its needs.
     """

@@ -1,7 +1,7 @@
 """Units in queries with parameters: operands that are added or compared measure the same.
 
 Attributes have the units of the registry, a distance is in metres, a parameter may state its unit, as in
-`$mass[g]`. A literal, or a parameter without unit, is in the unit of what is beside it.
+`$mass[g]`. A literal, or a parameter without unit, is in the unit of the other operand.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class UnitCheck:
         return needed
 
     def convert_alone(self, operand: ConditionExpr) -> None:
-        """A parameter in a product is converted to SI."""
+        """Converts a parameter in a product to SI."""
         if isinstance(operand, ConditionParameter) and operand.unit:
             self._convert(operand, None)
 
@@ -50,7 +50,7 @@ class UnitCheck:
             self._report(operand.span, message, "compare what measures the same")
 
     def _convert(self, parameter: ConditionParameter, needed: str | None) -> str | None:
-        """Remember how a parameter is converted to a unit, or else to SI; returns the unit it has then."""
+        """Record the conversion of a parameter to a unit, or else to SI; returns its unit after that."""
         if not units.is_unit(parameter.unit):
             hint = units.suggestion(parameter.unit)
             self._report(parameter.span, f"there is no unit '{parameter.unit}'", hint)

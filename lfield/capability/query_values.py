@@ -1,7 +1,7 @@
 """Queries with parameters: the text of the query, known to the compiler, and the values of one call.
 
     payload >= $n0 && agent != $t1        the text; the letter is the sort of a value: number, text, boolean
-    n2.5 kg|t5 name|bob"s                 the values; behind each, or behind the length of a text, its name
+    n2.5 kg|t5 name|bob"s                 the values; after each, or after the length of a text, its name
 
 `|` stands for SEPARATOR.
 
@@ -122,7 +122,7 @@ def parameters(tree: ConditionExpr) -> Iterator[ConditionParameter]:
 
 
 def standalone(tree: ConditionExpr) -> Expression:
-    """An expression whose places count from its own start, not from that of the text around it."""
+    """An expression with places that count from its own start, not from that of the text around it."""
     source, start = Source("", tree.span.text), tree.span.start
     moved = _Moved(lambda span: Span(source, span.start - start, span.end - start), {})
     return Expression(source.text, moved.tree(tree))
@@ -149,7 +149,7 @@ def _bound(expression: Expression, values: Sequence[Bindable]) -> Expression:
 
 
 def _moved_place(place: int, ends: Sequence[tuple[int, int]]) -> int:
-    """A place behind the text of parameters that has another length now."""
+    """A place after the text of parameters that has another length now."""
     before = [(old, new) for old, new in ends if old <= place]
     old, new = before[-1] if before else (0, 0)
     return place - old + new

@@ -1,8 +1,7 @@
 """The realisations of a primitive, and the field of each in its class in L.
 
-The class that the compiler makes for a primitive (class_generator.py) has one field for every way; of an
-offer just the fields of its own way are filled. The names are made here, for the compiler and for the machine
-alike.
+The class that the compiler makes for a primitive (class_generator.py) has one field for every way; in an
+offer only the fields of its own way are filled. The compiler and the machine use the names of this module.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ def equivalent(rule: str) -> str:
 
 
 def composed(rule: str) -> str:
-    """The field of the object that puts the parts together: null until the first call makes it."""
+    """The field of the object that combines the parts: null until the first call makes it."""
     return f"of_{identifier(rule)}"
 
 

@@ -1,4 +1,4 @@
-"""A question that only 'yes' agrees to."""
+"""A question that only the answer 'yes' confirms."""
 
 from __future__ import annotations
 

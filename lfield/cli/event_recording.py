@@ -21,7 +21,7 @@ FLUSH_INTERVAL = 1.0
 
 
 class EventRecording:
-    """Events as they come, in an MCAP file. Methods raise OutputFileError."""
+    """Events in the order of arrival, in an MCAP file. Methods raise OutputFileError."""
 
     def __init__(self, path: Path, info: MissionInfo = NO_INFO, clock: Clock | None = None) -> None:
         """Creates the file. Raises PluginError without the package `mcap`."""
@@ -34,7 +34,7 @@ class EventRecording:
         self._newest = 0.0
 
     def add(self, item: DatedEvent | FeedNotice) -> None:
-        """The next event, or a notice about a host."""
+        """Add the next event, or a notice about a host."""
         if isinstance(item, FeedNotice):
             # Events before it may still be held back.
             self._add(StreamNotice(self._newest or self._clock.time(), item.host, item.text))
@@ -53,12 +53,12 @@ class EventRecording:
             self._mcap.add_message(message, log_time)
 
     def flush(self) -> None:
-        """Write what waits for nothing else."""
+        """Write the events that wait for no other event."""
         self._write()
         self._mcap.flush()
 
     async def flush_regularly(self) -> None:
-        """Flush until this is cancelled."""
+        """Flush until cancelled."""
         while True:
             await asyncio.sleep(FLUSH_INTERVAL)
             self.flush()
@@ -85,7 +85,7 @@ def event_recording(path: Path | None, info: MissionInfo) -> Iterator[EventRecor
     """A recording that is complete at the end of the body, also when that was interrupted; None without a
     path.
 
-    What it contains is printed to stderr.
+    The contents are printed to stderr.
     """
     if path is None:
         yield None

@@ -36,7 +36,7 @@ Lines = Callable[["DatedEvent | FeedNotice"], Iterable[str]]
 
 
 class SessionPlan(Struct, frozen=True):
-    """What to follow, and until when: without `follow` only the stored events.
+    """The hosts and events to follow, and the end: without `follow` only the stored events.
 
     `since`, `telemetry` (Hz): as in `StreamCursor`. `only`: the hosts, all if empty. `mcap`: records the
     events of these `kinds` there. `until_done`: ends with the mission; a host without contact for
@@ -92,7 +92,9 @@ def _mission_of(args: argparse.Namespace, team: TargetTeam) -> Mission | None:
 
 
 class _Session:
-    """`names` are the display names of the followed hosts; events of the `shown` ones are printed."""
+    """A session; `names` are the display names of the followed hosts; events of the `shown` ones are
+    printed.
+    """
 
     def __init__(
         self,
@@ -108,7 +110,7 @@ class _Session:
         self._recording: EventRecording | None = None
 
     def run(self, mission: Mission | None) -> int:
-        """The exit status."""
+        """Run the session; returns the exit status."""
         if self._plan.mcap is None:
             return asyncio.run(self._follow(mission))
         # With the package mcap, only where events are recorded.
@@ -130,7 +132,7 @@ class _Session:
         plan, end = self._plan, None
         has_runs = any(party.runs for party in self._parties)
         if plan.follow and not has_runs and named_mission(self._args) is None:
-            # No mission has to run there, so nothing else may be printed.
+            # No mission has to run there, so there may be no other output.
             print(
                 "lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True
             )
@@ -191,7 +193,7 @@ class _Session:
 
 
 def _cancel_on_signals() -> None:
-    """A request to end, or the end of the terminal, ends the session as a Ctrl-C does."""
+    """End the session on a request to end, or at the end of the terminal, as on a Ctrl-C."""
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     for number in (signal.SIGTERM, signal.SIGHUP):
         if task is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -210,7 +212,7 @@ def _homes(mission: Mission | None) -> dict[str, str] | None:
 
 
 def _end_status(ends: Collection[CoordinatorEnd], unreached: Collection[str], hosts: int) -> int:
-    """Print how the coordinators have ended; the exit status of the mission."""
+    """Print the ends of the coordinators; returns the exit status of the mission."""
     if len(unreached) == hosts:
         print("lfield: no host of the mission has answered", file=sys.stderr)
         return exit_status.UNAVAILABLE

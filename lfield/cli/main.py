@@ -131,7 +131,7 @@ class Command(Protocol):
     """The interface of a subcommand's module."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare its options."""
+        """Declare the options."""
 
     def run(self, args: argparse.Namespace) -> int:
         """Run the command; returns the exit status. Raises LfieldError."""
@@ -139,7 +139,7 @@ class Command(Protocol):
 
 class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
-        # That of argparse ignores a full disk.
+        # The method of argparse ignores a full disk.
         if message:
             (file or sys.stderr).write(message)
 
@@ -284,7 +284,7 @@ def _dispatch(arguments: list[str]) -> int:
         # --help or --version was printed; `main` flushes the output.
         return exit_status.DONE
     command = _command(args.command)
-    # Until here it ends the process (lfield/__main__.py).
+    # Until here a Ctrl-C ends the process (lfield/__main__.py).
     if args.command in INTERRUPTIBLE and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         _import_all(INTERRUPTIBLE[args.command])
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -84,7 +84,7 @@ def add_inventory(parser: argparse.ArgumentParser) -> None:
 
 
 def team_selection(args: argparse.Namespace) -> TeamSelection:
-    """The team that the arguments of `add_running_mission` name."""
+    """The team that is named by the arguments of `add_running_mission`."""
     return TeamSelection(named_mission(args), args.run, args.map, args.inventory, args.keys)
 
 
@@ -137,7 +137,7 @@ def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam
 
 
 def selected_team(args: argparse.Namespace) -> TargetTeam:
-    """The one named or running team; prints to stderr which runs of other users were left out.
+    """The only named or running team; prints to stderr the runs of other users that were left out.
 
     Raises UsageError, NoMissionRunning.
     """

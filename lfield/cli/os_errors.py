@@ -13,7 +13,7 @@ _TOO_MANY = (errno.EMFILE, errno.ENFILE)
 
 
 def system_refusal(error: OSError) -> SystemRefusal:
-    """The error of a command; without a file name it is the output that could not be written."""
+    """The error of a command; without a file name it is about output that could not be written."""
     if error.errno in _TOO_MANY:
         reason = f"{error_reason(error)}: raise the limit of open files, with 'ulimit -n 1024'"
         return SystemRefusal(exit_status.UNAVAILABLE, reason)

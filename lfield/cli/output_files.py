@@ -86,7 +86,7 @@ class RecordingFile:
         self._size += len(data)
 
     def _write(self, data: bytes) -> None:
-        """Write behind the bytes that were flushed."""
+        """Write after the bytes that were flushed."""
         if self._is_regular:
             os.lseek(self._file, self._size, os.SEEK_SET)
         size = len(data)
@@ -96,7 +96,7 @@ class RecordingFile:
             os.ftruncate(self._file, self._size + size)
 
     def close(self) -> None:
-        """Close the file; what was not flushed is not written."""
+        """Close the file; bytes that were not flushed are not written."""
         try:
             os.close(self._file)
         except OSError as error:

@@ -36,7 +36,7 @@ class TeamQueries:
 
     @property
     def context(self) -> QueryContext:
-        """What the files say."""
+        """The data of the files of the mission."""
         return self._context
 
     def parse(self, text: str) -> CapabilityQuery:

@@ -45,8 +45,7 @@ class StartResult:
 
     `continues` are coordinators that had not ended, `waits` the hosts that do not run it, with the reasons.
     `unreached` are the hosts that did not answer an order or the first question, with the errors, `errors`
-    also those that did not answer later. `consequence` is what that means for a host, as the end of a
-    sentence.
+    also those that did not answer later. `consequence` is the effect on a host, as the end of a sentence.
     """
 
     text: str
@@ -58,7 +57,7 @@ class StartResult:
     consequence: str = ""
 
     def as_data(self) -> dict[str, object]:
-        """As JSON data, as of `lfield start --json`."""
+        """The result as JSON data, as of `lfield start --json`."""
         return {
             "started": self.is_started,
             "continues": list(self.continues),
@@ -78,7 +77,7 @@ class StartPlan:
 
 
 async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan | StartResult:
-    """The start of the mission whose bundle is active on the robots; or why nothing is started.
+    """The start of the mission whose bundle is active on the robots; or the reason why no host is started.
 
     Raises UsageError.
     """
@@ -91,7 +90,7 @@ async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan 
     if len(found) != 1:
         return _no_mission(statuses, silent, found)
     mission = found[0]
-    # The other robots of the inventory have no part in it.
+    # The other robots of the inventory are not part of the mission.
     if failed := {host: error for host, error in silent.items() if host in mission.hosts}:
         return _silent(failed, [host for host in mission.hosts if host in statuses])
     left_out = [host for host in without if host in mission.hosts]
@@ -99,7 +98,7 @@ async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan 
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
         return StartResult(text)
     if left := left_behind(mission, statuses):
-        # They have no part in a new run.
+        # These hosts are not part of a new run.
         text = f"nothing was started: {listed(left)} still runs the last mission: 'lfield stop' ends it"
         return StartResult(text)
     hosts = [host for host in mission.hosts if host in statuses]
@@ -109,7 +108,7 @@ async def plan_start(desk: FleetDesk, without: Sequence[str] = ()) -> StartPlan 
 def _no_mission(
     statuses: Mapping[str, ServiceStatus], silent: Mapping[str, LfieldError], found: Sequence[ActiveMission]
 ) -> StartResult:
-    """Why it is not known which mission to start."""
+    """The reason why the mission to start is unknown."""
     if found:
         each = [f"{one.name or short_digest(one.digest)} on {listed(one.hosts)}" for one in found]
         text = f"several missions are active ({'; '.join(each)}): --without leaves out hosts of the others"
@@ -188,7 +187,7 @@ async def wait_until_up(
     clock = asyncio.get_running_loop().time
     end = clock() + SETTLE_TIMEOUT
     up_since: float | None = None
-    #: When hosts have failed, and since when one has ended and does not restart.
+    #: The times of failures of hosts, and the time since which one has ended and does not restart.
     failures: set[tuple[str, float]] = set()
     gone_since: float | None = None
     while True:
@@ -213,7 +212,7 @@ async def wait_until_up(
 
 
 def _waits(statuses: Mapping[str, ServiceStatus]) -> dict[str, str]:
-    """Why hosts do not run the mission."""
+    """The reasons why hosts do not run the mission."""
     reasons = {host: _waiting(status) for host, status in statuses.items()}
     return {host: reason for host, reason in reasons.items() if reason}
 
@@ -230,7 +229,7 @@ def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:
 
 
 def _partial_start_text(running: list[str], unknown: list[str]) -> str:
-    """What a start that was not carried out by all hosts has done."""
+    """The effect of a start that not all hosts have executed."""
     parts = [f"it runs on {listed(running)}"] if running else []
     parts += [f"it may run on {listed(unknown)}"] if unknown else []
     if not parts:
@@ -240,7 +239,7 @@ def _partial_start_text(running: list[str], unknown: list[str]) -> str:
 
 
 def _waiting(status: ServiceStatus) -> str:
-    """Why a host does not run the mission; '' if it does, or has ended in order."""
+    """The reason why a host does not run the mission; '' if it does, or has ended in order."""
     run = status.run
     if run.phase == "ended" and run.status == exit_status.DONE:
         return ""

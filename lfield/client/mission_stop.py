@@ -21,8 +21,8 @@ STOP_TIMEOUT = 300.0
 class StopResult:
     """The result of a stop: the answers of the hosts, and the errors of those that did not answer.
 
-    `checked` says why the vehicles of a host that had ended before count as checked. `troubles` are the hosts
-    whose vehicles may not be at rest.
+    `checked` is the reason why the vehicles of a host that had ended before count as checked. `troubles` are
+    the hosts whose vehicles may not be at rest.
     """
 
     stopped: Mapping[str, CommandResult]
@@ -31,7 +31,7 @@ class StopResult:
     troubles: Sequence[str]
 
     def as_data(self) -> dict[str, object]:
-        """As JSON data, as of `lfield stop --json`."""
+        """The result as JSON data, as of `lfield stop --json`."""
         found: dict[str, object] = {
             host: {
                 "phase": result.run.phase,

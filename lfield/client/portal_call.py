@@ -165,7 +165,7 @@ class _Attempt:
                 if found.id == self._order.id:
                     return found
             except NoListener:
-                # It has received nothing in this attempt.
+                # The host has received no message in this attempt.
                 self.number -= 1
                 if not self.number:
                     raise

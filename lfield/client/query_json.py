@@ -15,7 +15,7 @@ from lfield.operator.team_query import PrimitiveAnswer
 
 @dataclass(frozen=True, slots=True)
 class KnownTeam:
-    """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
+    """The known team: the hosts that answered, and the reasons why the others did not."""
 
     team: AgentSource
     answered: tuple[str, ...] = ()

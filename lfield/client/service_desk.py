@@ -47,7 +47,7 @@ class FleetDesk:
 
     @property
     def user(self) -> str:
-        """The person whose keys these are."""
+        """The owner of the keys."""
         from lfield.authority.certificate_reader import verify_keys
 
         return str(verify_keys(self.keys))
@@ -69,7 +69,7 @@ class FleetDesk:
     def command(
         self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
     ) -> dict[str, A | LfieldError]:
-        """As `ask`; a service that does not listen may be restarting, and is asked again."""
+        """Like `ask`; a service that does not listen may be restarting, and its request is repeated."""
         from lfield.operator.fleet.service_link import RESTART_TIME
 
         return self.ask(hosts, message, kind, timeout, restart=RESTART_TIME)
@@ -83,7 +83,7 @@ class FleetDesk:
         *,
         restart: float = 0.0,
     ) -> dict[str, A | LfieldError]:
-        """As `request`, in an event loop of its own."""
+        """Like `request`, in an event loop of its own."""
         return asyncio.run(self.request(hosts, message, kind, timeout, restart=restart))
 
     async def request(
@@ -95,7 +95,7 @@ class FleetDesk:
         *,
         restart: float = 0.0,
     ) -> dict[str, A | LfieldError]:
-        """The answers of the services of some hosts, or why there is none."""
+        """The answers of the services of some hosts, or their errors."""
         links = self.links(hosts)
         try:
             return await ask_all_services(links, message, kind, timeout, restart=restart)
@@ -103,7 +103,7 @@ class FleetDesk:
             links.close()
 
     async def current_statuses(self, hosts: Sequence[str]) -> dict[str, ServiceStatus | LfieldError]:
-        """As `statuses`, in the running loop."""
+        """Like `statuses`, in the running loop."""
         from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
         return await self.request(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
@@ -111,7 +111,7 @@ class FleetDesk:
     async def order(
         self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
     ) -> dict[str, A | LfieldError]:
-        """As `command`, in the running loop."""
+        """Like `command`, in the running loop."""
         from lfield.operator.fleet.service_link import RESTART_TIME
 
         return await self.request(hosts, message, kind, timeout, restart=RESTART_TIME)
@@ -126,9 +126,9 @@ async def ask_all_services(
     *,
     restart: float = 0.0,
 ) -> dict[str, A | LfieldError]:
-    """The answers of the services of some hosts, by default of all, or why there is none.
+    """The answers of the services of some hosts, by default of all, or their errors.
 
-    A service that does not listen is asked again for `restart` seconds.
+    The request to a service that does not listen is repeated for `restart` seconds.
     """
     asked = list(links.addresses if hosts is None else hosts)
 

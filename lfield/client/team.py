@@ -93,7 +93,7 @@ class ConnectedTeam:
         return status_data(host_states(await self._connection.snapshots(FULL_SNAPSHOT)))
 
     async def query(self, text: str, *, at: str = "", size: int | None = None) -> dict[str, object]:
-        """The agents that provide a capability, and why others do not: as `lfield query --json`.
+        """The agents that provide a capability, and the reasons against others: as `lfield query --json`.
 
         `at` ranks them as a coordinator on that host would, `size` adds the best teams of so many agents.
         Raises ProgramError for mistakes in the query.
@@ -104,7 +104,9 @@ class ConnectedTeam:
         return await self._queries.data(text, snapshots, at, size)
 
     async def explain(self, text: str) -> dict[str, Sequence[str]]:
-        """By agent, why it does not provide a capability, or not under the condition of the query."""
+        """By agent, the reasons why it does not provide a capability, or not under the condition of the
+        query.
+        """
         found = await self.query(text)
         reasons: dict[str, Sequence[str]] = {}
         for answer in _rows(found["capabilities"]):
@@ -133,10 +135,10 @@ class ConnectedTeam:
     ) -> AsyncIterator[dict[str, object]]:
         """Events in order, as `lfield events --json`; of all kinds and hosts unless some are named.
 
-        `since` 0: also the stored ones. `rate` is that of telemetry in Hz. With `until_done` it ends when all
-        coordinators have ended, without `follow` after the stored events, which it includes by default. An
-        object of the kind 'lost' counts events that were lost. Raises UsageError
-        for an unknown kind or host, or a number out of range.
+        `since` 0: also the stored ones. `rate` is that of telemetry in Hz. With `until_done` the stream ends
+        when all coordinators have ended, without `follow` after the stored events, which it includes by
+        default. An object of the kind 'lost' counts events that were lost. Raises UsageError for an unknown
+        kind or host, or a number out of range.
         """
         self._check(kinds, KINDS, "kind of events")
         self._check(hosts, self.hosts, "host")
@@ -267,7 +269,7 @@ async def connect(
 ) -> AsyncIterator[ConnectedTeam]:
     """The team of a mission (a deployment or a bundle), of a `run` on this computer, or of an inventory.
 
-    Without arguments it is the mission that runs on this computer, else the hosts of the default inventory.
+    Without arguments: the mission that runs on this computer, else the hosts of the default inventory.
     `maps` are addresses `NAME=ADDR:PORT`, `keys` is the folder with the keys of this person. With
     `is_assistant` hosts treat calls and starts as those of an AI assistant. Raises UsageError,
     NoMissionRunning, KeysError.
@@ -291,7 +293,7 @@ def _rows(value: object) -> list[dict[str, object]]:
 
 
 def _reasons(refusal: Mapping[str, object]) -> Sequence[str]:
-    """The reasons of a refusal, and of what is inside it."""
+    """The reasons of a refusal, and of the refusals inside it."""
     own = refusal["reasons"]
     texts = [str(reason) for reason in own] if isinstance(own, list) else []
     return [*texts, *(text for inner in _rows(refusal["inner"]) for text in _reasons(inner))]

@@ -52,7 +52,7 @@ def stop_order(reason: str) -> Request[EmergencyStopResult]:
 class TeamActions:
     """Implements `OperatorActions` for the hosts of a team; `observer` gets each answer when it arrives.
 
-    `read_queries` reads what queries need, at the first query; its error is the answer when that fails.
+    `read_queries` reads the data for queries, at the first query; its error is the answer when that fails.
     `access`: the mission's restrictions of this person's rights, as far as this computer has them.
     `standing` sends orders over open connections. `run_in_thread` runs a long computation outside the event
     loop.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class TeamSelection:
     """A selection of hosts.
 
-    `mission` is a deployment or bundle, None for what runs on this computer; `run` the id of a run on this
+    `mission` is a deployment or bundle, None for the runs on this computer; `run` the id of a run on this
     computer, '' for any. `maps` are addresses `NAME=ADDR:PORT`. `inventory` and `keys` replace the default
     file and the default folder.
     """

@@ -94,7 +94,7 @@ class TeamWatch:
         self.view.start_log(((d.host, d.incarnation, d.event) for d in stored), now, wall)
 
     async def tick(self) -> None:
-        """Extend the curves until this is cancelled."""
+        """Extend the curves until cancelled."""
         while True:
             self.view.tick(self._clock.monotonic())
             await asyncio.sleep(TICK)

@@ -1,4 +1,4 @@
-"""Constants: folding where it is exact, and the constant pool of a program."""
+"""Constants: folding if it is exact, and the constant pool of a program."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
 
 
 def fold(expr: Expr) -> Constant | NotConstant:
-    """The value of an expression of literals, where it is the same on every machine.
+    """The value of an expression of literals, if it is the same on every machine.
 
     Ints that would overflow are left to the machine, which throws; reals are only negated and widened.
     The checker allows arithmetic only on numbers, so a bool cannot be mistaken for an int.

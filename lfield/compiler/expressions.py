@@ -1,8 +1,8 @@
 """Expressions: every value is computed directly in its target slot.
 
 With a target, only the last instruction writes to it, except for new objects (object_emitter.py): operands of
-the expression, and what a handler sees after a failure, are unchanged until then. Without a target, the
-result is in the slot of a local, or in a temporary, whichever is cheaper.
+the expression, and values that a handler reads after a failure, are unchanged until then. Without a target,
+the result is in the slot of a local, or in a temporary, whichever is cheaper.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ExpressionEmitter:
         self._ready: dict[Expr, int] = {}
 
     def operand(self, expr: Expr) -> int:
-        """A constant where the expression is one, else a slot; the caller releases it."""
+        """A constant if the expression is one, else a slot; the caller releases it."""
         constant = NotConstant.VALUE if expr in self._ready else fold(expr)
         return self.value(expr) if isinstance(constant, NotConstant | str) else self._frame.constant(constant)
 

@@ -6,7 +6,7 @@
     new ^future; call Future       the object has the ticket, and the array for the result
 
 A method of an offer begins its call by its asynchronous variant (`async_methods`). A realisation with several
-steps is executed there and then.
+steps is executed synchronously.
 """
 
 from __future__ import annotations

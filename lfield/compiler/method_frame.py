@@ -37,7 +37,7 @@ class CodeBuffer:
         self._base = base
 
     def set_line(self, line: int) -> None:
-        """A statement or a condition begins on that line: the next instructions belong to it."""
+        """Sets the line of the next instructions, on which a statement or a condition begins."""
         self.line, self._is_new_statement = line, True
 
     @property

@@ -1,7 +1,7 @@
 """New objects and arrays, which are built in several steps in their target slot.
 
-So no other expression may read the target slot before the object is complete: it is a temporary, or a local
-under declaration.
+So no other expression may read the target slot before the object is complete: the slot is a temporary, or a
+local under declaration.
 """
 
 from __future__ import annotations

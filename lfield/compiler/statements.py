@@ -1,4 +1,4 @@
-"""Statements. Unreachable ones are not compiled; `try` costs nothing without an exception."""
+"""Statements. Unreachable ones are not compiled; `try` costs no instruction without an exception."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ _SIMPLE = {
     types.NULL: ANY,
 }
 
-#: The types of manifest.DEVICE_VALUE_TYPES, and no result.
+#: The types of manifest.DEVICE_VALUE_TYPES, and the type of no result.
 _DEVICE_TYPES = {
     str(kind): kind
     for kind in (

@@ -1,1 +1,1 @@
-"""Tools to write programs of L: the formatter, and what an editor asks a language server."""
+"""Tools to write programs of L: the formatter, and the functions of a language server."""

@@ -1,4 +1,4 @@
-"""What can be written at a position of a program."""
+"""Completions for a position in a program."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def completions(model: ProgramModel, path: Path, offset: int) -> list[Completion
 
 
 def _before(cursor: Cursor, offset: int) -> Cursor:
-    """The cursor moved behind the last token that ends at the offset."""
+    """The cursor moved after the last token that ends at the offset."""
     place = cursor.part.source.place.offset
     index = cursor.index
     while index < len(cursor.tokens) - 1 and cursor.tokens[index].span.start + place < offset:
@@ -110,7 +110,7 @@ def _in_method(symbols: TextSymbols, cursor: Cursor) -> Iterator[CompletionPropo
 
 
 def _functions_of_library(usage: str) -> Iterator[CompletionProposal]:
-    """What code of a usage may call."""
+    """The library functions that code of a usage may call."""
     for function in FUNCTIONS:
         if function.scope in ("any", usage):
             types = ", ".join(map(str, function.parameters))

@@ -1,6 +1,6 @@
 """The tokens around a position in a program: the chain of names, the method, and the variables in scope.
 
-All of it is found from tokens, so that it works where the text has syntax errors, as it has while one types.
+All results are found from tokens, so that they are available for a text with syntax errors, as during typing.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.text.source_text import Diagnostics, Source, Span
 
 _OPENING = {")": "(", "]": "["}
-#: What follows the name in a declaration of a local variable, a parameter or a caught exception.
+#: The token after the name in a declaration of a local variable, a parameter or a caught exception.
 _AFTER_NAME = ("=", ";", ":", ",", ")")
 
 
 @dataclass(frozen=True, slots=True)
 class DeclaredLocal:
-    """A local variable or parameter as it is written: its type, and the token of its name."""
+    """A local variable or parameter as written: its type, and the token of its name."""
 
     type: TypeName
     token: Token
@@ -54,7 +54,7 @@ class Cursor:
         return self.tokens[self.index]
 
     def text(self, distance: int) -> str:
-        """The text of the token at a distance; '' of a string, and behind the ends."""
+        """The text of the token at a distance; '' of a string, and beyond the ends."""
         at = self.index + distance
         if not 0 <= at < len(self.tokens) or self.tokens[at].kind is TokenKind.STRING:
             return ""
@@ -135,7 +135,7 @@ def cursor_at(model: ProgramModel, path: Path, offset: int) -> Cursor | None:
 
 
 def cursor_at_token(part: ProgramPart, index: int) -> Cursor:
-    """A token of a part with what is around it."""
+    """A token of a part with its unit and method."""
     start = part.tokens[index].span.start
     unit = next((one for one in reversed(part.file.units) if one.span.start <= start), None)
     method = next((one for one in part.file.functions if _is_within(one, start)), None)
@@ -217,7 +217,7 @@ def _declaration(tokens: Sequence[Token], at: int) -> DeclaredLocal | None:
 
 
 def _behind_arguments(tokens: Sequence[Token], at: int) -> int:
-    """The token behind the name of a type and its `<...>`."""
+    """The token after the name of a type and its `<...>`."""
     depth, after = 0, at + 1
     while after < len(tokens) and (text := tokens[after].text) and (depth or text == "<"):
         if text in (";", "(", ")", "{", "}"):
@@ -226,7 +226,7 @@ def _behind_arguments(tokens: Sequence[Token], at: int) -> int:
         after += 1
         if depth <= 0:
             break
-    # A negative depth: it is an argument of another type.
+    # A negative depth: the type is an argument of another type.
     return after if depth == 0 else len(tokens)
 
 

@@ -1,4 +1,4 @@
-"""A deployment in an editor: what its names mean, and what fits where."""
+"""A deployment in an editor: the meanings of its names, and completions."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def deployment_findings(text: str, name: str, model: ProgramModel | None) -> lis
 
 
 def hover_of_name(name: DeploymentName, text: str) -> str:
-    """What a host, an id or an argument means; types are explained by the program."""
+    """The meaning of a host, an id or an argument; types are explained by the program."""
     entries = deployment_entries(text)
     if name.kind == "host":
         agents = [f"`{one.id.text}` ({one.type.text})" for one in entries if _has_host(one, name.span.text)]

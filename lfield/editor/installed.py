@@ -1,4 +1,4 @@
-"""What the language server uses of this computer: files, installed drivers, registries of capabilities."""
+"""The environment of the language server: files, installed drivers, registries of capabilities."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class InstalledEnvironment:
         ]
 
     def read_problem(self, path: Path) -> str:
-        """Why a file cannot be read, '' if there is none."""
+        """The reason why a file cannot be read, '' for none or a missing file."""
         try:
             _text(path)
         except FileNotFoundError:
@@ -118,7 +118,7 @@ class _ReadableRegistry:
         return GeneratedClasses({}) if self._types is None else self._types.generate(expected, files)
 
     def registry_problems(self, used: Collection[str], files: Sequence[ParsedFile]) -> Sequence[Diagnostic]:
-        """Where the registry does not fit the program."""
+        """The mistakes of the registry in relation to the program."""
         return () if self._types is None else self._types.registry_problems(used, files)
 
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:

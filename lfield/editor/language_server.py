@@ -82,7 +82,7 @@ class _Protocol(LanguageServerProtocol):
     """The protocol of pygls, which leaves a request with malformed parameters without an answer."""
 
     def structure_message(self, data: dict[str, Any]) -> Any:
-        """The message; for such a request one to the handler that refuses it."""
+        """The message; for a malformed request one to the handler that refuses it."""
         try:
             return super().structure_message(data)
         except JsonRpcException as error:
@@ -96,8 +96,8 @@ class _Protocol(LanguageServerProtocol):
 class LfieldServer:
     """The handlers of one server with one workspace.
 
-    It collects garbage itself, between answers. What is left then is exempt from later collections: otherwise
-    each of them would go through the syntax trees of all texts, and delay an answer by a second.
+    The server itself collects garbage, between answers. Remaining objects are exempt from later collections:
+    otherwise each collection would scan the syntax trees of all texts, and delay an answer by a second.
     """
 
     def __init__(self, workspace: Workspace) -> None:
@@ -108,7 +108,7 @@ class LfieldServer:
         self._checking: asyncio.Task[None] | None = None
         self._index: tuple[str, LineIndex] | None = None
         self._checks = 0
-        #: What editors call their open texts: a text without a file has no other URI.
+        #: The URIs of open texts by editors: a text without a file has no other URI.
         self._uris: dict[Path, str] = {}
         gc.disable()
         handlers: dict[str, Callable[[Any], Any]] = {
@@ -133,15 +133,15 @@ class LfieldServer:
     # --- texts ------------------------------------------------------------------------------------------
 
     def on_open(self, params: types.DidOpenTextDocumentParams) -> None:
-        """A text was opened."""
+        """Handle a text that was opened."""
         self._put(params.text_document.uri)
 
     def on_change(self, params: types.DidChangeTextDocumentParams) -> None:
-        """A text was edited."""
+        """Handle a text that was edited."""
         self._put(params.text_document.uri)
 
     def on_close(self, params: types.DidCloseTextDocumentParams) -> None:
-        """A text was closed."""
+        """Handle a text that was closed."""
         path = _path(params.text_document.uri)
         self._publish(self._workspace.close(path))
         self._uris.pop(path, None)
@@ -150,7 +150,7 @@ class LfieldServer:
     def on_files_changed(
         self, params: types.DidSaveTextDocumentParams | types.DidChangeWatchedFilesParams
     ) -> None:
-        """A file was saved, or changed on the disk."""
+        """Handle a file that was saved, or changed on the disk."""
         if isinstance(params, types.DidChangeWatchedFilesParams):
             self._workspace.reload(_path(change.uri) for change in params.changes)
             self._check_later()
@@ -162,7 +162,7 @@ class LfieldServer:
         self._check_later()
 
     def _check_later(self) -> None:
-        """Check what is out of date, part by part, between other messages."""
+        """Check the outdated parts, one by one, between other messages."""
         if self._checking is None or self._checking.done():
             self._checking = asyncio.get_running_loop().create_task(self._check())
 
@@ -221,7 +221,7 @@ class LfieldServer:
         return types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text)) if text else None
 
     def completion(self, params: types.CompletionParams) -> types.CompletionList:
-        """What can be written at a position."""
+        """The completions for a position."""
         found = self._workspace.complete(*self._place(params.text_document, params.position))
         items = [
             types.CompletionItem(
@@ -237,7 +237,7 @@ class LfieldServer:
         return types.CompletionList(is_incomplete=False, items=items)
 
     def definition(self, params: types.DefinitionParams) -> list[types.Location]:
-        """Where a name is declared."""
+        """The declaration of a name."""
         return self._locations(
             self._workspace.definitions(*self._place(params.text_document, params.position))
         )

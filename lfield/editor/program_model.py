@@ -1,4 +1,4 @@
-"""A program with all its files, checked in steps: what an editor shows of it.
+"""A program with all its files, checked in steps, as shown by an editor.
 
 An edit parses one unit again and reads all declarations. The bodies of other units are checked again only if
 a declaration has changed; `step` checks one part, so that a request never waits for the whole program.
@@ -29,7 +29,7 @@ ReadText = Callable[[Path], str | None]
 
 
 class ProgramEnvironment(Protocol):
-    """What a program uses besides its own files."""
+    """The environment of a program besides its own files."""
 
     @property
     def devices(self) -> Mapping[str, DeviceManifest]:
@@ -41,10 +41,10 @@ class ProgramEnvironment(Protocol):
 
     @property
     def include_paths(self) -> list[str]:
-        """What can be included with `include <path>`."""
+        """The paths of files for `include <path>`."""
 
     def read_problem(self, path: Path) -> str:
-        """Why a file cannot be read, '' if there is none."""
+        """The reason why a file cannot be read, '' if there is none."""
 
     def capabilities(self, program: Path) -> CapabilityTypes:
         """The registry of a program."""
@@ -91,7 +91,7 @@ class ProgramModel:
     # --- files ------------------------------------------------------------------------------------------
 
     def _read_files(self) -> tuple[bool, bool]:
-        """Whether a file has changed, and whether one is missing."""
+        """Read the files; returns whether a file has changed, and whether one is missing."""
         found: dict[Path, ProgramFile] = {}
         self._include_findings, is_missing, is_changed = [], False, False
         waiting: list[tuple[Path, Include | None]] = [(self.root, None)]
@@ -153,7 +153,7 @@ class ProgramModel:
         )
 
     def _declare(self, *, is_incomplete: bool) -> None:
-        """Read all declarations of the parts as they are now."""
+        """Read all declarations of the present parts."""
         self.dismantle()
         self.symbols = self._new_symbols(is_incomplete=is_incomplete)
         parts = [*self._generated.parts, *self.parts()]
@@ -181,7 +181,9 @@ class ProgramModel:
         self._program = None
 
     def _generate(self) -> bool:
-        """Create the classes of the capabilities that the program names; whether they are other ones."""
+        """Create the classes of the capabilities that the program names; returns whether they have
+        changed.
+        """
         files: list[ParsedFile] = [part.file for part in self.parts()]
         known = {*BUILTIN_TYPES, *self.environment.devices}
         unknown = unknown_names(files, known)
@@ -272,7 +274,7 @@ class ProgramModel:
 
 
 def _fingerprint(unit: tree.Unit) -> tuple[object, ...]:
-    """What other units know of a unit."""
+    """The part of a unit that other units depend on."""
     fields = tuple((field.name, field.type, field.public) for field in unit.fields)
     methods = tuple(
         (method.kind, method.signature, method.result, method.public, method.synchronized)
@@ -282,7 +284,7 @@ def _fingerprint(unit: tree.Unit) -> tuple[object, ...]:
 
 
 def _top_level(symbols: Symbols) -> tuple[object, ...]:
-    """What units know of constants, enums and functions."""
+    """The parts of constants, enums and functions that units depend on."""
     constants = tuple((one.name, one.type, one.value) for one in symbols.constants.values())
     enums = tuple((one.name, one.members) for one in symbols.enums.values())
     heads = [one.head for functions in symbols.functions.values() for one in functions]

@@ -1,6 +1,6 @@
 """A program text in parts: each unit is parsed by itself, so that an edit costs the parsing of one unit.
 
-The positions in a part count from its start. Its `PartPlace` says where it is in the file, and moves when
+The positions in a part count from its start. Its `PartPlace` is its place in the file, and moves when
 text before it is edited.
 """
 
@@ -16,7 +16,7 @@ from lfield.lang.scanner import Token, scan
 from lfield.lang.syntax import ParsedFile
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
-#: Where a unit, a constant or an enum begins a line, and what may hide such a line.
+#: The start of a unit, a constant or an enum at a line, and text that may hide such a line.
 _BOUNDARY = re.compile(
     r"//[^\n]*|/\*(?s:.*?)(?:\*/|\Z)|\"(?:[^\"\\\n]|\\.)*\"?"
     r"|^(?=(?:resource|coordinator|class)\b|const\s+\w+\s+\w+\s*=|enum\s+\w+\s*\{)",
@@ -26,13 +26,13 @@ _BOUNDARY = re.compile(
 
 @dataclass(slots=True, eq=False)
 class PartPlace:
-    """Where a part is in its file: the offset of its first character, and the lines before it."""
+    """The place of a part in its file: the offset of its first character, and the lines before it."""
 
     offset: int = 0
     line: int = 0
 
     def move(self, offset: int, line: int) -> bool:
-        """Move the part; whether its lines have other numbers now."""
+        """Move the part; returns whether its lines have other numbers now."""
         is_moved = line != self.line
         self.offset, self.line = offset, line
         return is_moved
@@ -77,11 +77,11 @@ class ProgramPart:
 
     @property
     def end(self) -> int:
-        """The offset in the file behind its last character."""
+        """The offset in the file after its last character."""
         return self.source.place.offset + len(self.source.text)
 
     def store(self, findings: list[Diagnostic], checked_for: int) -> None:
-        """Remember the findings of its bodies."""
+        """Store the findings of the bodies."""
         self.findings, self.checked_for = findings, checked_for
 
 
@@ -99,7 +99,7 @@ class ProgramFile:
         self.parts: list[ProgramPart] = []
 
     def update(self, text: str) -> bool:
-        """Parse what has changed; whether anything has."""
+        """Parse the changed parts; returns whether any part has changed."""
         if text == self.text and self.parts:
             return False
         known: dict[str, list[ProgramPart]] = {}

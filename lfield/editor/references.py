@@ -1,4 +1,4 @@
-"""All names that mean the same symbol, and their renaming."""
+"""All names of the same symbol, and their renaming."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 
 
 def symbol_at(model: ProgramModel, path: Path, offset: int) -> TextSymbol | None:
-    """The symbol whose name is at an offset of a file, also behind the `$` in a query."""
+    """The symbol whose name is at an offset of a file, also after the `$` in a query."""
     cursor = cursor_at(model, path, offset)
     if cursor is None or cursor.token.kind is not TokenKind.STRING:
         return None if cursor is None else TextSymbols(model).at(cursor)
@@ -81,7 +81,7 @@ def _refuse_query_constants(model: ProgramModel, symbol: TextSymbol) -> None:
 def renamed_places(
     model: ProgramModel, symbol: TextSymbol, name: str, other_files: Mapping[Path, str]
 ) -> list[TextPlace]:
-    """The places that a renaming changes. Raises UsageError where it could change the meaning of the program.
+    """The places that a renaming changes. Raises UsageError if it could change the meaning of the program.
 
     `other_files` are the devices, capability and access files of the mission, which may name the symbol too.
     """
@@ -114,7 +114,7 @@ def _is_written(model: ProgramModel, symbol: TextSymbol, name: str) -> bool:
 
 
 def _refuse_conflict(model: ProgramModel, symbol: TextSymbol, name: str) -> None:
-    """Refuse a name that means something else where the symbol is used."""
+    """Refuse a name that has another meaning where the symbol is used."""
     symbols = TextSymbols(model)
     if symbol.kind in ("unit", "enum", "constant", "function"):
         declared = model.symbols.declaration(name) is not None

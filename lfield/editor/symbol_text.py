@@ -1,4 +1,4 @@
-"""Signatures and documentation of symbols, as Markdown: what a hover shows."""
+"""Signatures and documentation of symbols, as Markdown, for a hover."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _EFFECTS = {"query": "only reads", "idempotent": "may be repeated", "actuate": "
 
 
 def hover_text(symbol: TextSymbol, program_text: str | None = None) -> str:
-    """The signature of a symbol as L, and what is known of it. `program_text` is that of its file."""
+    """The signature of a symbol as L, and its documentation. `program_text` is that of its file."""
     parts = [f"```l\n{signature(symbol)}\n```"]
     match symbol.meaning:
         case DeviceManifest() as device:
@@ -126,7 +126,7 @@ def _device_text(device: DeviceManifest) -> str:
 
 
 def comment_above(span: Span, program_text: str | None = None) -> str:
-    """The comment in the lines above a declaration, or behind it in its line, as text."""
+    """The comment in the lines above a declaration, or after it in its line, as text."""
     text, start = span.source.text, span.start
     if program_text is not None and isinstance(span.source, PartSource):
         text, start = program_text, start + span.source.place.offset

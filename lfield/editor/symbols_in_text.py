@@ -1,4 +1,4 @@
-"""What a name in a program means: a unit, a member, a variable, an instruction, a library function."""
+"""The meaning of a name in a program: a unit, a member, a variable, an instruction, a library function."""
 
 from __future__ import annotations
 
@@ -76,9 +76,9 @@ Meaning = (
 
 @dataclass(frozen=True, slots=True)
 class TextSymbol:
-    """A symbol; `span` is the name in its declaration, None for what no program declares.
+    """A symbol; `span` is the name in its declaration, None if no program declares it.
 
-    `key` is equal for all names that a renaming changes together. `prefix` is what precedes the name of a
+    `key` is equal for all names that a renaming changes together. `prefix` is the text before the name of a
     resource or capability in `findArm`.
     """
 
@@ -111,7 +111,7 @@ class TopLevelSymbols:
         return None if found is None else self._of_function(found[0].head)
 
     def all(self) -> Iterator[TextSymbol]:
-        """All of them, without the members of enums."""
+        """All symbols, without the members of enums."""
         for name in (*self._symbols.constants, *self._symbols.enums, *self._symbols.functions):
             if (found := self.named(name)) is not None:
                 yield found
@@ -145,7 +145,7 @@ class TopLevelSymbols:
 
 
 class TextSymbols:
-    """The symbols of a program as it is now."""
+    """The symbols of the present program."""
 
     def __init__(self, model: ProgramModel) -> None:
         self._model = model
@@ -189,7 +189,7 @@ class TextSymbols:
         return None if local is None else self._of_local(local)
 
     def _bare(self, cursor: Cursor) -> TextSymbol | None:
-        """A name without an owner."""
+        """The symbol of a name without an owner."""
         name = cursor.token.text
         unit = self.unit(cursor)
         if cursor.text(1) == "(" and cursor.text(-1) != "new":
@@ -218,7 +218,7 @@ class TextSymbols:
         return self.top_level.named(name) if name in self._symbols.constants else None
 
     def _called(self, cursor: Cursor, unit: tree.Unit | None) -> TextSymbol | None:
-        """A name before arguments."""
+        """The symbol of a name before arguments."""
         name = cursor.token.text
         methods = unit.overloads(name, "method") if unit is not None else ()
         if methods:
@@ -248,7 +248,7 @@ class TextSymbols:
     # --- members ----------------------------------------------------------------------------------------
 
     def _member(self, cursor: Cursor) -> TextSymbol | None:
-        """A name behind a dot."""
+        """The symbol of a name after a dot."""
         name = cursor.token.text
         candidates = [one for one in self.members(cursor) if one.name == name]
         methods = [one.meaning for one in candidates if isinstance(one.meaning, tree.Method)]
@@ -257,7 +257,7 @@ class TextSymbols:
         return candidates[0] if candidates else None
 
     def members(self, cursor: Cursor) -> list[TextSymbol]:
-        """What can follow the dot before a cursor."""
+        """The symbols that can follow the dot before a cursor."""
         owner = cursor.owner()
         if owner in self._symbols.enums and owner not in cursor.locals():
             return self.top_level.members(self._symbols.enums[owner])

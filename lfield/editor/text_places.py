@@ -1,6 +1,6 @@
-"""Places in files as editors count them.
+"""Places in files, as counted by editors.
 
-Lines are counted from 0. Columns are UTF-16 code units, or characters where an editor asks for them.
+Lines are counted from 0. Columns are UTF-16 code units, or characters if an editor requests them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class TextEdit:
 
 
 class LineIndex:
-    """The lines of a text; `is_utf16` says how columns are counted."""
+    """The lines of a text; with `is_utf16` columns are UTF-16 code units."""
 
     def __init__(self, text: str, *, is_utf16: bool) -> None:
         self._text, self._is_utf16 = text, is_utf16 and not text.isascii()

@@ -1,6 +1,7 @@
 """The programs and deployments that an editor has open: texts and requests in, answers out.
 
-It reads no files itself (`FileReader`), and has no thread: the server calls `step` while no request waits.
+The workspace itself reads no files (`FileReader`), and has no thread: the server calls `step` while no
+request waits.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Workspace:
     # --- texts ------------------------------------------------------------------------------------------
 
     def put(self, path: Path, text: str) -> None:
-        """A text was opened or edited."""
+        """Store a text that was opened or edited."""
         is_new = path not in self._texts
         self._texts[path] = text
         if is_new:
@@ -75,7 +76,7 @@ class Workspace:
                     self._mark(deployment, deployment)
 
     def reload(self, changed: Iterable[Path]) -> None:
-        """Files on the disk have changed; an open text counts in place of its file."""
+        """Read the files that have changed on the disk; an open text counts in place of its file."""
         unknown = [path for path in changed if path not in self._texts]
         if any(path.suffix not in (PROGRAM, DEPLOYMENT) for path in unknown):
             self._forget(self._models)
@@ -83,7 +84,7 @@ class Workspace:
             self._check_again()
 
     def close(self, path: Path) -> Mapping[Path, list[Diagnostic]]:
-        """An editor has closed a text; its file counts again.
+        """Close a text; its file counts again.
 
         Returns no findings for the files that had some and belong to no open text any longer.
         """
@@ -136,7 +137,7 @@ class Workspace:
         return self._roots[path]
 
     def model(self, path: Path) -> ProgramModel:
-        """The program of a file, with its declarations as they are now."""
+        """The program of a file, with its present declarations."""
         root = self._root(path)
         if root not in self._models:
             self._models[root] = ProgramModel(root, self._read, self._environment)
@@ -151,10 +152,10 @@ class Workspace:
     # --- findings ---------------------------------------------------------------------------------------
 
     def step(self) -> Mapping[Path, list[Diagnostic]] | None:
-        """Check one part of what is out of date, the text edited last first.
+        """Check one outdated part, the text edited last first.
 
         Returns the findings that have changed, after the first and the last part after an edit; after the
-        last one also those of the edited file. None if nothing is out of date.
+        last one also those of the edited file. None if no part is outdated.
         """
         if not self._stale:
             return None
@@ -193,7 +194,7 @@ class Workspace:
     # --- requests ---------------------------------------------------------------------------------------
 
     def hover(self, path: Path, offset: int) -> str:
-        """What is known of the name at an offset, as Markdown; '' for nothing."""
+        """The documentation of the name at an offset, as Markdown; '' for none."""
         if path.suffix == DEPLOYMENT:
             name = deployment_text.name_at(self.text(path), offset)
             symbol = self._type_in_deployment(path, name)
@@ -208,14 +209,14 @@ class Workspace:
         return hover_text(symbol, None if declared is None else self.text(declared))
 
     def complete(self, path: Path, offset: int) -> list[CompletionProposal]:
-        """What can be written at an offset."""
+        """The completions for an offset."""
         if path.suffix == DEPLOYMENT:
             model = self._program_of(path)
             return deployment_text.deployment_completions(self.text(path), offset, model)
         return completions(self.model(path), path, offset)
 
     def definitions(self, path: Path, offset: int) -> list[TextPlace]:
-        """Where the name at an offset is declared.
+        """The declarations of the name at an offset.
 
         From its declaration in a program, a resource or coordinator leads to its lines in the deployment, a
         device to its bindings in the devices file, and an id in a text to its line.

@@ -15,7 +15,7 @@ _MAX_TIME = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class MessageSchema:
-    """A JSON schema with the name by which readers know it."""
+    """A JSON schema with its name for readers."""
 
     name: str
     json: JsonSchema

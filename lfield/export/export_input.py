@@ -9,7 +9,7 @@
     StreamNotice       a gap in the stream, as while a host was unreachable
 
 Times are seconds since 1970. The items should be in order: readers of the output may assume that. `info` is
-what the files of the mission add: units and meanings of quantities, and frames (`mission_info`).
+the data from the files of the mission: units and meanings of quantities, and frames (`mission_info`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class TelemetrySample(NamedTuple):
 
 
 class StreamNotice(NamedTuple):
-    """What is missing in the stream of a host, or why."""
+    """A gap in the stream of a host, or its reason."""
 
     time: float
     host: str
@@ -98,7 +98,7 @@ NO_INFO = MissionInfo()
 
 
 def mission_info(name: str, mission: Mission) -> MissionInfo:
-    """What the files of a mission say."""
+    """The data of the files of a mission."""
     manifests = {
         type: manifest.device
         for driver in mission.drivers.by_driver.values()

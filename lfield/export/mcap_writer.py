@@ -1,7 +1,7 @@
 """MCAP files (https://mcap.dev/spec) with JSON messages, through the package `mcap`. Pure.
 
 The file consists of chunks, each complete in itself, and a summary with indexes at the end. A file with
-`END_WITHOUT_SUMMARY` behind its chunks is valid too: readers read it from its beginning.
+`END_WITHOUT_SUMMARY` after its chunks is valid too: readers read it from its beginning.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from mcap.writer import Writer
 
 
-#: The end of a file without a summary: the end of the data, a footer that refers to nothing, and the magic.
+#: The end of a file without a summary: the end of the data, a footer without references, and the magic.
 END_WITHOUT_SUMMARY = struct.pack("<BQIBQQQI8s", 0x0F, 4, 0, 0x02, 20, 0, 0, 0, b"\x89MCAP0\r\n")
 #: The most channels of a file: hosts may report any names.
 MAX_CHANNELS = 8192
 
 
 class ByteSink(Protocol):
-    """Where the file is written to, from its beginning to its end."""
+    """The destination of the file, from its beginning to its end."""
 
     def write(self, data: bytes, /) -> object:
         """Append bytes."""
 
     def flush(self) -> object:
-        """What was written so far is a readable beginning of the file."""
+        """Called when the bytes so far are a readable beginning of the file."""
 
 
 class _CountingSink:
-    """What the package `mcap` uses of a file; `size` is the number of bytes written."""
+    """The file functions that the package `mcap` uses; `size` is the number of bytes written."""
 
     def __init__(self, out: ByteSink) -> None:
         self._out, self.size = out, 0
@@ -86,7 +86,7 @@ class McapRecording:
         return len(self._channels)
 
     def add(self, item: StreamItem) -> None:
-        """The next item of the stream."""
+        """Add the next item of the stream."""
         for message in self.messages_of(item):
             self.add_message(message, message.time)
 
@@ -99,7 +99,7 @@ class McapRecording:
         self._writer.flush()  # type: ignore[no-untyped-call]  # mcap has types, but not here
 
     def finish(self) -> None:
-        """Write the summary; nothing can be added after it."""
+        """Write the summary; no item can be added after it."""
         self._writer.finish()  # type: ignore[no-untyped-call]  # as above
 
     def add_message(self, message: ChannelMessage, log_time: float) -> None:
@@ -133,7 +133,7 @@ def require_mcap() -> None:
 
 
 def export_mcap(stream: Iterable[StreamItem], info: MissionInfo = NO_INFO, *, out: ByteSink) -> McapRecording:
-    """Write a whole stream as an MCAP file. Raises PluginError, and what the stream and `out` raise."""
+    """Write a whole stream as an MCAP file. Raises PluginError, and the errors of the stream and of `out`."""
     recording = McapRecording(info, out)
     for item in stream:
         recording.add(item)
@@ -143,7 +143,7 @@ def export_mcap(stream: Iterable[StreamItem], info: MissionInfo = NO_INFO, *, ou
 
 def _writer(out: _CountingSink) -> Writer:
     require_mcap()
-    # Only on computers of operators, and its compressors take time to load.
+    # The package is only on computers of operators, and its compressors take time to load.
     from mcap.writer import Writer
 
     return Writer(out)  # type: ignore[arg-type]  # it writes, tells and flushes

@@ -41,7 +41,7 @@ class MessageOrder:
         self._clock = clock
         self._waiting: list[_Waiting] = []
         self._number, self._last = 0, 0.0
-        #: By how many seconds the times of messages are ahead of the monotonic clock here.
+        #: Seconds by which the times of messages are ahead of the monotonic clock here.
         self._offset = 0.0
 
     @property
@@ -50,7 +50,7 @@ class MessageOrder:
         return len(self._waiting) > MAX_WAITING
 
     def add(self, message: ChannelMessage) -> None:
-        """A message has arrived."""
+        """Add a message that has arrived."""
         now, time = self._clock.monotonic(), message.time
         # The wall clock here may be wrong as well.
         present = max(self._clock.time(), now + self._offset)

@@ -41,7 +41,7 @@ _FIELD_TYPES: Mapping[type, str] = {
 
 
 def _described(json: JsonSchema, meaning: str, unit: str = "") -> dict[str, Any]:
-    """A type with its meaning, and the unit behind it."""
+    """A type with its meaning, and the unit after it."""
     text = f"{meaning} [{unit}]".strip() if unit else meaning
     return {**json, **({"description": text} if text else {}), **({"unit": unit} if unit else {})}
 
@@ -132,7 +132,7 @@ def _json_value(value: Telemetry) -> object:
     return value
 
 
-# --- everything else ----------------------------------------------------------------------------------------
+# --- other messages -----------------------------------------------------------------------------------------
 
 
 def _fields_of(*kinds: type) -> dict[str, JsonSchema]:
@@ -181,7 +181,7 @@ def event_message(dated: DatedEvent) -> ChannelMessage:
             fields[name] = str(value)
     if dated.cause is not None:
         fields |= {"cause_host": dated.cause.host, "cause_number": dated.cause.number}
-    # A number with 63 digits in base 2 is more than most readers of JSON have.
+    # Most readers of JSON do not support numbers with 63 digits in base 2.
     head = {"host": dated.host, "incarnation": str(dated.incarnation)}
     return ChannelMessage(EVENTS, dated.time, {**head, **_without_null(fields)})
 

@@ -1,6 +1,6 @@
 """Poses and tracks of vehicles from telemetry, for map and 3D view. Pure.
 
-Where the mission states a frame of the team, a position in it takes precedence over one on the Earth.
+If the mission states a frame of the team, a position in it takes precedence over one on the Earth.
 Otherwise each vehicle has an origin of its own, and only positions on the Earth are comparable. Without an
 origin of the team the map starts at the first position on the Earth.
 """
@@ -66,7 +66,7 @@ class Track:
     last: MapPoint | None = None
     distance: float = FIRST_DISTANCE
     drawn_at: float = -TRACK_INTERVAL
-    #: Whether it has points that are not drawn yet.
+    #: Whether the track has points that are not drawn yet.
     is_longer: bool = False
 
     def add(self, point: MapPoint) -> None:
@@ -81,7 +81,7 @@ class Track:
             self.distance *= 2.0
 
     def is_due(self, now: float) -> bool:
-        """Whether to draw it; then it counts as drawn."""
+        """Whether to draw the track; then it counts as drawn."""
         if not self.is_longer or abs(now - self.drawn_at) < TRACK_INTERVAL:
             return False
         self.drawn_at, self.is_longer = now, False

@@ -15,7 +15,7 @@ from lfield.geodata.polygons import LocalPlane, length, plane_of
 from lfield.geodata.shapes import Shape, shape_findings
 
 _BOMS = (codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-#: The first characters are searched, in which a file says what it is.
+#: The number of first characters that are searched for the format of a file.
 _HEAD = 4096
 _GEOJSON = re.compile(rb'"type"\s*:\s*"(%b)"' % "|".join(TYPES).encode())
 _PLAN = re.compile(rb'"fileType"\s*:')
@@ -32,7 +32,7 @@ def read_area_file(name: str, data: bytes) -> list[Shape]:
 
 
 def is_kml(data: bytes) -> bool:
-    """Whether they are XML, or a zip file."""
+    """Whether the bytes are XML, or a zip file."""
     head = data[:_HEAD]
     for mark in _BOMS:
         head = head.removeprefix(mark)

@@ -42,7 +42,7 @@ FILE_FINDINGS: Mapping[str, str] = {
 
 
 class FileFinding(Struct, frozen=True):
-    """One finding. `item` is the item's number as ground stations show it, None for the file as a whole."""
+    """One finding. `item` is the item's number in ground stations, None for the file as a whole."""
 
     code: str
     text: str

@@ -13,7 +13,7 @@ from lfield.geodata.mission_files import PlanReport, PlanRequest, PlanZone, Posi
 from lfield.geodata.polygons import LocalPlane, circle
 from lfield.geodata.shapes import Shape
 
-#: The most corners of all drawings of a file: a browser draws them again with every movement of the map.
+#: The most corners of all drawings of a file: a browser draws all of them again when the map moves.
 MAX_DRAWN = 20_000
 
 

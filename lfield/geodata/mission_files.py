@@ -53,9 +53,9 @@ class PlanPoint(Struct, frozen=True):
 
 
 class PlanReport(Struct, frozen=True):
-    """What a mission file contains, and what is wrong with it for the vehicle of the request.
+    """The contents of a mission file, and its defects for the vehicle of the request.
 
-    `kind` and `firmware` are those that the file was made for, '' if it does not tell. `items` counts the
+    `kind` and `firmware` are those that the file was made for, '' if unknown. `items` counts the
     items of the mission. `length` is in metres, `extent` in square metres (of an area), `duration` in
     seconds. `highest` and `farthest` are metres above and from home, each with the number of its item; None
     if unknown.

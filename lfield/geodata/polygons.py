@@ -12,7 +12,7 @@ from itertools import pairwise
 
 #: Metres of a degree of latitude on a sphere of the equatorial radius (WGS 84).
 DEGREE = math.radians(6378137.0)
-#: Corners of the polygon that a circle is drawn as.
+#: Corners of the polygon that represents a circle.
 CIRCLE_CORNERS = 72
 #: Latitude and longitude in degrees; metres east and north.
 Position = tuple[float, float]
@@ -40,7 +40,7 @@ class LocalPlane:
         return (self._latitude + north / DEGREE, math.remainder(longitude, 360.0))
 
     def points(self, positions: Sequence[Position]) -> list[Point]:
-        """The same for several positions."""
+        """Metres east and north of several positions."""
         return [self.point(position) for position in positions]
 
 
@@ -145,5 +145,5 @@ def _intersect(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 
 def _turn(a: Point, b: Point, c: Point) -> float:
-    """Above 0 if c is left of the way from a to b, below 0 if right."""
+    """A number above 0 if c is left of the way from a to b, below 0 if right."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

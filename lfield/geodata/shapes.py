@@ -1,4 +1,4 @@
-"""Shapes of map files, and which of them are usable areas.
+"""Shapes of map files, and the check whether they are usable areas.
 
 An area for a vehicle is one simple polygon: it has no holes, does not cross itself, and is away from the
 antimeridian and the poles, where a flat plane does not exist.
@@ -79,7 +79,7 @@ def chosen_shape(file: str, shapes: Sequence[Shape], name: str = "") -> Shape:
 
 
 def shape_findings(shape: Shape) -> list[FileFinding]:
-    """Why a shape is not usable as an area or line; empty if it is."""
+    """The reasons why a shape is not usable as an area or line; empty if it is."""
     if (count := len(shape.corners)) > MAX_CORNERS:
         text = f"{shape.label} has {count} corners; at most {MAX_CORNERS} are permitted"
         return [FileFinding("M208", text)]

@@ -1,8 +1,8 @@
 """Parallel strips that cover a polygon: the ways of a survey. Pure.
 
 The plane is cut into bands as wide as the spacing. In each band the polygon is a row of trapezoids between
-its edges and corners; a strip is the middle line of the band along trapezoids that touch. So what is within
-half a spacing of a strip, and between its ends, is the whole polygon, also a concave one.
+its edges and corners; a strip is the middle line of the band along trapezoids that touch. So every point of
+the polygon, also of a concave one, is within half a spacing of a strip, between its ends.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def survey_strips(corners: Sequence[Position], spacing: float, heading: float) -
 
 
 def strip_numbers(strips: Sequence[SurveyStrip]) -> list[float]:
-    """Latitude and longitude of start and end of each strip: four numbers each, as L has them."""
+    """Latitude and longitude of start and end of each strip: four numbers each, for an array of L."""
     return [value for strip in strips for position in (strip.start, strip.end) for value in position]
 
 
@@ -96,7 +96,7 @@ def _intervals(points: Sequence[Point], west: float, east: float) -> list[Point]
 
 
 def _trapezoids(crossing: Sequence[tuple[Point, Point]], left: float, right: float) -> Iterator[Point]:
-    """The extent along the band of each trapezoid between two cuts, where no corner is."""
+    """The extent along the band of each trapezoid between two cuts, without a corner inside."""
     lines = []
     for a, b in crossing:
         if min(a[0], b[0]) <= left and max(a[0], b[0]) >= right and a[0] != b[0]:

@@ -1,1 +1,1 @@
-"""The inventory of a team: its hosts, their addresses, and how they are reached for provisioning."""
+"""The inventory of a team: its hosts, their addresses, and their access for provisioning."""

@@ -1,4 +1,4 @@
-"""The hosts of a team with their addresses, as an inventory file states them."""
+"""The hosts of a team with their addresses, as in an inventory file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class InventoryHost:
     """A host. `addresses` are "host:port" of the mission's host, in order of preference.
 
     `user`, `ssh_port` and `ssh_host` are for ssh: '' and 0 leave the choice to it, and to the addresses.
-    `arch` and `python` ("3.11") are '' where they are not stated. `groups` are additional groups of the
+    `arch` and `python` ("3.11") are '' if they are not stated. `groups` are additional groups of the
     service's user, `devices` is the devices file of this robot alone, None without one,
     `files` are those that its devices need (a DBC file, a key), `options` further ones of `lfield up` for the
     mission's host. `zenoh` is its own way into a Zenoh fabric.

@@ -4,7 +4,7 @@
 hosts:
   alpha:
     addresses: [10.42.0.11, "[fd00::11]:8181", "fe80::1%wlan0", "zenoh:alpha"]    # in order of preference
-    user: pi                     # of ssh; default: what ssh is configured for
+    user: pi                     # of ssh; default: that of the configuration of ssh
     ssh_port: 22
     ssh_host: alpha.local        # default: the addresses, in order
     arch: aarch64                # aarch64, x86_64 or armv7l
@@ -35,7 +35,7 @@ from lfield.text.source_text import Diagnostics, Span
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlNode, YamlScalar, read
 
-#: No dash first: it would be an option of ssh.
+#: Not a dash first: the text would be an option of ssh.
 _NAME = re.compile(r"(?!-)[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*", re.ASCII)
 _USER = re.compile(r"[a-z_][a-z0-9_-]*\$?", re.ASCII)
 _SSH_HOST = re.compile(r"(?!-)[A-Za-z0-9._:%-]+", re.ASCII)
@@ -57,7 +57,7 @@ class _Reader:
 
     def __init__(self, path: Path, found: Diagnostics) -> None:
         self._path, self._found = path, found
-        #: Which host has each address: "host:port" in a normal form.
+        #: The host of each address: "host:port" in a normal form.
         self._owners: dict[str, str] = {}
         #: The names of hosts in lower case.
         self._names: dict[str, str] = {}
@@ -152,7 +152,7 @@ class _Reader:
         return tuple(found)
 
     def _own(self, name: str, address: str, service_port: int, span: Span, fields: YamlFields) -> None:
-        """Record the ports of a host at an address; a finding where another host has one of them."""
+        """Record the ports of a host at an address; a finding if another host has one of them."""
         host, port = split_address(address)
         if port == service_port:
             hint = "the mission's host and the service listen at different ports"

@@ -1,4 +1,4 @@
-"""Reads the section `zenoh` of an inventory: how this team reaches its Zenoh fabric.
+"""Reads the section `zenoh` of an inventory: the access of this team to its Zenoh fabric.
 
 ```yaml
 zenoh:                                # for the desk, and for hosts without a section of their own

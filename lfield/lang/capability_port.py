@@ -33,18 +33,18 @@ class ConstraintProblem(Protocol):
 
     @property
     def end(self) -> int:
-        """The one behind the last."""
+        """The character after the last."""
 
     @property
     def message(self) -> str:
-        """A sentence."""
+        """The message, a sentence."""
 
     @property
     def hint(self) -> str:
-        """What to write instead, or ''."""
+        """The correct form, or ''."""
 
 
-#: What the value of a placeholder is in a query; 'nothing' for one that is reported already.
+#: The sort of the value of a placeholder in a query; 'nothing' for one that is already reported.
 PlaceholderSort = Literal["number", "text", "boolean", "nothing"]
 
 
@@ -57,7 +57,7 @@ class Placeholder(Struct, frozen=True):
 
 
 class QueryPlaceholders(Struct, frozen=True):
-    """A query that is read: its placeholders, and those within quotes; or what is wrong with it."""
+    """The placeholders of a query, and those within quotes; or the mistakes in it."""
 
     placeholders: tuple[Placeholder, ...] = ()
     quoted: tuple[Placeholder, ...] = ()
@@ -73,7 +73,7 @@ class PlaceholderValue(Struct, frozen=True):
 
 
 class CompiledQuery(Struct, frozen=True):
-    """A query with numbers for its placeholders, and their values in this order; or what is wrong."""
+    """A query with numbers for its placeholders, and their values in this order; or the mistakes."""
 
     text: str = ""
     values: tuple[PlaceholderValue, ...] = ()
@@ -81,7 +81,7 @@ class CompiledQuery(Struct, frozen=True):
 
 
 class GeneratedClasses(Struct, frozen=True):
-    """The classes of capabilities: their texts by name, and what they need besides.
+    """The classes of capabilities: their texts by name, and their common texts and files.
 
     `common` are texts that all of them need, `files` hold the classes that put several resources together.
     """
@@ -92,7 +92,7 @@ class GeneratedClasses(Struct, frozen=True):
 
 
 class CapabilityTypes(Protocol):
-    """A registry as the front end sees it. Used only when a program has an unknown name."""
+    """A registry for the front end. Used only when a program has an unknown name."""
 
     def names(self) -> Collection[str]:
         """The capabilities that can be called."""
@@ -106,7 +106,9 @@ class CapabilityTypes(Protocol):
     def registry_problems(
         self, used: Collection[str], files: Sequence[syntax.ParsedFile]
     ) -> Sequence[Diagnostic]:
-        """Where the registry does not fit a program that uses these, for instance a missing portal."""
+        """The mistakes of a registry in relation to a program that uses these, for instance a missing
+        portal.
+        """
 
     def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
         """The mistakes in the text of a condition over attributes."""

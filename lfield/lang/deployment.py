@@ -1,4 +1,4 @@
-"""Deployment files (`mission.dL`): which agent lives on which host, with which arguments (chapter IV).
+"""Deployment files (`mission.dL`): agents with their hosts and arguments (chapter IV).
 
 A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` before the slashes and the slashes themselves
 are optional. `startable` before it marks a coordinator that does not start with its host: another coordinator
@@ -247,7 +247,7 @@ class _Checks:
             )
 
     def witnesses(self, entries: list[DeploymentEntry]) -> None:
-        """A witness has one line."""
+        """Report a witness with more than one line."""
         lines: dict[str, DeploymentEntry] = {}
         for entry in sorted(entries, key=lambda entry: entry.is_witness):
             first = lines.setdefault(entry.host.text.lower(), entry)

@@ -90,7 +90,7 @@ def _resembles(host: str, other: str) -> bool:
     if _key(host) != _key(other) or name[:-1] == known[:-1]:
         return False
     if name.lower() == known.lower():
-        return False  # L709 reports these
+        return False  # such hosts are reported as L709
     start = next(
         (at for at, (one, two) in enumerate(zip(name, known, strict=False)) if one != two), len(known)
     )

@@ -42,7 +42,7 @@ class DeploymentEntry(Struct, frozen=True):
 
     @property
     def is_witness(self) -> bool:
-        """Whether it only names a host."""
+        """Whether the line only names a host."""
         return not self.type.text
 
 
@@ -65,7 +65,7 @@ def is_address(host: str) -> bool:
 
 
 def _host_hint(host: str) -> str | None:
-    """What is wrong with a host of valid characters; None if it is valid."""
+    """The mistake in a host of valid characters; None if it is valid."""
     if re.fullmatch(r"[0-9]+(\.+[0-9]*)+", host) and not is_address(host):
         return "an IPv4 address has four numbers from 0 to 255, as in 192.168.1.5"
     if host.startswith(".") or ".." in host:
@@ -135,7 +135,7 @@ class _Reader:
         return DeploymentEntry(whole, nothing, nothing, host, port, port_span, (), nothing)
 
     def strip_scheme(self, whole: Span) -> Span:
-        """The line behind `pitp://` or `//`."""
+        """The line after `pitp://` or `//`."""
         scheme = re.match(r"([A-Za-z][\w+.-]*:)?//", whole.text)
         if scheme is None:
             if whole.text.startswith("/"):

@@ -21,7 +21,7 @@ from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
 class CheckResult(Struct, frozen=True):
-    """What the front end found: the program (None when there are errors), and all diagnostics in order."""
+    """The result of the front end: the program (None when there are errors), and all diagnostics in order."""
 
     program: CheckedProgram | None
     diagnostics: list[Diagnostic]
@@ -55,8 +55,8 @@ def check_file(
 
     `devices` are the device types of the drivers by their name; `find_include` maps the path in
     `include <name/file.L>;` to a file; `capabilities` are the types of the registry. Of `doubled` resources
-    nothing will run: what they do with devices of a driver that is not there is left out. Raises
-    InputFileError when the file itself cannot be read; everything else that is wrong is a diagnostic.
+    no code will run: their use of devices of a missing driver is left out. Raises
+    InputFileError when the file itself cannot be read; all other mistakes are diagnostics.
     """
     data = read_bytes(path, MAX_TEXT)
     found = Diagnostics()

@@ -44,7 +44,7 @@ class FileSet:
                 waiting.extend(self._included(include, path))
 
     def _included(self, include: Include, origin: Path) -> list[tuple[Source, Path]]:
-        """The source of an include; nothing when it was read already or cannot be."""
+        """The source of an include; None when it was already read or cannot be read."""
         path = self._find_include(include.path) if include.library else origin.parent / include.path
         if path is None:
             self._missing(messages.INCLUDE_UNKNOWN.at(include.span, path=include.path))

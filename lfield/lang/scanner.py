@@ -43,7 +43,7 @@ class TokenKind(Enum):
 
 
 class Token(Struct, eq=False):
-    """One token; `value` is the number or the text (escapes decoded) of a literal, or what END is called."""
+    """One token; `value` is the number or the text (escapes decoded) of a literal, or the name of END."""
 
     kind: TokenKind
     text: str
@@ -51,7 +51,7 @@ class Token(Struct, eq=False):
     value: int | float | str | None = None
 
     def __str__(self) -> str:
-        """How an error message names it."""
+        """The token in an error message."""
         if self.kind is TokenKind.END:
             return str(self.value)
         if self.kind is TokenKind.STRING:
@@ -60,9 +60,9 @@ class Token(Struct, eq=False):
 
 
 class Scan(Struct):
-    """All tokens of a source, END last, and the lines on which scanning itself found a mistake.
+    """All tokens of a source, END last, and the lines on which the scanner found a mistake.
 
-    The parser reports nothing more on those lines, so that one mistake is reported once. `cut` means that
+    The parser reports no mistakes on those lines, so that one mistake is reported once. `cut` means that
     a part of the text was unreadable and may have contained anything.
     """
 
@@ -91,7 +91,7 @@ _TOKEN = re.compile(
     """,
     re.VERBOSE | re.ASCII,
 )
-#: The same with parameters of queries, `$kg`, as names.
+#: The same pattern with parameters of queries, `$kg`, as names.
 _QUERY_TOKEN = re.compile(
     _TOKEN.pattern.replace("(?P<name>          [A-Za-z_]", r"(?P<name>  \$?+[A-Za-z_]"), re.VERBOSE | re.ASCII
 )
@@ -153,7 +153,7 @@ class _Scanner:
                 self.mistake(group, text, span)
 
     def mistake(self, group: str, text: str, span: Span) -> None:
-        """Report an invalid token and replace it by the token that was probably meant."""
+        """Report an invalid token and replace it by the token that was probably intended."""
         match group:
             case "open_comment":
                 opening = self.span(span.start, span.start + 2)
@@ -210,7 +210,7 @@ def _shown(character: str) -> str:
 
 
 def _number_hint(text: str) -> str | None:
-    """What to write instead of a number of another language; None for the usual hint."""
+    """The correct form instead of a number of another language; None for the usual hint."""
     if re.fullmatch(r"0[xX][0-9a-fA-F]{1,15}|0[bB][01]{1,60}|0[oO][0-7]{1,20}", text):
         return f"L has only decimal numbers: write {int(text, 0)}"
     plain = text.replace("_", "")

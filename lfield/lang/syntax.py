@@ -1,6 +1,6 @@
 """The raw syntax tree, before names are resolved.
 
-The parser builds it, the checker turns it into tree.py. Where a piece of text made no sense there is a
+The parser builds this tree, the checker converts it to the nodes of tree.py. An invalid piece of text is a
 `Bad` node, which the checker does not report again.
 """
 
@@ -18,7 +18,7 @@ BAD_TYPE = "?"
 
 
 class TypeName(Struct, eq=False):
-    """`Server`, `int[]`, `map<string, int>`: a name, the types in `<>`, and how many `[]` follow."""
+    """`Server`, `int[]`, `map<string, int>`: a name, the types in `<>`, and the number of `[]`."""
 
     span: Span
     name: str
@@ -34,7 +34,7 @@ class TypeName(Struct, eq=False):
 
 
 class Expr(Struct, eq=False):
-    """An expression; `height` is how deep it nests, which the parser limits. Links of a chain do not nest."""
+    """An expression; `height` is its nesting, which the parser limits. Links of a chain do not nest."""
 
     span: Span
     height: int

@@ -1,8 +1,8 @@
-"""The checked tree: what the front end hands to the compiler.
+"""The checked tree: the output of the front end for the compiler.
 
-Every name is resolved to the thing it means, every expression has its type, every conversion is a node,
-every overload is chosen. What was sugar (`for`, `+=`, field initialisers, implicit `this`, constructors) is
-spelled out, so the compiler has one way to read each idea. Nodes are compared by identity.
+Every name is resolved to its declaration, every expression has its type, every conversion is a node,
+every overload is selected. Short forms (`for`, `+=`, field initialisers, implicit `this`, constructors) are
+expanded, so the compiler handles a single form of each construct. Nodes are compared by identity.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class Method(Struct, eq=False):
 
 
 class ResourceLoop(Struct, eq=False):
-    """A loop of a resource: its body, the method of its thread, and its fields, which no name leads to.
+    """A loop of a resource: its body, the method of its thread, and its fields, which have no name in L.
 
-    `running`: the body runs now; `engaged`: it suppresses loops of lower priority.
+    `running`: the body runs now; `engaged`: the loop suppresses loops of lower priority.
     """
 
     body: Method
@@ -114,11 +114,11 @@ class Unit(Struct, eq=False):
         self._methods.setdefault((made.name, made.kind), []).append(made)
 
     def add_library_method(self, made: Method) -> None:
-        """Add a method of the library for arrays, which no name of the program leads to."""
+        """Add a method of the library for arrays, which has no name in L."""
         self.library_methods.append(made)
 
     def add_hidden_field(self, name: str, kind: Type, span: Span) -> Field:
-        """Add a field that no name of the program leads to: its name is not one of L."""
+        """Add a field that a program cannot name: its name is not one of L."""
         made = Field(name, kind, len(self.fields), public=False, span=span)
         self.fields.append(made)
         return made
@@ -144,7 +144,7 @@ class Unit(Struct, eq=False):
             methods.clear()
 
     def mark_thrown(self) -> None:
-        """Objects of this class become exceptions."""
+        """Record that objects of this class become exceptions."""
         self.thrown = True
 
     @property
@@ -194,14 +194,14 @@ class CheckedProgram(Struct, eq=False):
 
 
 class Expr(Struct, eq=False):
-    """Anything with a value. `type` may be VOID for calls."""
+    """An expression with a value. `type` may be VOID for calls."""
 
     span: Span
     type: Type
 
 
 class EnumName(Expr, eq=False):
-    """The name of an enum, before a member or a method. Only the checker sees it."""
+    """The name of an enum, before a member or a method. Only in the checker."""
 
     enum: Enumeration
 
@@ -237,7 +237,7 @@ class Element(Expr, eq=False):
 
 
 class Assign(Expr, eq=False):
-    """`target = value`; its own value is the value assigned. The types are equal already."""
+    """`target = value`; its own value is the value assigned. Both types are equal."""
 
     target: LocalGet | FieldGet | Element
     value: Expr
@@ -331,7 +331,9 @@ class Find(Expr, eq=False):
 
 
 class Query(Expr, eq=False):
-    """`findC(constraint)`: offers; `teamsC(constraint, size)`: teams of them; `explainC`: why no others."""
+    """`findC(constraint)`: offers; `teamsC(constraint, size)`: teams of them; `explainC`: the reasons
+    against others.
+    """
 
     capability: Unit
     constraint: Expr | None
@@ -361,7 +363,7 @@ class LoopName(Expr, eq=False):
 class DeviceCall(Expr, eq=False):
     """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types."""
 
-    #: A field of the resource itself, or what gives a device that an object was given.
+    #: A field of the resource itself, or the expression for a device that was passed to an object.
     device: Field | Expr
     manifest: DeviceManifest
     instruction: Instruction
@@ -390,7 +392,7 @@ class Evaluate(Stmt, eq=False):
 
 
 class Declare(Stmt, eq=False):
-    """A local comes into scope; with no value it is set to 0, false or null (again, in a loop)."""
+    """Declares a local, which is set to 0, false or null without a value (again, in a loop)."""
 
     local: Local
     value: Expr | None

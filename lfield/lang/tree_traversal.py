@@ -44,7 +44,7 @@ def first_evaluated_operand(expr: tree.Expr) -> tree.Expr | None:
         case tree.Binary():
             return expr.left
         case tree.Logical(right=tree.LocalGet()):
-            # Reading a local does nothing and cannot fail, so both sides are read.
+            # Reading a local has no effect and cannot fail, so both sides are read.
             return expr.left
         case tree.FieldGet() | tree.Call():
             return expr.object

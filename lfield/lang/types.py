@@ -61,14 +61,14 @@ UNKNOWN = Type("unknown")
 TICKET = Type("ticket")
 #: The types whose classes are of the library: only their public methods are visible.
 LIBRARY_CLASSES = (MapType, FutureType)
-#: `Exception`: what `catch (Exception e)` binds; every object fits it, only throw and three methods take it.
+#: `Exception`: the type in `catch (Exception e)`; every object fits it, only throw and three methods take it.
 EXCEPTION = ClassType("Exception")
-#: What the name of a loop has; no value has it.
+#: The type of the name of a loop; no value has it.
 LOOP = Type("loop")
 
-#: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and what each
-#: is a kind of: a catch of that catches both. A robot in trouble with its hardware is one case, however
-#: the hardware failed; the others have nothing in common that one handler could do about them.
+#: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and the base
+#: of each: a catch of the base catches both. All failures of hardware have one base class; the others have no
+#: common remedy for one handler.
 BUILTIN_EXCEPTIONS = {
     "UnreachableResourceException": "Exception",
     "RestartException": "Exception",

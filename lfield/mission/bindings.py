@@ -22,8 +22,8 @@ from lfield.vm.engine_interface import AgentLimits
 #: Bytes. A heap is addressed by 32-bit offsets; an empty agent needs a page.
 MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
-#: Seconds that a host with simulated devices may be silent: nothing can be hurt, and a desktop computer may
-#: be busy. The value in a devices file is for the field.
+#: Seconds that a host with simulated devices may be silent: no person or device is at risk, and a desktop
+#: computer may be busy. The value in a devices file is for the field.
 SIM_SILENCE = 2.0
 
 #: Range and default of the lease of a fenced coordinator's host, in seconds.
@@ -58,8 +58,9 @@ class RecoverySettings:
     members: tuple[str, ...] = ()
 
     def among(self, hosts: Collection[str]) -> RecoverySettings:
-        """The same with its members in the order of the team. Raises BindingError for a large team without
-        members."""
+        """The settings with the members in the order of the team. Raises BindingError for a large team
+        without members.
+        """
         if not self.members and len(hosts) > MAX_MEMBERS:
             raise BindingError(
                 [
@@ -109,12 +110,12 @@ class Frames:
         return self.origin is not None or bool(self.hosts or self.agents)
 
     def place(self, host: str) -> Vector | None:
-        """The position of a host, None where it is not given."""
+        """The position of a host, None if it is not given."""
         pose = self.hosts.get(host)
         return None if pose is None else (pose.north, pose.east, pose.down)
 
     def placement(self, agent: str) -> Placement | None:
-        """The placement of an agent; None where it is not given."""
+        """The placement of an agent; None if it is not given."""
         pose = self.agents.get(agent)
         if self.origin is None and pose is None:
             return None
@@ -125,7 +126,7 @@ class Frames:
 class Bindings:
     """Limits of agents, and devices by agent and field; times are in seconds.
 
-    `attributes` is what they state of single agents in units of the registry, a set as its members.
+    `attributes` are the stated values of single agents in units of the registry, a set as its members.
     `engine` selects the engine that runs the program (`lfield.vm.wasm.engine_selection`).
     """
 

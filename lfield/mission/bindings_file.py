@@ -143,7 +143,8 @@ def read_bindings(
 def unstated_options(
     path: Path, bindings: Bindings, drivers: DriverLookup, resources: Mapping[str, str]
 ) -> list[Diagnostic]:
-    """Warnings about options of a valid devices file that the names of the mission should decide, and do not.
+    """Warnings about options that the names of the mission should determine, but a valid devices file does
+    not.
 
     `bindings` are those of the file, `resources` the types of the agents.
     """
@@ -166,7 +167,7 @@ def unstated_options(
 
 
 def read_frames(path: Path | None, homes: Mapping[str, str]) -> Frames:
-    """Only the frames in a devices file (None: there is no file); `homes` are the hosts of its agents.
+    """The frames in a devices file (None: there is no file); `homes` are the hosts of its agents.
 
     Raises as `read_bindings`, for errors in those keys.
     """
@@ -314,7 +315,7 @@ class BindingsReader:
         return RecoverySettings(lease, members)
 
     def _check_members(self, fields: YamlFields, nodes: Sequence[YamlNode]) -> None:
-        """Each is another host of the team, and there are at most MAX_MEMBERS."""
+        """Checks that each member is another host of the team, and that there are at most MAX_MEMBERS."""
         self._check_hosts(fields, nodes, "name each member once")
         if not 1 <= len(nodes) <= MAX_MEMBERS:
             message = f"'members' must be 1 to {MAX_MEMBERS} hosts, not {len(nodes)}"
@@ -330,7 +331,7 @@ class BindingsReader:
         return MissionStart(without)
 
     def _check_hosts(self, fields: YamlFields, nodes: Sequence[YamlNode], once: str) -> None:
-        """Each is another host of the team; `once` is the hint for a duplicate."""
+        """Checks that each is another host of the team; `once` is the hint for a duplicate."""
         texts = [n for n in nodes if isinstance(n, YamlScalar) and isinstance(n.value, str)]
         names = [str(node.value) for node in texts]
         for number, (host, node) in enumerate(zip(names, texts, strict=True)):

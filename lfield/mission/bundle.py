@@ -63,7 +63,7 @@ class PartEntry(NamedTuple):
 
 
 class BindingsPart(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The part `bindings`: what a host may override. `addresses` are "host:port" by host."""
+    """The part `bindings`, which a host may override. `addresses` are "host:port" by host."""
 
     bindings: Bindings
     addresses: dict[str, str]

@@ -150,7 +150,9 @@ def _device(device: DeviceBinding, drivers: DriverIndex) -> Iterator[str]:
 
 
 def _can_be_ended(instruction: Instruction, device: DeviceManifest) -> bool:
-    """Whether its cancel is a keyword, or another instruction of the device without arguments."""
+    """Whether the cancel of an instruction is a keyword, or another instruction of the device without
+    arguments.
+    """
     end = device.instruction(instruction.cancel)
     return instruction.cancel in ("", NEVER, LEAVE) or (end is not None and not end.parameters)
 

@@ -68,7 +68,7 @@ def _devices(
 
 
 def _needed(node: YamlNode, plugins: Plugins) -> NeededDevices:
-    """The types of all devices of the file, as far as the file itself gives them."""
+    """The types of all devices of the file, as far as the file itself states them."""
     needed: dict[str, dict[str, str]] = {}
     for agent, section in _entries(_child(node, "agents")):
         fields = needed.setdefault(agent, {})

@@ -51,7 +51,7 @@ DEVICES, CAPABILITIES, ACCESS = ".devices.yaml", ".capabilities.yaml", ".access.
 def _without_gc() -> Iterator[None]:
     """Disable Python's garbage collector: trees, tables and registries live until the end anyway.
 
-    Each collection would scan them all, and their number grows with the program.
+    Each collection would scan all objects, and their number grows with the program.
     """
     running = gc.isenabled()
     gc.disable()
@@ -124,7 +124,7 @@ def _access(deploy: Path, team: Team, program: Program, types: RegistryTypes) ->
 
 
 def _check_deployment(path: Path) -> None:
-    """The names of the other files follow from the deployment's name: reject other suffixes."""
+    """Reject other suffixes: the names of the other files follow from the deployment's name."""
     require_file(path)
     if path.suffix != ".dL":
         raise DamagedFileError(str(path), "neither a deployment (.dL) nor a bundle (.lfm)")
@@ -192,7 +192,7 @@ def registry_of_program(path: Path, plugins: Plugins) -> RegistryTypes:
 
 
 def _fully_doubled(deploy: Path, doubled: Collection[str]) -> frozenset[str]:
-    """The resource types all of whose agents are replaced by a test: they execute nothing."""
+    """The resource types all of whose agents are replaced by a test: they execute no code."""
     agents = read_deployment(deploy, None).agents if doubled else ()
     run = {agent.type for agent in agents if agent.id not in doubled}
     return frozenset(agent.type for agent in agents if agent.type not in run)

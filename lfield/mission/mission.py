@@ -1,6 +1,7 @@
-"""A mission as plain data: everything that a host needs to run it.
+"""A mission as plain data: all inputs of a host that runs it.
 
-On the ground computer `load` builds it from files; a robot reads it from a bundle. Knows neither L nor YAML.
+On the ground computer `load` builds the mission from files; a robot reads it from a bundle. Independent of L
+and YAML.
 """
 
 from __future__ import annotations
@@ -77,12 +78,12 @@ class Mission:
 
     @property
     def needed(self) -> NeededDevices:
-        """By agent its device fields and their device types."""
+        """The device fields and their device types, by agent."""
         return needed_devices(self.program, self.team)
 
     @cached_property
     def calls(self) -> CallPermissions | None:
-        """The access rules for portal calls; None where every coordinator may call everything."""
+        """The access rules for portal calls; None if every coordinator may call every portal."""
         if not self.access.callers:
             return None
         return CallPermissions(self.access, self.team.members, [m.name for m in self.program.core.methods])
@@ -120,7 +121,7 @@ class Mission:
 
     @cached_property
     def world(self) -> DeviceWorld:
-        """Whether its devices are simulated."""
+        """The kind of the devices: `fakes`, `hardware`, '' without any."""
         endpoints = [device.endpoint for device in self.bindings.all]
         if not endpoints:
             return ""
@@ -142,7 +143,7 @@ class Mission:
         return chosen.among(self.team.hosts) if self.fenced else replace(chosen, members=())
 
     def on_fakes(self) -> Mission:
-        """The same mission with all devices simulated; its warnings list which devices were chosen."""
+        """The same mission with all devices simulated; its warnings list the selected devices."""
         needed, types = self.needed, self.team.types
         bindings = on_fakes(self.bindings, needed, self.drivers, types)
         chosen = chosen_fakes(bindings, needed, self.drivers, types)
@@ -172,7 +173,7 @@ def with_poses(registry: Registry, types: Mapping[str, str], frames: Frames) -> 
 
 
 def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:
-    """By agent of a team its device fields and their device types."""
+    """The device fields and their device types of a team, by agent."""
     classes = {record.name: record for record in program.core.classes}
     return {m.id: {field.name: field.type for field in classes[m.type].devices} for m in team.members}
 
@@ -186,9 +187,9 @@ def drivers_for(drivers: DriverLookup, types: Collection[str]) -> DriverIndex:
 def with_installed_drivers(
     mission: Mission, host: str, entries: Iterable[EntryPoint] | None = None
 ) -> Mission:
-    """The mission as a host runs it: with the installed drivers of its own devices.
+    """The mission with the installed drivers of the devices of its host.
 
-    The drivers of other devices stay: the host knows from them which hosts have vehicles. Raises PluginError
+    The drivers of other devices stay: they tell the host which hosts have vehicles. Raises PluginError
     for a driver of its own devices that is not installed.
     """
     own = {device.driver for device in mission.devices_of(host)}

@@ -34,7 +34,7 @@ def check_registry(
 
     A file named `NAME.capabilities.yaml` belongs to a mission: it may override the registry of lfield, its
     agents are those of `NAME.dL` in its folder, and its program is `NAME.L` unless `program` is given. A note
-    lists what a resource type of the program, with the name of one of lfield, does not serve. Raises
+    lists the primitives that a resource type of the program lacks, with the name of one of lfield. Raises
     InputFileError for a file that cannot be read.
     """
     missions = [path for path in files if path.name.endswith(CAPABILITIES)]
@@ -63,12 +63,12 @@ def check_registry(
 
 
 def _of(span: Span, files: Iterable[Path]) -> bool:
-    """Whether something is defined in one of some files."""
+    """Whether a name is defined in one of some files."""
     return Path(span.source.name).resolve() in {file.resolve() for file in files}
 
 
 def _without_duplicates(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Without duplicates: the files that missions share are read once for each of them."""
+    """The findings without duplicates: files that missions share are read once for each of them."""
     return list({(m.code, m.span.source.name, m.span.start): m for m in mistakes}.values())
 
 

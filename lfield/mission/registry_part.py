@@ -1,4 +1,4 @@
-"""The registry as a part of a bundle: what robots need for decisions, without source positions and
+"""The registry as a part of a bundle: the data for decisions of robots, without source positions and
 explanations.
 
 An expression is stored as text and syntax tree, so a robot needs no parser. The tree is checked again when it

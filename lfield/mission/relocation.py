@@ -1,6 +1,6 @@
 """Makes a mission independent of the folder that it was built in.
 
-So the same files produce the same bundle in any folder.
+Then the same files produce the same bundle in any folder.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _name(file: str, folder: Path) -> str:
 
 
 def _below(file: str, folder: Path) -> str:
-    """A file relative to a folder that contains it; '' when it does not."""
+    """A file relative to a folder that contains it; '' for any other folder."""
     try:
         return Path(file).resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:
@@ -64,6 +64,6 @@ def _below(file: str, folder: Path) -> str:
 
 
 def _renamed(warning: str, names: dict[str, str]) -> str:
-    """A rendered warning starts with the name of its source."""
+    """A rendered warning with the new name of its source, with which it starts."""
     name = next((name for name in names if warning.startswith(f"{name}:")), None)
     return warning if name is None else names[name] + warning.removeprefix(name)

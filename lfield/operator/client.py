@@ -62,11 +62,11 @@ MAX_AT_ONCE, MAX_FOREIGN, MAX_LINES = 512, 128, 8
 #: The largest block, in bytes; an observer receives none.
 _MAX_BLOCK = 1 << 20
 
-#: Asks for the state of a host as of its newest event: a subscription that ends with its first batch. The
-#: other one is repeated when a link ends, for example among many clients.
+#: Requests the state of a host as of its newest event: a subscription that ends with its first batch. The
+#: second one is repeated when a link ends, for example among many clients.
 SNAPSHOT = Request(Subscribe(once=True), EventBatch, 2.0)
 RETRIED_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0, is_retried=True)
-#: The same with all that each host knows of all agents; the other one of hosts that may be busy.
+#: The same with the records of each host about all agents; the second one for hosts that may be busy.
 FULL_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 2.0)
 PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0)
 
@@ -74,7 +74,7 @@ PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0
 def emergency_stop(
     reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Request[EmergencyStopResult]:
-    """An emergency stop, or with `lift` its end. The answer comes when the devices have confirmed it.
+    """Sends an emergency stop, or with `lift` its end. The answer comes when the devices have confirmed it.
 
     A lift is not retried: another operator may have stopped the team again. `draw` gives random bytes for the
     id of the order.
@@ -91,7 +91,7 @@ def forget(agent: str) -> Request[ForgetResponse]:
 def pause(
     *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Request[EmergencyStopResult]:
-    """A pause of the mission, or with `lift` its end, which is not retried."""
+    """Sends a pause of the mission, or with `lift` its end, which is not retried."""
     return Request(Pause(draw(ID_SIZE), lift), EmergencyStopResult, 8.0, is_retried=not lift)
 
 
@@ -113,10 +113,10 @@ def ask_teams(
 def ask_in_turn(
     teams: Sequence[TargetTeam], request: Request[T], keys: Path | None = None
 ) -> Iterator[dict[HostRef, T | LfieldError]]:
-    """The answers in parts that are not empty, those of other users' hosts last.
+    """The answers in non-empty parts, those of other users' hosts last.
 
-    A host that does not answer delays the answers of others by at most `REPORT_AFTER`. Nothing is sent while
-    the caller uses a part. A bug in lfield is raised after all requests.
+    A host that does not answer delays the answers of others by at most `REPORT_AFTER`. No request is sent
+    while the caller uses a part. A bug in lfield is raised after all requests.
     """
     places = {place: address for party in teams for place, address in party.host_refs.items()}
     failed: dict[HostRef, LfieldError] = {}
@@ -171,12 +171,12 @@ def _remember(known: KnownHosts, answers: Mapping[HostRef, T | LfieldError]) -> 
 
 
 def by_host(found: Mapping[HostRef, V], party: TargetTeam) -> dict[str, V]:
-    """What was found of the hosts of one team, by host."""
+    """The results of the hosts of one team, by host."""
     return {place.host: found[place] for place in party.host_refs}
 
 
 def is_reached(answer: T | LfieldError) -> bool:
-    """Whether a program listens there, even if it refused the request."""
+    """Whether a program listens at the address, even if it refused the request."""
     return not isinstance(answer, NoListener)
 
 

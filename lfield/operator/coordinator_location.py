@@ -33,8 +33,8 @@ def parked_copies(agent: str, hosts: Mapping[K, HostState]) -> Iterator[tuple[K,
 
 
 def require_in_doubt(agent: str, hosts: Mapping[K, HostState], names: Mapping[K, str]) -> None:
-    """Raises CoordinatorAlive when a host has the coordinator, and UsageError when nothing of it
-    is in doubt, lost or parked.
+    """Raises CoordinatorAlive when a host has the coordinator, and UsageError when no copy of it is in
+    doubt, lost or parked.
     """
     require_no_live_copy(agent, hosts, names)
     found = list(records(agent, hosts))

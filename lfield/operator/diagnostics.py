@@ -1,7 +1,7 @@
 """Diagnoses of `lfield doctor`: problems between a computer and its devices, with remedies.
 
-Passive: it reads files, queries the system and measures scheduling delays; only `endpoints` opens devices, as
-a mission would.
+Passive: the diagnosis reads files, queries the system and measures scheduling delays; only `endpoints` opens
+devices, as a mission would.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from lfield.vm.wasm.engine_selection import has_wasm, wasm_engine
 
 #: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
 PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
-#: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
+#: Milliseconds that a USB adapter may hold bytes back; the usual 16 delay every answer.
 SERIAL_LATENCY = 1
 _REINSTALL = "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
 #: The program to test an engine with: its code needs every feature that a version of wasmtime may lack.
@@ -49,7 +49,7 @@ resource Tried {
   }
 }
 """
-#: What `lfield doctor` diagnoses, by code.
+#: The subjects of the diagnoses of `lfield doctor`, by code.
 DIAGNOSES = {
     "python": "version of Python, number of processors",
     "engine": "engine that runs programs",
@@ -75,7 +75,7 @@ _TIME_ERROR = 5
 class DiagnosticFinding:
     """One diagnosis; `code` is that of `DIAGNOSES`, `details` are lines, `cure` is the remedy of a problem.
 
-    The level `note` is for something that this mission does not need.
+    The level `note` is for a fact that this mission does not need.
     """
 
     code: str
@@ -85,7 +85,7 @@ class DiagnosticFinding:
     details: Sequence[str] = ()
 
     def as_data(self) -> dict[str, object]:
-        """As of JSON."""
+        """The finding as JSON data."""
         return {
             "code": self.code,
             "state": self.state,
@@ -112,7 +112,7 @@ def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[DiagnosticFindi
 
 
 def shared_runs() -> DiagnosticFinding:
-    """Whether the group may see and stop what this user starts."""
+    """Whether the group may see and stop the runs that this user starts."""
     if shared_group_id() is not None:
         return DiagnosticFinding(
             "shared-runs",
@@ -147,7 +147,9 @@ def engine() -> DiagnosticFinding:
 
 
 def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[DiagnosticFinding]:
-    """The installed drivers. What one of them lacks is a problem only where a mission has `used` it."""
+    """The installed drivers. A missing dependency is a problem only for a driver that a mission has
+    `used`.
+    """
     for name, installed in sorted(plugins.by_driver.items()):
         if missing := installed.plugin.missing:
             lacks = f"driver {name}: not installed: {', '.join(missing)}"
@@ -259,7 +261,7 @@ def confinement() -> DiagnosticFinding:
 async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> DiagnosticFinding:
     """Whether this computer, under its present load, supports a `silence` in seconds; takes about 1 s.
 
-    Not to keep what the bindings of hardware say is a problem (`bound`): a host would not start.
+    If bindings of hardware require that silence (`bound`), an excess is a problem: a host would not start.
     """
     limit = JitterLimit(silence, event_loop.may_raise_timer_priority())
     late = await measure_jitter(limit, clock)
@@ -277,9 +279,9 @@ async def endpoints(
     on_finding: Callable[[DiagnosticFinding], None],
     setup: str = "lfield setup",
 ) -> None:
-    """Identifies the device at each bound endpoint; nothing is moved or written.
+    """Identifies the device at each bound endpoint; no device is moved or written.
 
-    `setup` is the command that sets up those that are not.
+    `setup` is the command that sets up devices that are not set up.
     """
     for device in devices:
         plugin = load_plugin(drivers.by_driver[device.driver].reference)

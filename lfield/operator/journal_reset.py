@@ -1,4 +1,4 @@
-"""Plans the reset of a journal: what is discarded, and what forbids it. Sans-IO.
+"""Plans the reset of a journal: the copies that it discards, and the reasons against it. Sans-IO.
 
 `lfield up --fresh` starts another run. Copies on this host are discarded after a confirmation. Copies that
 have left it belong to other hosts, which are queried.

@@ -20,7 +20,7 @@ _HOLDERS: tuple[Holder, ...] = ("host", "person")
 def local_keys_health(
     environment: Mapping[str, str], at: float, system: Path = folders.SYSTEM
 ) -> Iterator[DiagnosticFinding]:
-    """The same for all keys on this computer that this user may read; a note if there are none."""
+    """The findings about all keys on this computer that this user may read; a note if there are none."""
     found = folders.local_folders(environment, system)
     for folder in found:
         yield from health(folder, at)
@@ -50,7 +50,7 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
             keys = folders.read_keys(folder, holder)
             yield _finding(folder, keys, at)
         except KeysError as error:
-            # Of a file that cannot be used it names the path.
+            # The error about an unusable file names its path.
             place = "keys" if str(folder) in str(error) else f"keys {folder}:"
             yield DiagnosticFinding("keys", "problem", f"{place} {error}")
 

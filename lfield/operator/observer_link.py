@@ -56,7 +56,7 @@ class Request(Generic[T]):
 def input_line(agent: str, text: str) -> Request[InputResult]:
     """Gives an agent of the host a line of input, of at most `MAX_INPUT` characters.
 
-    It is not retried: a repeated line could answer another question.
+    The request is not retried: a repeated line could answer another question.
     """
     return Request(InputLine(agent, text), InputResult, 8.0)
 
@@ -72,22 +72,22 @@ class ObserverLink:
     """The handler of one link of an observer, but for messages and its end."""
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Never: an observer receives no coordinators."""
+        """Raises WireError: an observer receives no coordinators."""
         raise WireError("a coordinator was sent to an observer")
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Nor a larger one."""
+        """Raises WireError, as `on_transfer`."""
         raise WireError("a coordinator was sent to an observer")
 
     def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
-        """A host sends more than this computer can process: it is read more slowly, then closed."""
+        """Ignores the excess: a host that sends too much is read more slowly, then closed."""
 
 
 def answer_challenge(message: Message, challenge: OrderChallenge) -> OrderMessage | None:
     """The order with the epoch of a challenge, or None if it must not be repeated.
 
-    A stop or a pause is still wanted. The end of one is repeated only where it named no state of the host:
-    else a newer order came in between.
+    A stop or a pause is repeated. The end of one is repeated only if it named no state of the host:
+    otherwise a newer order came in between.
     """
     if not isinstance(message, OrderMessage) or message.id != challenge.id:
         return None
@@ -166,7 +166,8 @@ class _RequestLink(ObserverLink, Generic[T]):
         except LfieldError:
             raise
         except Exception as bug:
-            # The link would only end, which looks like an end by the host, and the request would be repeated.
+            # An exception would only end the link, like an end by the host, and the request would be
+            # repeated.
             if not self.answer.done():
                 self.answer.set_exception(bug)
 

@@ -30,7 +30,8 @@ class RecoveryCandidate:
 def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> RecoveryCandidate:
     """The candidate to recover an agent, from the state of all hosts that answer.
 
-    Raises CoordinatorAlive when a host runs it, also for another mission, and UsageError when no copy exists.
+    Raises CoordinatorAlive when a host runs the agent, also for another mission, and UsageError without a
+    copy.
     """
     require_no_live_copy(agent, hosts, names)
     found = list(records(agent, hosts))

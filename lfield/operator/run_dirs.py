@@ -38,9 +38,9 @@ class RunLocation(NamedTuple):
 
 
 class SearchRoot(NamedTuple):
-    """Directories that may contain runs, and the users whose runs are believed there.
+    """Directories that may contain runs, and the users whose runs are trusted there.
 
-    They are `foreign` where these are neither this user, nor root, nor a service.
+    The directories are `foreign` if these users are neither this user, nor root, nor a service.
     """
 
     paths: Sequence[Path]
@@ -52,7 +52,7 @@ class SearchRoot(NamedTuple):
 
 
 def run_locations() -> Iterator[RunLocation]:
-    """Where this process may publish its run, the preferred location first."""
+    """The locations where this process may publish its run, the preferred one first."""
     service = user_dirs.service_runtime_dir()
     if service is not None and service.is_dir():
         found = service.stat()
@@ -88,13 +88,13 @@ def search_roots() -> Iterator[SearchRoot]:
         return
     group = shared_group_id()
     for user, paths in _dirs_of_others().items():
-        # Only root and members of the group can have given a directory to it.
+        # Only root and members of the group can have set the group of a directory.
         if own_paths := [path for path in paths if _is_root() or _group_of(path) == group]:
             yield SearchRoot(own_paths, {user}, is_foreign=user != ROOT)
 
 
 def unreadable_hint() -> str:
-    """What to do for a service's runs that this user may not see; '' when there can be none."""
+    """The remedy for a service's runs that this user may not see; '' when there can be none."""
     service = user_dirs.service_runtime_dir() or SERVICE
     if not service.exists() or os.access(service, os.R_OK | os.X_OK):
         return ""
@@ -110,7 +110,7 @@ def searched_dirs() -> list[str]:
 
 
 def _own_dirs() -> list[Path]:
-    """Where runs of this user can be, in any environment of their processes."""
+    """The directories of runs of this user, in any environment of their processes."""
     session, shared = user_dirs.session_runtime_dir(), user_dirs.shared_runtime_dir()
     if not _searches_everywhere():
         return [session or shared]

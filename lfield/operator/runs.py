@@ -1,14 +1,14 @@
 """Registry of the runs on this computer: each `lfield up` has a private directory that commands find.
 
     <base>/<mission>-<8 hex digits>/
-        note.json     what runs: the mission, who started it and when, where its hosts are (Note)
+        note.json     the mission, its user and time of start, the addresses of its hosts (RunManifest)
         alpha.sock    the Unix socket of each host that runs here, for ps, query and estop
 
 The bases are those of `run_dirs`; where one is open to a group, so are the run, its note and its sockets.
 
 A run lives as long as a process holds the lock of its note. A process id can be reused; a lock ends with its
 process. It is a write lock of an open file (F_OFD_SETLK), so a group that may only read the note cannot take
-it. The next command of the user removes what a killed run has left.
+it. The next command of the user removes the directory of a killed run.
 
 The note of another user is not trusted: it may claim any host of any mission, so it is kept separate.
 """
@@ -80,8 +80,8 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
     seconds since 1970; every device must come to rest within `rest_within` seconds. `addresses` has the
     "address:port" of every host of the team, `control_sockets` the name of the socket of
-    each that runs here. The owner is that of the file, and every socket is inside its folder. `zenoh` is how
-    this computer reaches addresses in a Zenoh fabric; None without such an address.
+    each that runs here. The owner is that of the file, and every socket is inside its folder. `zenoh` has the
+    settings for addresses in a Zenoh fabric; None without such an address.
     """
 
     mission: Annotated[str, Meta(max_length=4096)]
@@ -161,7 +161,7 @@ def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManife
 
 @contextmanager
 def publish_run(manifest: RunManifest, report: Callable[[str], None]) -> Iterator[ControlSockets]:
-    """Publish a run to commands on this computer; `report` prints which users would not find it.
+    """Publish a run to commands on this computer; `report` prints the users who would not find it.
 
     Raises OutputFileError if no command would find it, or other users could change it.
     """
@@ -249,7 +249,7 @@ def runs_here() -> list[Run]:
 
 
 def no_runs_hint() -> str:
-    """The searched directories, and what to do for runs that are elsewhere."""
+    """The searched directories, and the remedy for runs that are elsewhere."""
     hidden = unreadable_hint()
     return (
         f"searched {listed(searched_dirs())}; for a run with another XDG_RUNTIME_DIR set the same "
@@ -285,10 +285,10 @@ def _names_in(base: Path, owners: Collection[int], most: int | None = None) -> l
 def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
     """Whether a process of the run in that directory is alive: one that may write its manifest.
 
-    `unsure` where that cannot be seen.
+    Returns `unsure` if that cannot be determined.
     """
     try:
-        # It may be a FIFO, whose open would block until a writer opens it.
+        # The file may be a FIFO, whose open would block until a writer opens it.
         note = os.open(folder / _MANIFEST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
         return False
@@ -313,7 +313,7 @@ def _remove_abandoned(base: Path) -> None:
 
 
 def _is_abandoned(folder: Path, name: str) -> bool:
-    """Whether it is the directory of a run; one that is being created is not locked at first."""
+    """Whether a directory is that of an abandoned run; one that is being created is not locked at first."""
     if _ID.fullmatch(name):
         return True
     try:

@@ -1,7 +1,7 @@
 """Tracks the devices after an emergency stop until they are at rest: answers in, lines and a verdict out.
 
 A device is done when its host has confirmed its safe state and recent telemetry shows it at rest. `is_over`
-says when all are done, or the time is up.
+is true when all are done, or the time is up.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Least seconds between two lines about the activity of one device.
 REPORT_INTERVAL = 1.0
-#: Telemetry older than this (seconds) says nothing about the present state of a device.
+#: Telemetry older than this (seconds) does not show the present state of a device.
 SILENCE_TIMEOUT = 3.0
 
 #: Telemetry counts as newer than the last when it is newer by more than this (s).
@@ -34,8 +34,8 @@ AT_REST = "at rest"
 
 @dataclass(slots=True)
 class DeviceProgress:
-    """A device after a stop: `problem` is why its safe state was not confirmed, `activity` its present
-    motion.
+    """A device after a stop: `problem` is the reason why its safe state was not confirmed, `activity` its
+    present motion.
 
     `last` is its last known activity, or its telemetry if that is from before the stop; `last_contact` is its
     time. `last_report` is the text and time of the last line about it. `has_host_answered`: its host has
@@ -55,8 +55,8 @@ class DeviceProgress:
     last_report: tuple[str, float] | None = None
 
     def update(self, found: DeviceState, since: float, now: float) -> None:
-        """Its host has reported its state. Telemetry from before the stop, `since` s ago, is no proof of
-        rest.
+        """Handles a report of the host about the device. Telemetry from before the stop, `since` s ago, is
+        no proof of rest.
         """
         self.telemetry = found.telemetry
         if found.silent is not None and found.silent >= min(since, SILENCE_TIMEOUT):
@@ -70,11 +70,11 @@ class DeviceProgress:
         self.last_contact = now - (found.silent or 0.0)
 
     def on_host_answered(self) -> None:
-        """Its host has reported, whether or not the report contains this device."""
+        """Records an answer of the host, whether or not it contains this device."""
         self.has_host_answered = True
 
     def on_host_silent(self, error: LfieldError) -> None:
-        """Its host did not answer."""
+        """Records that the host did not answer."""
         self.has_host_ended = isinstance(error, NoListener)
         if not self.is_at_rest:
             self.activity = (
@@ -82,7 +82,7 @@ class DeviceProgress:
             )
 
     def is_finished(self, seconds: float) -> bool:
-        """Whether it is observed no longer, `seconds` after the stop."""
+        """Whether the device is no longer observed, `seconds` after the stop."""
         is_unreachable = not self.has_host_answered and seconds >= UNREACHABLE_TIMEOUT
         return self.is_at_rest or self.has_host_ended or is_unreachable
 
@@ -119,7 +119,7 @@ class SafeStateProgress:
 
     @property
     def devices(self) -> Iterable[DeviceProgress]:
-        """All of them, in the order of the answers."""
+        """All devices, in the order of the answers."""
         return self._devices.values()
 
     @property
@@ -134,12 +134,12 @@ class SafeStateProgress:
         return seconds >= self._within or all(device.is_finished(seconds) for device in self.devices)
 
     def on_stopped(self, place: HostRef, answer: EmergencyStopResult) -> None:
-        """A host has executed the stop."""
+        """Handles the report of a host that has executed the stop."""
         for name, problem in answer.devices.items():
             self._devices[place, name] = DeviceProgress(place, name, problem)
 
     def on_host(self, place: HostRef, host: HostState) -> None:
-        """A host has answered with the state of its devices, or not."""
+        """Handles the answer of a host with the state of its devices, or its error."""
         own = {device.name: device for device in self.devices if device.host_ref == place}
         for device in own.values():
             if host.error is not None:

@@ -51,7 +51,7 @@ class TargetTeam:
 
     @property
     def user(self) -> str:
-        """The `Run.user` of its runs."""
+        """The `Run.user` of the team's runs."""
         return self.runs[0].user if self.runs else ""
 
     @property
@@ -162,7 +162,7 @@ def _merge_into(party: TargetTeam, parties: list[TargetTeam]) -> None:
 def select_runs(runs: Sequence[Run], id: str) -> list[Run]:
     """The run with that id, or suffix of an id; all for ''. Raises UsageError, NoMissionRunning.
 
-    Another user may call a run as one is called that is believed.
+    Another user may give a run the same name as a trusted run.
     """
     found = [run for run in runs if not id or id in (run.id, run.folder.name, run.id.rpartition("-")[2])]
     if not id:
@@ -225,7 +225,7 @@ def running_mission(runs: Sequence[Run]) -> Path:
     """The file of the only running mission. Raises UsageError for several, or when the file has changed, and
     NoMissionRunning for none.
 
-    Also when only other users run any: what they name may be a fifo, say, and is not opened on their word.
+    Runs of other users do not count: the file that they name may be a FIFO, and is not opened.
     """
     believed = [run for run in runs if not run.is_foreign]
     if not runs:

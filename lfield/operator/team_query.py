@@ -67,7 +67,7 @@ class Roster:
 class QueryContext:
     """The inputs of a query: the registry as on the hosts, and the attributes that bindings state of agents.
 
-    The registry is restricted to what the program provides. `ways` are the possible providers of each
+    The registry is restricted to the resources of the program. `ways` are the possible providers of each
     primitive; None if the program could not be compiled. `frames` are the places of hosts; those of agents
     are in the registry.
     """
@@ -102,7 +102,9 @@ def read_context(path: Path, team: Team, capabilities: Path | None = None) -> Qu
 
 
 def _context(mission: Mission, registry: Registry) -> QueryContext:
-    """The ways that the program was built with; of what it does not name those it would have."""
+    """The context with the ways that the program was built with, and the possible ways of other
+    primitives.
+    """
     program, bindings = mission.program, mission.bindings
     resources = resources_of(program)
     fitting = satisfied(registry, resources)
@@ -116,7 +118,7 @@ def _context(mission: Mission, registry: Registry) -> QueryContext:
 
 
 def _partial_context(path: Path, team: Team, own: Path | None) -> QueryContext:
-    """What can be had of a deployment: all ways are open to the resources, as far as they can be read."""
+    """The context of a deployment with errors: all ways are open to the readable resources."""
     program = sibling_file(path, ".L")
     files = [] if program is None else program_files(program, discover(), Diagnostics())
     registry = _registry(own, team, signatures_of([file for file in files if not file.broken]))

@@ -1,6 +1,6 @@
 """Installation of lfield on the robots of an inventory, over the system's ssh.
 
-`plan` decides which steps a robot needs, from its facts (`robot_facts`) and the installation that it shall
-have (`installation`). `host_provisioning` executes them through an `SshConnection`. `wheel_cache` collects on
-the desk what the robots need, so that they need no internet access.
+`plan` determines the steps for a robot, from its facts (`robot_facts`) and its required
+installation (`installation`). `host_provisioning` executes them through an `SshConnection`. `wheel_cache`
+collects the wheels for the robots on the desk, so that they need no internet access.
 """

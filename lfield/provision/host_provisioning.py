@@ -47,9 +47,9 @@ from lfield.provision.wheel_target import PYTHONS, WheelTarget
 from lfield.text.input_files import error_reason
 from lfield.text.suggestions import listed
 
-#: What is reported of a step: `running` precedes `changed` or `failed`; a dry run ends with `todo`.
+#: The reported states of a step: `running` precedes `changed` or `failed`; a dry run ends with `todo`.
 Progress = Literal["done", "running", "changed", "todo", "note", "refused", "failed"]
-#: With the rights that the unit gives to the service.
+#: Runs doctor with the rights that the unit gives to the service.
 _DOCTOR = f"""
 cd /
 export RUNTIME_DIRECTORY=/run/lfield STATE_DIRECTORY=/var/lib/lfield HOME=/var/lib/lfield
@@ -62,7 +62,7 @@ cd /
 if [ -x {CURRENT}/bin/lfield ]; then LFIELD_INVENTORY= {CURRENT}/bin/lfield ps --json 2>/dev/null; fi
 printf '\\nprocesses\\t%s\\n' "$(pgrep -f '[l]field up ' | tr '\\n' ' ')"
 """
-#: Prints what forbids an update; nothing where the present version cannot say it.
+#: Prints the reasons against an update; none if the present version cannot report them.
 _CHECK = f"""
 cd /
 export STATE_DIRECTORY=/var/lib/lfield HOME=/var/lib/lfield
@@ -73,8 +73,8 @@ exit 0
 """
 
 
-#: Prints why a service that does not run has ended; nothing if it does, or without systemd. The unit starts
-#: it again 2 s after each end, so a single look may find it running.
+#: Prints the reason of the end of a service that does not run; no text if it runs, or without systemd. The
+#: unit starts it again 2 s after each end, so a single check may find it running.
 _SERVICE = """
 [ -d /run/systemd/system ] || exit 0
 for look in 1 2 3 4 5 6; do
@@ -90,7 +90,7 @@ done
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A host of the inventory as provisioning needs it."""
+    """A host of the inventory, for provisioning."""
 
     name: str
     destinations: tuple[SshDestination, ...]
@@ -99,7 +99,7 @@ class Robot:
     groups: frozenset[str] = frozenset()
     #: Files in /etc/lfield: the inventory, and the robot's own devices file.
     settings: Mapping[str, bytes] = field(default_factory=dict)
-    #: Files there that devices need; one may be a key.
+    #: Files in /etc/lfield that devices need; one may be a key.
     files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
@@ -115,7 +115,7 @@ class StepReport:
     findings: tuple[Mapping[str, Any], ...] = ()
 
     def as_data(self) -> dict[str, object]:
-        """As of JSON."""
+        """The report as JSON data."""
         data: dict[str, object] = {
             "host": self.host,
             "step": self.step,
@@ -140,7 +140,7 @@ class UpdateGate:
         self._all_checked = asyncio.Event()
 
     def on_checked(self, host: str, *, refuses: bool = False) -> None:
-        """A host was checked, or cannot be. `refuses`: a mission there runs or has not ended.
+        """Record that a host was checked, or cannot be. `refuses`: a mission there runs or has not ended.
 
         Only the first call for a host counts.
         """
@@ -160,7 +160,9 @@ class UpdateGate:
 
 @dataclass(frozen=True, slots=True)
 class ProvisionRun:
-    """What all hosts of a run share. Keys of a host are empty where the authority is not on this desk."""
+    """The common data of all hosts of a run. Keys of a host are empty if the authority is not on this
+    desk.
+    """
 
     cache: WheelCache
     keys: Mapping[str, tuple[RobotFile, ...]]
@@ -185,7 +187,9 @@ class HostProvisioning:
         self._connection = SshConnection(robot.name, run.sockets / f"{number}.ssh")
 
     async def provision(self) -> bool:
-        """Execute all steps; whether the robot is provisioned, and doctor has found no problem there."""
+        """Execute all steps; returns whether the robot is provisioned, and doctor has found no problem
+        there.
+        """
         try:
             if self._run.only_prepares and self._robot.arch and self._robot.python:
                 await self._collect(WheelTarget(self._robot.arch, self._robot.python))
@@ -203,7 +207,7 @@ class HostProvisioning:
             case ProvisionError():
                 self._report("failed", "failed", error.reason, error.advice)
             case OSError():
-                # Of the cache, or a process that cannot be started.
+                # An error of the cache, or of a process that cannot be started.
                 reason = f"{error.filename or 'this computer'}: {error_reason(error)}"
                 self._report("failed", "failed", reason, "correct it on the desk, and run provision again")
             case _:
@@ -319,7 +323,7 @@ class HostProvisioning:
         return _refused_from(steps, update, why, "end the mission there, and run provision again")
 
     def _report_step(self, step: Step) -> bool:
-        """Report a step as it was planned; whether it does not refuse."""
+        """Report a step as it was planned; returns whether it does not refuse."""
         self._report(step.name, step.state, step.text, step.advice)
         return step.state != "refused"
 
@@ -359,7 +363,9 @@ def _refused_from(steps: list[Step], first: Step, why: str, advice: str) -> list
 
 
 async def update_refusal(connection: SshConnection, host: str) -> str:
-    """Why another version of lfield may not become active on the robot; '' if it may, or none is there."""
+    """The reason why another version of lfield may not become active on the robot; '' if it may, or none
+    is there.
+    """
     script = _CHECK.replace("HOST", shlex.quote(host))
     output = await connection.run_as_root(f"sh -c {shlex.quote(script)}", "mission")
     return "; ".join(line for line in output.splitlines() if line)
@@ -372,6 +378,6 @@ async def is_mission_running(connection: SshConnection) -> bool:
     try:
         listed = json.loads(answer)
     except ValueError:
-        # There is no lfield yet, or it does not start.
+        # The robot has no lfield yet, or it does not start.
         return bool(processes.strip())
     return not (isinstance(listed, dict) and listed.get("code") == "no-mission-running")

@@ -1,4 +1,4 @@
-"""What a robot shall have: an environment with its wheels, settings, keys and the unit of the service."""
+"""The required installation of a robot: an environment with its wheels, settings, keys and the unit."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class RobotFile:
 
     @property
     def sha256(self) -> str:
-        """The digest of its contents, in hex."""
+        """The digest of the contents, in hex."""
         return hashlib.sha256(self.data).hexdigest()
 
     @property
     def access(self) -> str:
-        """Mode and owner as the facts of a robot have them."""
+        """Mode and owner, as in the facts of a robot."""
         return f"{self.mode}:{self.owner}"
 
 
@@ -49,7 +49,7 @@ class StandalonePython:
 
 @dataclass(frozen=True, slots=True)
 class Payload:
-    """What the desk has collected for a platform: wheels, their folder, and a Python if one is needed."""
+    """The collection of the desk for a platform: wheels, their folder, and a Python if one is needed."""
 
     version: str
     wheels: tuple[Wheel, ...]
@@ -65,7 +65,7 @@ class Payload:
 
     @property
     def environment(self) -> str:
-        """The name of the environment: the version of lfield, and a digest of all that is in it."""
+        """The name of the environment: the version of lfield, and a digest of its contents."""
         return f"{self.version}-{text_digest(self.lock)}"
 
     def path(self, wheel: Wheel) -> Path:
@@ -75,14 +75,14 @@ class Payload:
 
 @dataclass(frozen=True, slots=True)
 class Installation:
-    """What host `host` of a team shall have."""
+    """The required installation of host `host` of a team."""
 
     host: str
     payload: Payload
     groups: frozenset[str]
     settings: tuple[RobotFile, ...]
     unit: RobotFile
-    #: Empty where the authority is not on this desk; then those of the robot stay.
+    #: Empty if the authority is not on this desk; then the keys of the robot stay.
     keys: tuple[RobotFile, ...]
     keys_folder: str
     #: Whether a robot with keys of another authority or host is taken over.
@@ -90,7 +90,7 @@ class Installation:
 
     @property
     def configuration(self) -> str:
-        """The digest of all that the service reads when it starts."""
+        """The digest of all files that the service reads when it starts."""
         files = (*self.settings, *self.keys, self.unit)
         named = sorted(f"{file.path} {file.sha256}\n" for file in files)
         return text_digest(self.payload.environment + "\n" + "".join(named))

@@ -1,4 +1,4 @@
-"""Lock files of pip: pinned requirements with hashes, and which of them a platform needs.
+"""Lock files of pip: pinned requirements with hashes, and the selection for a platform.
 
     cffi==2.1.1 ; platform_python_implementation != 'PyPy' \\
         --hash=sha256:...
@@ -90,5 +90,5 @@ def pip_lock(pins: Iterable[Pin]) -> str:
 
 
 def text_digest(text: str) -> str:
-    """The first 12 digits of the SHA-256 of a text, to name what was made from it."""
+    """The first 12 digits of the SHA-256 of a text, for the name of a result."""
     return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -24,7 +24,7 @@ from lfield.provision.lock_file import Wheel
 from lfield.text.input_files import read_bytes
 
 _PACKAGE = Path(lfield.__file__).parent
-#: The time of all files in a wheel, as hatchling has it.
+#: The time of all files in a wheel, as set by hatchling.
 _TIME = (2020, 2, 2, 0, 0, 0)
 #: Files of an installation that do not belong to its wheel.
 _INSTALLERS = {"INSTALLER", "REQUESTED", "direct_url.json", "RECORD", "uv_build.json", "uv_cache.json"}
@@ -32,7 +32,7 @@ _MAX_FILE = 4 << 20
 
 
 def deployment_file(name: str) -> bytes:
-    """A file of deploy/: in a checkout it is there, in an installed lfield it is data of the package."""
+    """A file of deploy/, which is in the checkout, or data of the package of an installed lfield."""
     for folder in (_PACKAGE / "deploy", _PACKAGE.parent / "deploy"):
         if (folder / name).is_file():
             return read_bytes(folder / name, _MAX_FILE)
@@ -81,7 +81,7 @@ def _installed() -> Distribution:
 
 
 def repack(installed: Distribution, folder: Path) -> Path:
-    """The wheel from which a pure Python package was installed, without what the installer has added.
+    """The wheel from which a pure Python package was installed, without the additions of the installer.
 
     Raises ProvisionError when files are missing or were changed since.
     """
@@ -111,7 +111,7 @@ def _quoted(file: str) -> str:
 
 
 def _tag(installed: Distribution) -> str:
-    """The tags of its wheel, compressed as in a file name."""
+    """The tags of the wheel, compressed as in a file name."""
     lines = (installed.read_text("WHEEL") or "").splitlines()
     tags = [line.partition(":")[2].strip().split("-") for line in lines if line.startswith("Tag:")]
     parts = zip(*tags, strict=True)

@@ -1,6 +1,6 @@
 """The steps that bring a robot to an installation, from its facts. Pure.
 
-A step is done, or has commands that do it, or refuses: then nothing of the host is changed. Planning again
+A step is done, or has commands that do it, or refuses: then the host is not changed. Planning again
 with the facts after all steps gives steps that are all done, also after an interruption anywhere.
 """
 
@@ -26,7 +26,7 @@ STANDALONE = "3.12"
 MAX_CLOCK_OFFSET = 60.0
 #: Wheels that are sent in one command, in bytes: an interrupted transfer repeats at most this.
 BATCH = 4 << 20
-#: Steps that change what the service reads when it starts.
+#: Steps that change files that the service reads when it starts.
 _READ_BY_SERVICE = ("keys", "settings", "unit", "version")
 #: Bytes of an environment for each byte of its wheels, bytecode included; of a Python, of its archive.
 _UNPACKED, _PYTHON_UNPACKED = 6, 4
@@ -50,14 +50,14 @@ class RootCommand:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One step: `text` says what is there or is done; `advice` is for the operator."""
+    """One step: `text` describes the state or the action; `advice` is for the operator."""
 
     name: str
     state: StepState
     text: str
     advice: str = ""
     commands: tuple[RootCommand, ...] = ()
-    #: Whether it must not be executed while a mission runs on the robot.
+    #: Whether the step must not be executed while a mission runs on the robot.
     disturbs_mission: bool = False
 
 
@@ -99,7 +99,9 @@ def system_step(facts: RobotFacts, arch: str, inventory: str) -> Step:
 
 
 def clock_step(facts: RobotFacts, host: str, desk_time: float) -> Step:
-    """A wrong clock is no obstacle: certificates are never 'not yet valid' (authority/trusted_clock.py)."""
+    """The step for the clock. A wrong clock is no obstacle: certificates are never 'not yet valid'
+    (authority/trusted_clock.py).
+    """
     offset = facts.time - desk_time
     if abs(offset) <= MAX_CLOCK_OFFSET:
         return Step("clock", "done", "agrees with the desk")
@@ -109,7 +111,7 @@ def clock_step(facts: RobotFacts, host: str, desk_time: float) -> Step:
 
 
 def plan(facts: RobotFacts, user: str, installation: Installation) -> list[Step]:
-    """All steps in their order, or those alone that refuse; `user` is that of ssh."""
+    """All steps in their order, or only those that refuse; `user` is that of ssh."""
     python = choose_python(facts)
     steps = [
         _python_step(facts, python, installation),
@@ -127,7 +129,7 @@ def plan(facts: RobotFacts, user: str, installation: Installation) -> list[Step]
     return refused or steps
 
 
-# --- what is sent -------------------------------------------------------------------------------------------
+# --- files to send ------------------------------------------------------------------------------------------
 
 
 def _python_step(facts: RobotFacts, python: PythonChoice, installation: Installation) -> Step:
@@ -228,7 +230,7 @@ def _environment_step(facts: RobotFacts, python: PythonChoice, installation: Ins
     return Step("environment", "todo", f"install {ROOT}/{name}", "", (RootCommand(script, uploads),))
 
 
-# --- what is configured -------------------------------------------------------------------------------------
+# --- configuration ------------------------------------------------------------------------------------------
 
 
 def _outdated(facts: RobotFacts, files: Sequence[RobotFile]) -> list[RobotFile]:

@@ -1,4 +1,4 @@
-"""The facts of a robot that decide what is installed there: two shell scripts and their parser.
+"""The facts of a robot that determine its installation: two shell scripts and their parser.
 
 Both scripts need POSIX sh and the coreutils alone, so they run before there is a Python. Each line of their
 output is a key and its values, separated by tabs.
@@ -12,10 +12,10 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-#: Where lfield is installed on a robot: an environment for each version, and the link to the active one.
+#: The folder of lfield on a robot: an environment for each version, and the link to the active one.
 ROOT = "/opt/lfield"
 WHEELS, CURRENT = f"{ROOT}/wheels", f"{ROOT}/current"
-#: In an environment that is complete; the contents of the file are of no importance.
+#: The file that marks a complete environment; its contents have no meaning.
 COMPLETE = ".complete"
 #: The digest of the configuration with which the service was last started.
 STARTED = f"{ROOT}/started"
@@ -25,7 +25,7 @@ KEYS = f"{SETTINGS}/keys"
 #: The user of the service, and its group, whose members may observe and stop hosts.
 SERVICE_USER = "lfield"
 
-#: Run as the user of ssh: who this is, and whether it may become root without a password.
+#: Run as the user of ssh: the user's name, and whether the user may become root without a password.
 ACCESS_SCRIPT = r"""
 printf 'user\t%s\t%s\n' "$(id -un)" "$(id -u)"
 if [ "$(id -u)" = 0 ]; then printf 'sudo\tyes\n'
@@ -81,7 +81,7 @@ fi
 true
 """
 
-#: How `uname -m` and the vendors call what the wheels call otherwise.
+#: Names of architectures by `uname -m` and vendors, with the names in wheels.
 _ARCHITECTURES = {"arm64": "aarch64", "amd64": "x86_64", "armv8l": "armv7l"}
 
 
@@ -104,13 +104,13 @@ class RobotPython:
 
     @property
     def tag(self) -> str:
-        """As the inventory says it: 3.11."""
+        """The version as in the inventory: 3.11."""
         return f"{self.version[0]}.{self.version[1]}"
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFacts:
-    """What a robot has; `free` is in bytes, `time` in seconds since 1970, digests are SHA-256 in hex."""
+    """The state of a robot; `free` is in bytes, `time` in seconds since 1970, digests are SHA-256 in hex."""
 
     time: float
     arch: str
@@ -122,7 +122,7 @@ class RobotFacts:
     standalone: frozenset[str]
     free: int
     existing_groups: frozenset[str]
-    #: Groups of the service's user, None where there is no such user; and those of the user of ssh.
+    #: Groups of the service's user, None without such a user; and those of the user of ssh.
     service_groups: frozenset[str] | None
     member_of: frozenset[str]
     #: Complete environments, the active one, and the digest of the configuration of the last start.
@@ -136,7 +136,7 @@ class RobotFacts:
     has_private_keys_folder: bool = False
     is_enabled: bool = False
     is_active: bool = False
-    #: The host whose keys it has and as which its service runs; '' for none.
+    #: The host whose keys the robot has and as which its service runs; '' for none.
     host: str = ""
 
 
@@ -148,7 +148,7 @@ def facts_script(user: str, groups: Iterable[str], host: str) -> str:
 
 
 def parse_access(output: str) -> LoginAccess:
-    """What ACCESS_SCRIPT has printed. Raises ValueError if that is not its output."""
+    """The access in the output of ACCESS_SCRIPT. Raises ValueError for any other text."""
     rows = _rows(output)
     if not rows["user"] or not rows["sudo"]:
         raise ValueError(output.strip() or "no output")
@@ -157,7 +157,7 @@ def parse_access(output: str) -> LoginAccess:
 
 
 def parse_facts(output: str) -> RobotFacts:
-    """What `facts_script` has printed. Raises ValueError if that is not its output."""
+    """The facts in the output of `facts_script`. Raises ValueError for any other text."""
     rows = _rows(output)
     if not rows["time"] or not rows["machine"]:
         raise ValueError(output.strip() or "no output")

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from lfield.provision.installation import Installation, RobotFile
 from lfield.provision.robot_facts import COMPLETE, CURRENT, KEYS, ROOT, SERVICE_USER, STARTED, WHEELS
 
-#: How long a command waits for that of an interrupted run or of another desk, in seconds.
+#: Seconds that a command waits for that of an interrupted run or of another desk.
 LOCK_TIMEOUT = 300
 #: Exit status when that command does not end within this time.
 BUSY = 75
@@ -40,7 +40,7 @@ put() {{
 def locked_command(script: str) -> str:
     """The command line that runs a script with its files, alone on the robot.
 
-    The script does not inherit the lock: what it starts may outlive it.
+    The script does not inherit the lock: processes that it starts may outlive it.
     """
     return f"flock -o -w {LOCK_TIMEOUT} -E {BUSY} {_LOCK} sh -c {shlex.quote(_HEAD + script)}"
 
@@ -102,7 +102,9 @@ sync; touch {folder}/{COMPLETE}
 
 
 def files_script(files: Sequence[RobotFile]) -> str:
-    """Install files, which arrive under their numbers. The service no longer runs with what is installed."""
+    """Install files, which arrive under their numbers. The service no longer runs with the installed
+    files.
+    """
     folders = sorted({file.path.rpartition("/")[0] for file in files})
     made = [f"[ -d {shlex.quote(f)} ] || install -d -m 755 {shlex.quote(f)}" for f in folders]
     puts = [f"put {n} {shlex.quote(file.path)} {file.mode} {file.owner}" for n, file in enumerate(files)]
@@ -136,7 +138,7 @@ sync
 
 
 def service_script(configuration: str) -> str:
-    """Start the service with what is installed now, also at each boot."""
+    """Start the service with the present installation, also at each boot."""
     return f"""
 systemctl daemon-reload
 systemctl enable --quiet lfield.service

@@ -40,7 +40,7 @@ _READY = b"lfield-provision-ready"
 #: Printed before the output of a command: startup files of a login shell may print something too.
 _OUTPUT = "lfield-provision-output"
 _FAILED = 255
-#: None of these may ask a person; the rest is what the user has configured.
+#: None of these may ask a person; all other options are those of the user's configuration.
 _OPTIONS = (
     *("BatchMode=yes", f"ConnectTimeout={CONNECT_TIMEOUT}", "ConnectionAttempts=1"),
     *(f"ServerAliveInterval={ALIVE_INTERVAL}", f"ServerAliveCountMax={ALIVE_COUNT}"),
@@ -102,7 +102,7 @@ class SshConnection:
         return ["ssh", *options, "-S", str(self._socket), *target.options(), "--", target.address, command]
 
     async def read_access(self) -> LoginAccess:
-        """Find out who has logged in, and whether that user may become root. Raises ProvisionError."""
+        """Determine the user that has logged in, and whether it may become root. Raises ProvisionError."""
         try:
             async with asyncio.timeout(LOGIN_TIMEOUT):
                 output = await self.run(f"sh -c {shlex.quote(ACCESS_SCRIPT)}", "access")
@@ -169,7 +169,7 @@ def _ssh_needed() -> Iterator[None]:
 
 
 def command_output(output: str) -> str:
-    """The output of a command, without what the login shell has printed before."""
+    """The output of a command, without text that the login shell has printed before."""
     before, mark, after = output.partition(f"{_OUTPUT}\n")
     return after if mark else before
 

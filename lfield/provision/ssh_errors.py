@@ -1,4 +1,4 @@
-"""What the messages of ssh, sudo and the commands on a robot mean, as errors with the remedy. Pure."""
+"""The meaning of messages of ssh, sudo and the commands on a robot, as errors with the remedy. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfield.provision.robot_scripts import BUSY, LOCK_TIMEOUT
 
 @dataclass(frozen=True, slots=True)
 class SshDestination:
-    """How ssh reaches a robot: a name or address, and what the inventory says of user and port."""
+    """The destination of ssh: a name or address, with user and port from the inventory."""
 
     address: str
     user: str = ""

@@ -73,7 +73,7 @@ async def _run_uv(key: str, folder: str) -> None:
         raise ProvisionError("", reason, "pip install uv")
     status, _, errors = await run_process(uv, *arguments, stdout=DEVNULL)
     if status:
-        # What comes before is progress.
+        # Earlier lines are progress.
         reason = " ".join(errors.decode(errors="replace").rpartition("error: ")[2].split())
         advice = "--prepare needs access to the internet, or UV_PYTHON_INSTALL_MIRROR=URL"
         raise ProvisionError("", f"the standalone Python {key} cannot be collected: {reason}", advice)

@@ -21,7 +21,7 @@ def has_authority(folder: Path) -> bool:
 
 
 def planned_keys(folder: Path, names: Iterable[str]) -> dict[str, tuple[RobotFile, ...]]:
-    """The keys of each host as they are now, for a dry run; of a host without keys the names of the files."""
+    """The present keys of each host, for a dry run; of a host without keys the names of the files."""
     found = {}
     for name in names:
         place = folder / "hosts" / name

@@ -42,8 +42,8 @@ class WheelCollection(msgspec.Struct, frozen=True):
 class WheelCache:
     """The wheels of all platforms; `handmade` is a folder with wheels that the package index does not have.
 
-    Each platform is collected once, also when several robots ask for it at the same time. `has_zenoh` says
-    whether the robots are in a Zenoh fabric.
+    Each platform is collected once, also when several robots need it at the same time. `has_zenoh` is true if
+    the robots are in a Zenoh fabric.
     """
 
     def __init__(self, folder: Path, handmade: Path | None = None, *, has_zenoh: bool = False) -> None:
@@ -60,7 +60,7 @@ class WheelCache:
         self._temporary.cleanup()
 
     async def payload(self, target: WheelTarget, *, brings_python: bool) -> Payload:
-        """All that robots of a platform need; collects what is missing. Raises ProvisionError."""
+        """All files that robots of a platform need; collects missing ones. Raises ProvisionError."""
         key = (target, brings_python)
         if key not in self._payloads:
             self._payloads[key] = asyncio.create_task(self._collect(target, brings_python))
@@ -106,7 +106,7 @@ class WheelCache:
 
 
 def _read_collection(index: Path) -> WheelCollection | None:
-    """A collection whose files are all there and unchanged."""
+    """A collection with all files present and unchanged."""
     with suppress(OSError, msgspec.DecodeError):
         collection = msgspec.json.decode(index.read_bytes(), type=WheelCollection)
         files = ((index.with_name(wheel.file), wheel.sha256) for wheel in collection.wheels)

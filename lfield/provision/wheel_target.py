@@ -23,7 +23,7 @@ _OLD_NAMES = ("manylinux2014", "manylinux2010", "manylinux1")
 
 @dataclass(frozen=True, slots=True, order=True)
 class WheelTarget:
-    """An architecture as `uname -m` says it, and a Python such as 3.11."""
+    """An architecture as of `uname -m`, and a Python such as 3.11."""
 
     arch: str
     python: str

@@ -1,1 +1,1 @@
-"""Replays recordings on the real cores, and compares what they do with what was recorded."""
+"""Replays recordings on the real cores, and compares the results with the recordings."""

@@ -15,9 +15,9 @@ from lfield.vm.inspection.traceback import FrameLocation
 
 @dataclass(frozen=True, slots=True)
 class LoggedCall:
-    """A call of an agent: `text` is what is compared, `place` the file and line of L where it stands.
+    """A call of an agent: `text` is compared, `place` is its file and line in L.
 
-    `at` is in seconds since 1970, `host` where the call was made.
+    `at` is in seconds since 1970, `host` is the host of the call.
     """
 
     agent: str
@@ -28,7 +28,7 @@ class LoggedCall:
 
 
 class CallDifference(NamedTuple):
-    """Where the calls of an agent differ: their number (from 1), and both calls, None for none."""
+    """The difference in the calls of an agent: their number (from 1), and both calls, None for none."""
 
     agent: str
     number: int
@@ -37,7 +37,7 @@ class CallDifference(NamedTuple):
 
     @property
     def at(self) -> float:
-        """The time of the earlier one."""
+        """The time of the earlier call."""
         return min(each.at for each in (self.recorded, self.replayed) if each is not None)
 
 
@@ -46,9 +46,9 @@ class CallLog:
 
     def __init__(self) -> None:
         self.by_agent: dict[str, list[LoggedCall]] = {}
-        #: How many recorded device calls were not made until then.
+        #: The number of recorded device calls that were not made until then.
         self.missed_calls = 0
-        #: When the first host halted its agents, or the recording ended.
+        #: The time when the first host halted its agents, or the recording ended.
         self.ended_at = math.inf
         #: The agents that have ended, and were not halted by their hosts.
         self.ended: set[str] = set()
@@ -62,7 +62,7 @@ class CallLog:
         return sum(len(calls) for calls in self.by_agent.values()) - self._endless
 
     def end(self, at: float, missed_calls: int) -> None:
-        """The recording has ended."""
+        """Record the end of the recording."""
         self.ended_at, self.missed_calls = at, missed_calls
 
     def may_follow(self, recorded: CallLog) -> bool:
@@ -75,13 +75,13 @@ class CallLog:
         return bool(recorded.ended - self.ended) and recorded.first_difference(self) is None
 
     def add_device_call(self, core: HostCore, command: CallDevice, at: float) -> None:
-        """A resource has given an instruction to a device."""
+        """Record an instruction of a resource to a device."""
         call = command.call
         values = ", ".join(_text(value) for value in command.values)
         self._add(command.agent, f"{call.field}.{call.instruction}({values})", core, at)
 
     def add_portal_call(self, core: HostCore, caller: str, resource: Agent, method: int, at: float) -> None:
-        """A portal of a resource of this host has started for a coordinator."""
+        """Record that a portal of a resource of this host has started for a coordinator."""
         agent = core.machine.agents.get(caller)
         name = core.machine.program.core.methods[method].name
         text = f"{resource.id}.{name}"
@@ -91,12 +91,12 @@ class CallLog:
             self._append(caller, text, core, None, at)
 
     def add_departure(self, core: HostCore, caller: str, text: str, at: float) -> None:
-        """A coordinator has left its host for a portal call."""
+        """Record that a coordinator has left its host for a portal call."""
         if (agent := core.machine.agents.get(caller)) is not None:
             self._add(agent, text, core, at)
 
     def add_computation(self, core: HostCore, agent: str, location: FrameLocation | None, at: float) -> None:
-        """A thread computes on without a call or a pause: that is no call, but differs from any."""
+        """Record a thread that computes on without a call or a pause: it differs from any call."""
         self._endless += 1
         self._append(agent, "computes on without a call or a pause", core, location, at)
 
@@ -112,7 +112,7 @@ class CallLog:
     def first_difference(self, other: CallLog) -> CallDifference | None:
         """The earliest difference of another log to this one; None if both have the same calls.
 
-        Of several at one time, another call is the cause of those that are missing.
+        Of several at one time, an additional call is the cause of the missing ones.
         """
         found = [
             difference

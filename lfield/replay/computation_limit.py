@@ -25,7 +25,7 @@ from lfield.vm.memory.layout import THREAD_ID, W_ID
 #: The instructions that a thread of another program may execute without a call or a pause on the reference
 #: engine; a faster one may execute more.
 MAX_INSTRUCTIONS = 20_000_000
-#: How many times the longest computation of the recorded program that of another one may be.
+#: The factor by which the longest computation of another program may exceed that of the recorded one.
 MAX_FACTOR = 2
 
 #: The agent and the number of a thread.
@@ -38,13 +38,13 @@ class ComputationLimit:
     """Measures computations of one host's threads; `now` is the time. `longest` is the longest one.
 
     `known` is the longest one of the recorded program; without it there is no limit. `on_over` is called for
-    each thread that exceeds the limit, once: it executes nothing from then on.
+    each thread that exceeds the limit, once: it executes no instruction after that.
     """
 
     def __init__(self, now: Callable[[], float], known: int | None, on_over: OnOver) -> None:
         self._now, self._known, self._on_over = now, known, on_over
         self.longest = 0
-        #: The instructions of computations that have not ended, and when these began.
+        #: The instructions of computations that have not ended, and their starts.
         self._spent: dict[_Key, tuple[int, float]] = {}
         self._over: set[_Key] = set()
 
@@ -57,7 +57,7 @@ class ComputationLimit:
         return key in self._over
 
     def on_run(self, key: _Key, pace: int, executed: int, leave: EngineExit) -> bool:
-        """A thread has executed instructions; returns whether it has exceeded the limit by that."""
+        """Count executed instructions of a thread; returns whether it has now exceeded the limit."""
         if not (leave is BUDGET_EXHAUSTED or isinstance(leave, HeapExhausted | MonitorBlocked)):
             self._spent.pop(key, None)
             return False

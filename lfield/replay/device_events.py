@@ -38,9 +38,9 @@ class DeviceEvent(NamedTuple):
 
 
 def device_events(paths: Iterable[Path], logged: Collection[OutsideEvent] = ()) -> Iterator[DeviceEvent]:
-    """The events in the files of one ring, in their order: safe states, and what guard and driver logged.
+    """The events in the files of one ring, in their order: safe states, and lines logged by guard and driver.
 
-    Lines that the host has `logged` too at about the same time are omitted.
+    Lines that the host has also `logged` at about the same time are omitted.
     """
     times: dict[str, list[float]] = {}
     for event in logged:
@@ -77,7 +77,7 @@ def _events_of(record: InputRecord | NoteRecord, start: SegmentStart) -> Iterato
 def _reported(
     message: Latched | LockedOut | Moving | Released, start: SegmentStart
 ) -> Iterator[events.StateEvent]:
-    """The event and the log line of a message of the guard, as a host makes them."""
+    """The event and the log line that a host makes of a message of the guard."""
     device = truncate(message.device, MAX_LABEL)
     match message:
         case Latched(_, reason, is_confirmed, state):
@@ -121,7 +121,7 @@ def outside_events(parts: Iterable[HostRecording]) -> list[OutsideEvent]:
 class SafetyStop(NamedTuple):
     """An emergency stop by an operator, or a device that went into its safe state while its host ran.
 
-    `at` is in seconds since 1970, `line` what the host has logged.
+    `at` is in seconds since 1970, `line` the log line of the host.
     """
 
     host: str

@@ -1,6 +1,6 @@
 """The events and telemetry of a recording, in the order of their times, for exports.
 
-Events are those that the cores emit while they are replayed, log lines included. Those of devices and their
+The events are those that the cores emit while they are replayed, with log lines. Events of devices and their
 telemetry are in the recordings of the guards.
 """
 
@@ -88,7 +88,7 @@ class _EventSource:
         PortalEvents(self._replay.core.recorder, self._replay.core.machine).attach()
 
     def replay(self, record: Turn) -> Iterator[DatedEvent | StreamNotice]:
-        """The events of the next turn, which is this one; after a difference there are none."""
+        """The events of the next turn, whose record is given; none after a difference."""
         if self._is_over:
             return
         start = self._recording.start

@@ -45,11 +45,11 @@ class OutsideEvent(NamedTuple):
 
 
 class HostRecording:
-    """One incarnation; `gap` says what is missing at its end, '' if the host ended in order.
+    """One incarnation; `gap` describes the data missing at its end, '' if the host ended in order.
 
-    `frames` are contents of frames, oldest first; `gap` is why reading them ended early. The first frames may
-    be missing (a ring deletes its oldest file): then the recording begins at a checkpoint. Raises
-    RecordingError if nothing can be replayed.
+    `frames` are contents of frames, oldest first; `gap` is the reason of an early end of reading. The first
+    frames may be missing (a ring deletes its oldest file): then the recording begins at a checkpoint. Raises
+    RecordingError if no turn can be replayed.
     """
 
     def __init__(self, frames: Sequence[bytes], gap: str = "") -> None:
@@ -63,12 +63,12 @@ class HostRecording:
             turn += header.turns
         if not self.frames:
             raise RecordingError("it has neither the beginning of a recording nor a checkpoint")
-        #: The number of turns that it has.
+        #: The number of turns in the recording.
         self.turns = turn
         self._decode = lru_cache(_CACHED)(self._decode_frame)
         first = self._decode(0)
         self.start: StartRecord = self._start_of(first[0]) if first else self._raise_empty()
-        #: Whether it has the start of the incarnation.
+        #: Whether the recording has the start of the incarnation.
         self.is_from_start = isinstance(first[0], StartRecord)
         last = self._decode(len(self.frames) - 1)
         #: The events that a replay of the core does not make.

@@ -34,7 +34,7 @@ from lfield.vm.turns.run_limit import ReplayedRunLimit
 
 
 class Divergence(NamedTuple):
-    """The first thing that differs in a turn: what, and its value in the recording and in the replay."""
+    """The first difference in a turn: its subject, and the values in the recording and in the replay."""
 
     what: str
     recorded: object
@@ -42,7 +42,7 @@ class Divergence(NamedTuple):
 
 
 class ReplayedTurn(NamedTuple):
-    """A turn that was replayed: its number, its record, its effects, and how it differs, None if it does not.
+    """A replayed turn: its number, its record, its effects, and its difference, None for none.
 
     `digests` is the number of digests and effects that were compared.
     """
@@ -104,7 +104,9 @@ class HostReplay:
         self._on_input = on_input
 
     def prepare(self, record: Turn) -> None:
-        """Set times, answers and all else that the core gets from outside in a turn, besides its input."""
+        """Set times, answers and all other data that the core gets from outside in a turn, besides its
+        input.
+        """
         if isinstance(record, IdleTurn):
             record = TurnRecord(record.at)
         self.clock.set(record.at, record.wall)
@@ -157,7 +159,7 @@ class HostReplay:
         return 0 if checkpoint is None else bisect_right(found, checkpoint.at, key=attrgetter("at"))
 
     def _add_outside_events(self, number: int, at: float) -> None:
-        """Log what happened outside of the core up to a turn; with the last turn all that followed."""
+        """Log the events outside of the core up to a turn; with the last turn all that followed."""
         found, start = self.recording.outside_events, self._start
         is_last = number + 1 >= self.recording.turns
         while self._outside < len(found) and (is_last or found[self._outside].at <= at):
@@ -173,7 +175,7 @@ class HostReplay:
             yield self._replay_safely(number, record)
 
     def _replay_safely(self, number: int, record: Turn) -> ReplayedTurn:
-        """Replay a turn; a failure of the core, as of one that does not accept an input, is a difference."""
+        """Replay a turn; a failure of the core, such as a refused input, is a difference."""
         try:
             return self._replay(number, record)
         except RecordingError:

@@ -91,14 +91,14 @@ class ProgramRun:
         self._made: dict[tuple[str, int], int] = {}
         self._made_counts: dict[str, count[int]] = {}
         self._early: dict[tuple[str, int], DeviceAnswered] = {}
-        #: Inputs about a coordinator, by sender and coordinator, that wait for what this program does.
+        #: Inputs about a coordinator, by sender and coordinator, that wait for an action of this program.
         self._held: dict[tuple[str, str], deque[TurnRecord]] = {}
         #: The last batch of this program; of the recorded one the last durable batch until now, and of all.
         self._issued, self._durable, self._last_durable = 0, 0, _last_durable(recording)
-        #: The number of the last event that was read, and the departures that were.
+        #: The number of the last event that was read, and the departures that were read.
         self._last_event = 0
         self._left: dict[TransferKey, MigrationStarted] = {}
-        #: When the recorded host halted its agents, at a common time of the team; infinite before.
+        #: The time when the recorded host halted its agents, as a common time of the team; infinite before.
         self.halted_at = math.inf
 
     def turn(self, record: Turn, at: float) -> None:
@@ -127,7 +127,9 @@ class ProgramRun:
             self._execute(self._core.drain_effects())
 
     def _hold(self, record: TurnRecord) -> bool:
-        """Keep an input that is early for this program, or that follows such a one; false for any other."""
+        """Keep an input that is early for this program, or that follows such an input; returns false for
+        any other.
+        """
         about = _about(record.entry)
         if about is None or not (about in self._held or self._is_early(record)):
             return False
@@ -146,7 +148,7 @@ class ProgramRun:
         return False
 
     def _release(self) -> None:
-        """Pass on what is not early any more."""
+        """Pass on the inputs that are not early any more."""
         for about, waiting in list(self._held.items()):
             while waiting and not self._is_early(waiting[0]):
                 self._run(self._entry(waiting.popleft()))
@@ -155,7 +157,7 @@ class ProgramRun:
 
     @property
     def missed_calls(self) -> int:
-        """How many recorded device calls were not made."""
+        """The number of recorded device calls that were not made."""
         return len(self._recorded) - len(self._made)
 
     @property
@@ -169,7 +171,7 @@ class ProgramRun:
         )
 
     def on_portal_call(self, resource: Agent, method: int, caller: str) -> None:
-        """A portal has started for a coordinator."""
+        """Record that a portal has started for a coordinator."""
         self._log.add_portal_call(self._core, caller, resource, method, self._at)
 
     def _entry(self, record: TurnRecord) -> HostInput | None:
@@ -207,7 +209,7 @@ class ProgramRun:
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
                 case Send(host=host, message=Ping(token=token)) if self._is_other and token == QUESTION:
-                    # The recorded program may not have probed this host, or at another time.
+                    # The recorded program may have probed this host at another time, or not at all.
                     self._run(MessageArrived(host, Pong(QUESTION)))
                 case WakeWaiters():
                     self.read_events()
@@ -217,7 +219,7 @@ class ProgramRun:
                         self._run(BatchDurable(effect.number))
 
     def read_events(self) -> None:
-        """Note which agents have ended or left since the last call."""
+        """Record the agents that have ended or left since the last call."""
         recorder = self._core.recorder
         recorder.drain()
         log = recorder.event_log
@@ -247,7 +249,7 @@ class ProgramRun:
             self._run(DeviceAnswered(command.number, answer.value, answer.error))
 
     def _number_recorded(self, record: TurnRecord) -> None:
-        """Remember which device calls the recorded program made in this turn."""
+        """Record the device calls that the recorded program made in this turn."""
         if b"CallDevice" not in record.effects:
             return
         for effect in decode_effects(record.effects):
@@ -276,17 +278,17 @@ class PortalCallObserver:
         self._run = run
 
     def on_call_started(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
-        """A portal (by index) has started."""
+        """Called when a portal (by index) has started."""
         self._run.on_portal_call(resource, method, caller)
 
     def on_call_returned(self, resource: Agent, number: int, result: int) -> None:
-        """A portal has returned."""
+        """Called when a portal has returned."""
 
     def on_call_threw(self, resource: Agent, number: int, thrown: int) -> None:
-        """A portal has ended by an exception."""
+        """Called when a portal has ended by an exception."""
 
     def on_resource_died(self, resource: Agent, reason: str) -> None:
-        """A resource has died."""
+        """Called when a resource has died."""
 
 
 def run_program(
@@ -298,7 +300,7 @@ def run_program(
 ) -> CallLog:
     """The calls of a mission's program on the recorded world. Raises RecordingError.
 
-    `recorded` are those of the recorded program, if this is another one.
+    `recorded` are the calls of the recorded program, if this program is another one.
     """
     log, sent = CallLog(), SentBlocks()
     given = mission, recording.mission.program, engines, log, sent

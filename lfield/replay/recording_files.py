@@ -1,4 +1,6 @@
-"""Reads recordings from directories: what belongs together, what can be replayed, and what is missing."""
+"""Reads recordings from directories: parts that belong together, parts that can be replayed, missing
+parts.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,9 @@ from lfield.text.input_files import error_reason
 class Incarnation:
     """The recording of one incarnation: its folder, and its parts in order.
 
-    It has one part, unless a file in its middle is missing or damaged: then a new part begins at the next
-    checkpoint. `problems` says what is missing, a sentence each; `losses` are those about records before the
-    end of the host's recording, which ends early where the host was killed.
+    The recording has one part, unless a file in its middle is missing or damaged: then a new part begins at
+    the next checkpoint. `problems` describe missing data, a sentence each; `losses` are those about records
+    before the end of the host's recording, which ends early if the host was killed.
     """
 
     folder: Path
@@ -52,7 +54,7 @@ class Incarnation:
 
     @property
     def started(self) -> tuple[str, float]:
-        """A key that sorts starts: the time in the name of its folder, and that of the clock at its start.
+        """A key that sorts starts: the time in the name of the folder, and that of the clock at the start.
 
         Names keep the order of the starts of a host also if its clock was wrong.
         """
@@ -76,7 +78,7 @@ class TeamRecording:
 
     @property
     def losses(self) -> list[str]:
-        """What is missing before the ends of the recordings, a sentence each."""
+        """The data missing before the ends of the recordings, a sentence each."""
         return [f"{each.folder}: {loss}" for each in self.incarnations for loss in each.losses]
 
 
@@ -84,7 +86,7 @@ def load_team(paths: Sequence[Path], bundle_file: Path | None = None) -> TeamRec
     """The recordings in some directories; of several runs the newest. Raises RecordingError, InputFileError.
 
     A path is the folder of an incarnation, a file in one, or a directory of such folders or of directories of
-    such folders. `bundle_file` is used where a folder has no bundle.
+    such folders. `bundle_file` is used for a folder without a bundle.
     """
     loaded, problems = [], []
     for folder in _folders(paths):
@@ -148,7 +150,7 @@ def _add_part(parts: list[HostRecording], frames: list[bytes], losses: list[str]
 
 
 class _Gap(NamedTuple):
-    """Why a file is not complete, '' if it is; `is_cut`: it only ends within a record."""
+    """The reason why a file is not complete, '' if it is; `is_cut`: the file only ends within a record."""
 
     reason: str = ""
     is_cut: bool = False
@@ -232,7 +234,7 @@ def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:
 
 
 def _peers(recording: HostRecording) -> set[int]:
-    """The incarnations of other hosts that it has met."""
+    """The incarnations of other hosts that an incarnation has met."""
     return {
         turn.entry.hello.incarnation
         for _, turn in recording.turns_from(0)
@@ -251,7 +253,7 @@ def _mission(loaded: Sequence[Incarnation], bundle_file: Path | None) -> Mission
 
 
 def _named_mission(path: Path, starts: Sequence[StartRecord]) -> Mission:
-    """The mission in a bundle that is named: that of the recording as it ran, or as it was read."""
+    """The mission in a named bundle, which must be that of the recording, as it ran or as it was read."""
     data = bundle.read_file(path)
     try:
         found = {hashlib.sha256(data).digest(), bundle.contents(data).digest}

@@ -1,4 +1,4 @@
-"""What replaces the outside of a core in a replay: its clock, its environment, its random bytes."""
+"""The outside of a core in a replay: its clock, its environment, its random bytes."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from lfield.vm.host_interface import PENDING, Pending
 
 
 class ReplayedBytes:
-    """Random bytes as they were drawn."""
+    """Random bytes, as recorded."""
 
     def __init__(self) -> None:
         self._drawn: deque[bytes] = deque()
 
     def extend(self, drawn: Iterable[bytes]) -> None:
-        """Add what was drawn in the next turn."""
+        """Add the bytes that were drawn in the next turn."""
         self._drawn.extend(drawn)
 
     def clear(self) -> None:
-        """Forget what was not drawn."""
+        """Discard the bytes that were not drawn."""
         self._drawn.clear()
 
     def __call__(self, size: int) -> bytes:
@@ -59,7 +59,7 @@ class ReplayEnvironment:
             self._answers.setdefault((answer.question, *answer.arguments), answer)
 
     def apply(self, answers: Sequence[RecordedAnswer], changes: Sequence[ReadingChange]) -> None:
-        """Set what has changed for the next turn."""
+        """Set the changes of the next turn."""
         for change in changes:
             self.readings[change.number].update(change.raw, change.until)
         for answer in answers:

@@ -1,4 +1,4 @@
-"""Replays all hosts of a recording and compares them with it: what `lfield replay` reports."""
+"""Replays all hosts of a recording and compares them with it: the report of `lfield replay`."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ PROGRESS_TURNS = 500
 
 @dataclass(frozen=True, slots=True)
 class FirstDifference:
-    """Where a replay first differs from its recording.
+    """The first difference of a replay from its recording.
 
     `at` is the time of the turn in seconds since 1970, by the clock of the host at its start; `turn` its
-    number; `agent` and `place` (file:line of L) are '' where no agent is concerned.
+    number; `agent` and `place` (file:line of L) are '' if no agent is concerned.
     """
 
     host: str
@@ -58,7 +58,7 @@ class FirstDifference:
 
 @dataclass(slots=True)
 class PartResult:
-    """The result of one part of a recording; `seconds` is how much time it covers.
+    """The result of one part of a recording; `seconds` is the time that it covers.
 
     `guard` is the first device of a guard, '' for the core of the host.
     """
@@ -95,7 +95,7 @@ class ReplaySummary:
 
     @property
     def first(self) -> FirstDifference | None:
-        """The earliest difference, None if everything is equal."""
+        """The earliest difference, None if all turns are equal."""
         found = [part.first for part in self.parts if part.first is not None]
         return min(found, key=lambda each: each.at, default=None)
 
@@ -131,7 +131,7 @@ def check_part(
 
 
 def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]:
-    """The result for the guard of each bus, and what cannot be read, a sentence each."""
+    """The result for the guard of each bus, and the unreadable parts, a sentence each."""
     results: list[PartResult] = []
     problems: list[str] = []
     for incarnation in recording.incarnations:

@@ -55,14 +55,14 @@ class OrderedTurn(NamedTuple):
 class TeamOrder:
     """The turns of some recordings in one order.
 
-    `sends` and `arrivals` have the turns of the hops, `offsets` what is added to the clock of each recording.
+    `sends` and `arrivals` have the turns of the hops, `offsets` the addition to the clock of each recording.
     """
 
     def __init__(self, parts: Sequence[HostRecording]) -> None:
         self.parts = parts
         self.sends: dict[TransferKey, TurnPlace] = {}
         self.arrivals: dict[TransferKey, list[TurnPlace]] = defaultdict(list)
-        #: When each recording has met an incarnation.
+        #: The time when each recording has met an incarnation.
         self._meetings: dict[tuple[int, int], float] = {}
         for number, part in enumerate(parts):
             self._index(number, part)
@@ -146,7 +146,7 @@ class TeamOrder:
         return [offsets[number] for number in range(len(self.parts))]
 
     def _bounds(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """By two recordings, the lowest and the highest offset of the second one relative to the first."""
+        """For each pair of recordings, the lowest and the highest offset of the second to the first."""
         low: dict[tuple[int, int], float] = {}
         for hop, sent in self.sends.items():
             for arrived in self.arrivals.get(hop, ()):

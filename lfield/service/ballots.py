@@ -1,11 +1,11 @@
 """The part of one host in ballots about the activation of a bundle. Pure.
 
 The result of a ballot is a function of the votes: activated when every host has voted yes, aborted with one
-no. No desk decides, so a desk that ends in the middle leaves nothing open that the hosts cannot settle among
-themselves: a host that has not voted votes no when it is asked with `closes`, and each host tells the votes
+no. No desk decides, so after the end of a desk the hosts can settle every ballot among
+themselves: a host that has not voted votes no on a request with `closes`, and each host reports the votes
 that it knows. A host that has voted yes is *bound*: it starts no mission until it knows the result.
 
-Every function returns a new value. The caller stores it before it sends anything.
+Every function returns a new value. The caller stores the value before it sends a message.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ MAX_EARLIER = 8
 def propose(state: ActivationState, host: str, ballot: Ballot, refusal: str) -> ActivationState:
     """The state after the vote of `host` on a proposal: no for a `refusal`, yes without one.
 
-    A repeated proposal changes nothing, nor does one in which `host` does not take part.
+    A repeated proposal has no effect, nor has one in which `host` does not take part.
     """
     if host not in ballot.hosts or _has_voted(state, ballot.id):
         return state
@@ -86,8 +86,8 @@ def close(state: ActivationState, id: bytes) -> ActivationState:
 def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote]) -> ActivationState:
     """The state after the votes of other hosts. A yes of `host` itself is only cast by `propose`.
 
-    A no of `host` that others report was given for it by an operator, who took it for lost: then they have
-    aborted. A vote against a ballot whose proposal has not arrived closes it.
+    A no of `host` that others report was given by an operator, who assumed that `host` is lost: then they
+    have aborted. A vote against a ballot whose proposal has not arrived closes it.
     """
     if state.ballot is None or state.ballot.id != id:
         return close(state, id) if "no" in votes.values() else state
@@ -95,7 +95,7 @@ def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote
 
 
 def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
-    """What the host knows of a ballot."""
+    """The votes and reasons of a ballot that are known to the host."""
     if (known := _known(state, id)) is not None:
         return known
     if id in state.closed:
@@ -104,7 +104,9 @@ def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
 
 
 def coordinators_elsewhere(mission: BundleInfo | None, hosts: Collection[str]) -> str:
-    """Why the coordinators of a mission that has not ended may be on other hosts than these; '' if not."""
+    """The reason why the coordinators of a mission that has not ended may be on other hosts than these, or
+    ''.
+    """
     remedy = "let it end, or 'lfield stop --discard', with --without for hosts that are lost"
     if mission is None:
         return f"the mission has not ended, and its coordinators are unknown; {remedy}"

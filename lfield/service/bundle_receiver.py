@@ -55,7 +55,7 @@ Verify = Callable[[bytes], BundleInfo]
 
 
 class ArrivingUpload(NamedTuple):
-    """An upload under way: who sends it, and when its last piece or offer arrived (monotonic)."""
+    """An upload under way: its sender, and the time of its last piece or offer (monotonic)."""
 
     operator: str
     at: float
@@ -74,7 +74,7 @@ class BundleReceiver:
     ) -> None:
         self._files, self._verify, self._kept, self._note, self._now = files, verify, kept, note, now
         self._infos: dict[bytes, BundleInfo] = {}
-        #: By file. After a restart of the service the desks offer their pieces again.
+        #: Uploads by file. After a restart of the service the desks offer their pieces again.
         self._uploads: dict[bytes, ArrivingUpload] = {}
 
     def on_offer(self, offer: BundleOffer, operator: str) -> PieceRequest:
@@ -114,7 +114,7 @@ class BundleReceiver:
         return PieceStored(piece.file, piece.number)
 
     def on_stage(self, request: StageRequest) -> StageResult:
-        """Store the bundle that all pieces make, if it is valid."""
+        """Store the bundle of all received pieces, if it is valid."""
         if self._has_file(request.digest, request.file) and self.is_valid(request.digest):
             # Another desk has sent the same file at the same time.
             self._drop(request.file)
@@ -159,7 +159,7 @@ class BundleReceiver:
             return False
 
     def start_refusal(self, digest: bytes, command: MissionCommand, person: str) -> str:
-        """Why a command may not start the active bundle `digest`; '' if it may. Raises BundleError."""
+        """The reason why a command may not start the active bundle `digest`, or ''. Raises BundleError."""
         if command.digest not in (b"", digest):
             other, active = short_digest(command.digest), short_digest(digest)
             return (

@@ -4,7 +4,7 @@
     <state>/service/bundles/<digest>.lfm
     <state>/service/staging/<file>/  pieces of a bundle that is arriving, by number, and its offer
 
-A file is on disk before a method returns. Raises OutputFileError where it cannot be written.
+A file is on disk before a method returns. Raises OutputFileError if it cannot be written.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ KEPT_BUNDLES, KEPT_UPLOADS = 3, 2
 class RunRecord(Struct, frozen=True):
     """The mission's host that should run: its bundle, and the boot of the computer in which it was started.
 
-    `bundle` is b"" when nothing should run. `pid` and `started` (clock ticks after the boot) identify the
-    process, 0 before it was started. `unsafe` is why the vehicles of the last host may not be at rest.
-    `open_run` is the bundle that was started last, until its run has ended or was discarded: its coordinators
-    may exist on any host of its mission. `order` is the id of the order that started it.
+    `bundle` is b"" when no host should run. `pid` and `started` (clock ticks after the boot) identify the
+    process, 0 before it was started. `unsafe` is the reason why the vehicles of the last host may not be at
+    rest. `open_run` is the bundle that was started last, until its run has ended or was discarded: its
+    coordinators may exist on any host of its mission. `order` is the id of the order that started it.
     """
 
     bundle: Hash = b""
@@ -54,14 +54,14 @@ class RunRecord(Struct, frozen=True):
 
 
 class ServiceRecord(Struct, frozen=True):
-    """The durable state of a service. `held`: it may hold the mission's host for a ballot."""
+    """The durable state of a service. `held`: the service may hold the mission's host for a ballot."""
 
     activation: ActivationState = ActivationState()
     run: RunRecord = RunRecord()
     held: bool = False
 
 
-#: The names of bundles and of uploads. Others may put files there.
+#: The names of bundles and of uploads. Other programs may put files there.
 _DIGEST = re.compile("[0-9a-f]{64}")
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(ServiceRecord)
 
@@ -76,7 +76,7 @@ class BundleStore:
         self._staging = private_folder(folder / "staging")
         #: The numbers of stored pieces of uploads, by file.
         self._arrived: dict[bytes, set[int]] = {}
-        #: Where stored bundles have each piece: path, offset.
+        #: The place of each piece in stored bundles: path, offset.
         self._known: dict[bytes, tuple[Path, int]] = {}
         self._indexed: set[Path] = set()
 

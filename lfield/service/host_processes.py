@@ -26,8 +26,8 @@ RESULT_OPTION = "--result-fd"
 class LocalProcesses:
     """See `mission_runner.HostProcesses`.
 
-    `bundle_path` gives the file of a bundle; `options` are those of `lfield up`. The host writes its result
-    to the file `result`, so that the next service knows how it ended.
+    `bundle_path` returns the file of a bundle; `options` are those of `lfield up`. The host writes its result
+    to the file `result`, so that the next service knows its end.
     """
 
     def __init__(
@@ -51,7 +51,8 @@ class LocalProcesses:
         command = [sys.executable, "-P", "-m", "lfield", "up", str(self._bundle_path(bundle))]
         command += [f"--host={self._host}", f"{RESULT_OPTION}={result}", *self._options]
         try:
-            # Its own session: a Ctrl-C at the service's terminal is for the service, which stops it in order.
+            # Its own session: a Ctrl-C at the service's terminal is for the service, which stops the host in
+            # order.
             child = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -68,7 +69,7 @@ class LocalProcesses:
     def find(self) -> HostProcess | None:
         """The host that an earlier service has started, also one that is not recorded; None without one.
 
-        Its process is known by its command line: of this user, with the name of the host and a bundle of
+        The process is identified by its command line: of this user, with the name of the host and a bundle of
         this service.
         """
         found = [host for host in map(self._host_in, _processes()) if host is not None]
@@ -111,7 +112,7 @@ class LocalProcesses:
         return HostEnd(KILLED if status is None else status, left.reason)
 
     def terminate(self, process: ProcessId) -> None:
-        """Ask it to end in order; again has it not wait for its devices."""
+        """Request the process to end in order; a second request ends its wait for its devices."""
         with suppress(OSError):
             descriptor = os.pidfd_open(process.pid)
             try:
@@ -121,7 +122,7 @@ class LocalProcesses:
                 os.close(descriptor)
 
     def _open_result(self, process: ProcessId) -> BinaryIO | None:
-        """The file of the result; that of a process that runs by its descriptor: the name may be deleted."""
+        """The file of the result; that of a running process by its descriptor: the name may be deleted."""
         paths = [self._result]
         if self.is_alive(process):
             options = [argument.partition("=") for argument in _command_line(process.pid)]
@@ -178,7 +179,7 @@ async def _wait(process: ProcessId) -> None:
 
 
 def _started(pid: int) -> int | None:
-    """When a process was started, in clock ticks after the boot; None if it has ended."""
+    """The time when a process was started, in clock ticks after the boot; None if it has ended."""
     try:
         # The name in parentheses may contain spaces and parentheses.
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

@@ -1,4 +1,4 @@
-"""Looks at the mission's host of this computer, through its control socket, and at its journals."""
+"""Observes the mission's host of this computer, through its control socket, and its journals."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from lfield.text.suggestions import listed
 from lfield.wire.observer_messages import BallotHold, EmergencyStopResult, StartRequest, StartResponse
 from lfield.wire.service_messages import UnfinishedCoordinator
 
-#: The oldest telemetry (s) that says that a vehicle is on the ground, and the largest speed (m/s) of one at
+#: The oldest telemetry (s) that proves that a vehicle is on the ground, and the largest speed (m/s) of one at
 #: rest: speeds of satellite receivers are not exact.
 MAX_AGE, REST_SPEED = 5.0, 0.5
-#: How often, and how many seconds apart, a host that has just been started is asked to start coordinators.
+#: The number of requests to a host that was just started to start coordinators, and the seconds between two.
 START_ATTEMPTS, START_DELAY = 10, 1.0
-#: Why a host does not run its mission yet.
+#: The reasons why a host does not run its mission yet.
 STARTING = "it starts: its devices are not open yet"
 _STATES: Mapping[str, str] = {
     "RUN": "suspended",
@@ -116,7 +116,7 @@ class LocalProbe:
             return False
 
     async def condition(self) -> str:
-        """Why the running host waits or is paused; '' if it does not."""
+        """The reason why the running host waits or is paused; '' if it does not."""
         if not self._pid():
             return ""
         try:
@@ -167,12 +167,12 @@ class LocalProbe:
     # --- the running host -----------------------------------------------------------------------------
 
     async def _snapshot(self) -> HostState:
-        """Raises LfieldError."""
+        """The state of the running host. Raises LfieldError."""
         batch = await self._ask(SNAPSHOT)
         return host_states({self._host: batch})[self._host]
 
     async def _ask(self, request: Request[T]) -> T:
-        """Raises LfieldError."""
+        """The answer of the running host. Raises LfieldError."""
         address = await asyncio.to_thread(self._control_socket)
         return await ask_with_retries(TcpTransport(1 << 20), address, request, self._host, None)
 
@@ -205,14 +205,14 @@ class LocalProbe:
 
 
 def _no_answer(error: LfieldError) -> str:
-    """Why a host whose process exists does not answer."""
+    """The reason why a host whose process exists does not answer."""
     if isinstance(error, NoListener):
         return "the mission's host accepts no connection now: it starts or ends"
     return f"the mission's host does not answer: {error}"
 
 
 def _hold(ballot: bytes, *, lift: bool = False) -> Request[EmergencyStopResult]:
-    """Holds the mission's host for a ballot, or with `lift` does no more."""
+    """Holds the mission's host for a ballot, or with `lift` ends the hold."""
     return Request(BallotHold(ballot, lift), EmergencyStopResult, 8.0, is_retried=True)
 
 
@@ -247,7 +247,7 @@ def _in_snapshot(host: HostState) -> Iterator[UnfinishedCoordinator]:
 
 
 def _motion(name: str, device: DeviceState | None) -> str:
-    """Why a vehicle is not known to be at rest on the ground; '' if it is."""
+    """The reason why a vehicle is not known to be at rest on the ground; '' if it is."""
     if device is None or device.silent is None or device.silent > MAX_AGE:
         return f"{name} does not report whether it is on the ground"
     match device.telemetry.get(ON_GROUND):

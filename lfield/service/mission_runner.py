@@ -25,11 +25,11 @@ from lfield.text.log_messages import LogLine
 from lfield.wire.fields import short_digest, truncate
 from lfield.wire.service_messages import COMPLETED, RunInfo, RunPhase, ServiceQuery, ServiceStatus
 
-#: The longest pause between two questions about a missed end, in seconds.
+#: The longest pause between two requests about a missed end, in seconds.
 LONGEST_PAUSE = 60.0
 #: The status of a host that ended without leaving one: killed, or after a crash of its computer.
 KILLED = -9
-#: What is said of a host that ran before this boot.
+#: The reason for the end of a host that ran before this boot.
 REBOOTED = "this computer was restarted while the mission's host ran"
 
 
@@ -74,7 +74,7 @@ class HostProcesses(Protocol):
         """The end of a process, when it has ended."""
 
     def terminate(self, process: ProcessId) -> None:
-        """Ask it to end in order; again has it not wait for its devices."""
+        """Request the process to end in order; a second request ends its wait for its devices."""
 
 
 class MissionRunner:
@@ -91,20 +91,20 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
-        #: The `unsafe` of the record before the host was launched; None where it is not known.
+        #: The `unsafe` of the record before the host was launched; None if unknown.
         self._unsafe_before: str | None = None
-        #: Why the host before the one that runs has failed, '' for none.
+        #: The reason why the host before the running one has failed, '' for none.
         self.last_failure = ""
         #: Whether the mission may have ended on other hosts while no host ran here.
         self.may_have_missed_end = False
 
     def attach(self, store: Callable[[], None], refusal: Callable[[bytes], str]) -> None:
-        """Set what stores the record, and what says why the host of a bundle may not start."""
+        """Set the functions that store the record, and that return the reason why a bundle may not start."""
         self._store, self._refusal = store, refusal
 
     @property
     def record(self) -> RunRecord:
-        """What is stored."""
+        """The stored record."""
         return self._record
 
     @property
@@ -123,7 +123,7 @@ class MissionRunner:
         return self._process is not None
 
     async def start(self, bundle: bytes, order: bytes = b"") -> None:
-        """Start the host of a bundle; nothing if it runs. Raises LfieldError."""
+        """Start the host of a bundle; no effect if it runs. Raises LfieldError."""
         if self._process is not None:
             return
         # A restart that waits would refuse, or start the host a second time.
@@ -186,7 +186,7 @@ class MissionRunner:
         self._set_phase("stopped", reason)
 
     def end_run(self) -> None:
-        """No coordinator of the last run exists any more. Raises OutputFileError."""
+        """Record that no coordinator of the last run exists any more. Raises OutputFileError."""
         if self._record.open_run:
             self._set_record(replace(self._record, open_run=b""))
 
@@ -196,12 +196,12 @@ class MissionRunner:
             await asyncio.gather(self._supervision, return_exceptions=True)
 
     def terminate_again(self) -> None:
-        """Have a stopping host not wait for its devices."""
+        """End a stopping host's wait for its devices."""
         if self._process is not None:
             self._processes.terminate(self._process)
 
     def detach(self) -> None:
-        """The service ends, the host continues: stop observing it."""
+        """Stop observing the host, which continues after the end of the service."""
         if self._supervision is not None:
             self._supervision.cancel()
 
@@ -215,7 +215,7 @@ class MissionRunner:
                 return
 
     async def _supervise_ended(self, process: ProcessId) -> None:
-        """The host has ended while no service ran."""
+        """Handle a host that has ended while no service ran."""
         if await self._restarts_after(await self._processes.ended(process)):
             await self._supervise()
 
@@ -227,10 +227,12 @@ class MissionRunner:
         short = short_digest(bundle)
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
         if end.status < 0 or end.status == exit_status.UNSAFE:
-            # Its vehicles may still move. The next host observes them, or an operator says that they rest.
+            # The vehicles may still move. The next host observes them, or an operator confirms that they
+            # rest.
             unsafe = truncate(verdict.reason)
             if end.status == -signal.SIGTERM and self._unsafe_before is not None:
-                # It handles SIGTERM before it opens devices, so this ends only one that has not opened any.
+                # The host handles SIGTERM before it opens devices, so this ends only a host without open
+                # devices.
                 unsafe = self._unsafe_before
             self._keep(replace(self._record, unsafe=unsafe))
         if self._is_stopping:
@@ -281,7 +283,7 @@ class MissionRunner:
         self.note(messages.HOST_INTERRUPTED.line(reason=reason))
 
     def _forget(self, unsafe: str | None = None) -> None:
-        """Nothing should run."""
+        """Store that no host should run."""
         self._keep(self._idle_record(self._record.unsafe if unsafe is None else unsafe))
 
     def _idle_record(self, unsafe: str) -> RunRecord:
@@ -312,14 +314,15 @@ class MissionRunner:
 
 
 class MissedEnd:
-    """Asks the other hosts whether the mission has ended while the host of this computer did not run.
+    """Requests from the other hosts whether the mission has ended while the host of this computer did not
+    run.
 
-    They do not link with it any more. It asks less often the longer they say that it has not.
+    These hosts do not link with it any more. The requests become rarer while the answer is that it has not.
     """
 
     def __init__(self, runner: MissionRunner, probe: MissionProbe, clock: Clock) -> None:
         self._runner, self._probe, self._now = runner, probe, clock.monotonic
-        #: The process that was asked for, when it was first, and when it is next.
+        #: The process that the requests are about, and the times of the first and the next request.
         self._process: ProcessId | None = None
         self._first = self._next = 0.0
 
@@ -344,5 +347,7 @@ class MissedEnd:
 
 
 def _not_restarted(end: str, refusal: str) -> str:
-    """Why a host has ended and was not restarted; true also when the refusal does not apply any more."""
+    """The reason why a host has ended and was not restarted; valid also when the refusal no longer
+    applies.
+    """
     return truncate(f"{end}; not restarted then: {refusal}; 'lfield start' continues it")

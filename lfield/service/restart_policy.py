@@ -14,7 +14,7 @@ RESTARTED = (exit_status.SOFTWARE, exit_status.UNAVAILABLE)
 
 
 class Verdict(NamedTuple):
-    """Whether to restart, and why the host has ended."""
+    """Whether to restart, and the reason of the host's end."""
 
     restarts: bool
     reason: str
@@ -31,7 +31,7 @@ def judge(status: int, reason: str, earlier: Sequence[float], now: float) -> Ver
         else exit_status.MEANINGS.get(status, f"status {status}").partition(";")[0]
     )
     if status == exit_status.NO_OUTPUT and not reason:
-        # On a full disk it cannot store its reason either.
+        # On a full disk the host cannot store its reason either.
         why += "; its disk may be full: make room"
     if status >= 0 and status not in RESTARTED:
         return Verdict(False, why)

@@ -1,4 +1,4 @@
-"""The links of a service: accepts desks and the services of other hosts, and passes on what they may send."""
+"""The links of a service: accepts desks and the services of other hosts, and passes on permitted messages."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ServiceServer:
             pushed.reject(f"over {MAX_HANDSHAKES} handshakes are pending at this service")
         return session
 
-    # --- what sessions report -------------------------------------------------------------------------
+    # --- reports of sessions --------------------------------------------------------------------------
 
     def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
         """See `SessionOwner`."""

@@ -1,7 +1,7 @@
-"""Answers the requests to the service of one host, and carries out the results of ballots.
+"""Answers the requests to the service of one host, and executes the results of ballots.
 
-Its decisions are those of `ballots` and `restart_policy`. Disk, processes, and other services are interfaces,
-so that simulations run it without any.
+The decisions are those of `ballots` and `restart_policy`. Disk, processes, and other services are interfaces,
+so that simulations run the service without them.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ class Service:
         self._activation, self._held = record.activation, record.held
         #: Held while a vote is made or a command executed: one decision at a time.
         self._lock = asyncio.Lock()
-        #: When the open ballot was voted for (monotonic), None without one.
+        #: The time of the vote in the open ballot (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
-        #: Why the state could not be stored at the last attempt, '' if it was.
+        #: The reason why the state could not be stored at the last attempt, '' if it was.
         self._store_trouble = ""
-        #: When a log line has named the open ballot last.
+        #: The time of the last log line about the open ballot.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
             store, verify, lambda: self._activation.kept, self.note, clock.monotonic
@@ -81,7 +81,7 @@ class Service:
 
     @property
     def activation(self) -> ActivationState:
-        """Its durable state of activations."""
+        """The durable state of activations."""
         return self._activation
 
     def note(self, line: LogLine) -> None:
@@ -112,7 +112,7 @@ class Service:
             case MissionCommand():
                 who = f"assistant of {operator}" if message.is_assistant else operator
                 self.note(messages.COMMAND.line(action=message.action, operator=who))
-                # What ends the host from now on was not known to the operator.
+                # The operator did not know of an end of the host from now on.
                 unsafe = self._runner.record.unsafe
                 async with self._lock:
                     if message.action == "stop":
@@ -127,7 +127,7 @@ class Service:
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
             reason, failure = await self._probe.condition(), self._runner.last_failure
-            # Until it is up, the reason of the attempt before says more.
+            # Until the host is up, the reason of the attempt before is more informative.
             because = f"; restarted after: {failure}" if reason and failure else ""
             run = replace(run, reason=truncate(reason + because))
         return ServiceStatus(
@@ -156,7 +156,7 @@ class Service:
             refusal = await self._refusal(ballot.digest, ballot.hosts)
             if not refusal and ballot.digest != self._activation.active:
                 process = self._runner.process
-                # Again when nothing can arm any more: a vehicle may have started in between.
+                # Again when no vehicle can arm any more: one may have started in between.
                 refusal = await self._hold(ballot.id) or await self._refusal(None)
                 if not refusal and process != self._runner.process:
                     refusal = "the mission's host has ended during the vote: repeat it"
@@ -179,7 +179,7 @@ class Service:
         return found
 
     async def on_votes(self, id: bytes, votes: Mapping[str, Vote]) -> None:
-        """Votes of other hosts were learnt, from a desk or by asking them."""
+        """Handle votes of other hosts, from a desk or by requests to them."""
         async with self._lock:
             before = self._activation.open_ballot
             self._store_activation(ballots.learn(self._activation, self._host, id, votes))
@@ -188,7 +188,7 @@ class Service:
                 await self._carry_out(after)
 
     async def _carry_out(self, found: BallotState) -> None:
-        """The consequences of a result: the host of another bundle ends, or a paused one continues."""
+        """Execute a result: the host of another bundle ends, or a paused one continues."""
         if found.outcome == "open" or found.ballot is None:
             return
         bundle = short_digest(found.ballot.digest)
@@ -210,12 +210,12 @@ class Service:
                 self._runner.end_run()
         # Without an active bundle the state was deleted while the host ran: no activation ends it.
         if active and self._runner.record.bundle not in (b"", active):
-            # Held to its end: between its release and its end a vehicle could arm.
+            # Held until the host ends: between its release and its end a vehicle could arm.
             await self._runner.stop("another bundle was activated")
             await self._release()
 
     async def _hold(self, ballot: bytes) -> str:
-        """Hold a running host, so that nothing arms before the result; returns why it is not at rest."""
+        """Hold a running host until the result, so that no vehicle arms; returns why it is not at rest."""
         if not self._runner.is_running:
             return ""
         self._set_held(True)
@@ -229,9 +229,9 @@ class Service:
             self._set_held(False)
 
     async def _refusal(self, digest: bytes | None, hosts: Sequence[str] = ()) -> str:
-        """Why this host would vote no, '' if it would not. `digest` is None for any other bundle.
+        """The reason why this host would vote no, or ''. `digest` is None for any other bundle.
 
-        `hosts` are those that take part, none where they are not known.
+        `hosts` are those that take part, none if unknown.
         """
         if digest is not None and digest == self._activation.active:
             return ""
@@ -245,15 +245,15 @@ class Service:
         return self._unaccounted(hosts)
 
     def _unaccounted(self, hosts: Sequence[str]) -> str:
-        """Which coordinators of a run that has not ended may exist on other hosts than these; '' if none.
+        """The coordinators of an unfinished run that may exist on other hosts than these; '' if none.
 
-        There is a record of a coordinator only on hosts that it has visited.
+        Only hosts that a coordinator has visited have a record of it.
         """
         run = self._runner.record.open_run or self._runner.record.bundle
         return ballots.coordinators_elsewhere(self._bundles.info(run), hosts) if run and hosts else ""
 
     async def _motion(self) -> str:
-        """Why the vehicles of the mission's host may not be at rest on the ground; '' if they are."""
+        """The reason why vehicles of the mission's host may not be at rest on the ground; '' if all are."""
         if self._runner.is_running:
             return await self._probe.vehicles()
         if self._runner.info.phase == "waiting":
@@ -263,9 +263,9 @@ class Service:
         return ""
 
     async def resolve(self, ask: AskPeer) -> None:
-        """At once and every few seconds: ask the other hosts of an open ballot, or complete a result.
+        """Request the votes of an open ballot, or complete a result; at once and every few seconds.
 
-        Does not return. On a full disk the next round tries again.
+        Never returns. On a full disk the next round tries again.
         """
         while True:
             with suppress(OutputFileError, JournalError):
@@ -297,7 +297,7 @@ class Service:
     async def _stop_after_missed_end(self, ask: AskPeer) -> None:
         """Stop a host that was restarted while its mission ended: it would wait for hosts that have ended.
 
-        What its journal says of the coordinators is older than their ends.
+        The records of its journal about the coordinators are older than their ends.
         """
         process, mission = self._runner.process, self._bundles.info(self._runner.record.bundle)
         if mission is None or not (host := await self._missed_end.find(ask, mission.hosts)):
@@ -334,7 +334,7 @@ class Service:
         return CommandResult(self._runner.info, refusal)
 
     def _start_refusal(self, bundle: bytes) -> str:
-        """Why the host of a bundle may not start here now; '' if it may."""
+        """The reason why the host of a bundle may not start here now; '' if it may."""
         bound = self._activation.open_ballot
         if bound is not None:
             missing = listed(bound.missing)
@@ -354,14 +354,14 @@ class Service:
         self._held = self._held or self._runner.is_running
 
     async def settle(self) -> None:
-        """Complete what the last result requires, for instance after a restart of the service."""
+        """Complete the steps after the last result, for instance after a restart of the service."""
         async with self._lock:
             if self._activation.open_ballot is None:
                 await self._end_other_bundle()
                 await self._release()
 
     def _store_activation(self, changed: ActivationState) -> None:
-        """Store a state, then use it. Raises OutputFileError; then nothing has changed."""
+        """Store a state, then use it. Raises OutputFileError; then the state is unchanged."""
         if changed == self._activation:
             return
         self._save(ServiceRecord(changed, self._runner.record, self._held))
@@ -391,7 +391,7 @@ class Service:
         self._store_trouble = ""
 
     def _disk_trouble(self) -> str:
-        """Why no vote can be stored now; '' if the last one was, or the disk has room again."""
+        """The reason why no vote can be stored now; '' after success, or when the disk has room again."""
         if self._store_trouble:
             with suppress(OutputFileError):
                 self._store_run()

@@ -1,4 +1,4 @@
-"""What surrounds the service of a host: its disk, the mission's host, and the services of other hosts."""
+"""The environment of the service of a host: its disk, the mission's host, and the services of other hosts."""
 
 from __future__ import annotations
 
@@ -23,30 +23,32 @@ class ServiceFiles(BundleFiles, Protocol):
 
 
 class MissionProbe(Protocol):
-    """Looks at the mission's host and its journals (`mission_probe.LocalProbe`)."""
+    """Observes the mission's host and its journals (`mission_probe.LocalProbe`)."""
 
     async def vehicles(self) -> str:
-        """Why the vehicles of a running host are not all at rest on the ground; '' if they are."""
+        """The reason why the vehicles of a running host are not all at rest on the ground; '' if they are."""
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
         """The coordinators that have not ended."""
 
     async def hold(self, ballot: bytes) -> str:
-        """Hold the running host until the result of a ballot, so that nothing arms; returns why it is not at
-        rest, '' if it is. No person can end that, and a pause of a person is another one.
+        """Hold the running host until the result of a ballot, so that no vehicle arms; returns the reason
+        why it is not at rest, or ''. No person can end this hold, and a pause of a person is separate.
         """
 
     async def release(self) -> str:
-        """End the hold of the running host for any ballot; returns why it is still held, '' if not."""
+        """End the hold of the running host for any ballot; returns the reason why it is still held, or ''."""
 
     async def is_up(self) -> bool:
         """Whether the running host has opened its devices."""
 
     async def condition(self) -> str:
-        """Why the running host waits or is paused; '' if it does not."""
+        """The reason why the running host waits or is paused; '' if it does not."""
 
     async def start_without(self, hosts: list[str]) -> str:
-        """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
+        """End the wait of the running host's coordinators for some hosts; returns the reason why they
+        still wait.
+        """
 
     async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
         """End the coordinators in the journals of a host that does not run, or of one mission of it; returns

@@ -4,7 +4,7 @@
     <base>/lfield-0.4.0/     its state: bundles, votes, journals
 
 A newer version starts with a copy of the state of the version before. An older one continues with the state
-that it had before the update. Nothing can be lost by that: an update, like an activation, needs that all
+that it had before the update. No data can be lost by that: an update, like an activation, requires that all
 coordinators have ended.
 """
 
@@ -28,7 +28,7 @@ _LEFT_OUT = shutil.ignore_patterns("staging", "host.reserve")
 def versioned_state(base: Path, version: str) -> Path:
     """The state directory of `version` below `base`, created if it is missing.
 
-    Raises OutputFileError where it cannot be written.
+    Raises OutputFileError if it cannot be written.
     """
     own, last = _folder(base, version), _last_version(base)
     try:

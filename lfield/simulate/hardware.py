@@ -47,12 +47,12 @@ class DeviceCommand(NamedTuple):
     owner: int
     what: str
     arguments: tuple[object, ...] = ()
-    #: Whether it leads to a safe state and is not a command of a program.
+    #: Whether the command leads to a safe state and is not one of a program.
     safe: bool = False
 
 
 class Hardware:
-    """One bus with its devices, independent of who opens it."""
+    """One bus with its devices, independent of its opener."""
 
     def __init__(self, timeline: EventQueue, rng: random.Random) -> None:
         self._timeline, self.rng = timeline, rng
@@ -63,8 +63,9 @@ class Hardware:
         self._fed = self._until = float("-inf")
 
     def feed(self, watchdog: float = 0.0) -> None:
-        """A heartbeat. With a time, that is the watchdog's time-out from now on. A stopped device stays
-        stopped."""
+        """Handles a heartbeat. With a time, that is the watchdog's time-out from now on. A stopped device
+        stays stopped.
+        """
         if not self.is_moving:
             self._until = float("-inf")
         self._watchdog, self._fed = watchdog or self._watchdog, self._timeline.now
@@ -72,7 +73,7 @@ class Hardware:
     def command(
         self, owner: int, what: str, arguments: tuple[object, ...], seconds: float, *, safe: bool = False
     ) -> None:
-        """Execute a command, moving for that long; `safe`: it leads to a safe state."""
+        """Execute a command, moving for that long; `safe`: the command leads to a safe state."""
         self.feed()
         self.record.append(DeviceCommand(self._timeline.now, owner, what, arguments, safe))
         self._until = self._timeline.now + seconds
@@ -83,11 +84,11 @@ class Hardware:
         return [owner for owner, loop in self._openings.items() if not getattr(loop, "dead", False)]
 
     def on_opened(self, owner: int) -> None:
-        """A driver has opened it."""
+        """Records a driver that has opened the bus."""
         self._openings[owner] = asyncio.get_running_loop()
 
     def on_closed(self, owner: int) -> None:
-        """A driver has closed it."""
+        """Records a driver that has closed the bus."""
         self._openings.pop(owner, None)
 
     @property
@@ -149,7 +150,7 @@ class AnyDevice(Device):
         self._driver, self._hardware = driver, driver.hardware
 
     async def carry_out(self, instruction: Instruction, arguments: Sequence[object]) -> DeviceValue:
-        """Execute any instruction."""
+        """Executes any instruction."""
         answer = self._hardware.rng.uniform(*ANSWER)
         if not instruction.only_asks:
             # A command is written at once: only its answer is delayed.
@@ -180,7 +181,7 @@ class AnyDevice(Device):
 
 
 def _methods(manifest: DeviceManifest) -> dict[str, Any]:
-    """A coroutine per instruction, as the guard looks them up."""
+    """A coroutine per instruction, under the names that the guard looks up."""
     return {
         method_name(i.name): _method(i)
         for i in manifest.instructions

@@ -61,7 +61,7 @@ class HostLife:
 
     process: SimulatedProcess
     host: Host
-    #: Its shutdown signals.
+    #: The shutdown signals of the host.
     shutdown_signals: ShutdownSignals
 
     @property
@@ -71,7 +71,7 @@ class HostLife:
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """How the hosts of a fleet run. Times are in seconds.
+    """Options of the hosts of a fleet. Times are in seconds.
 
     With `lost_after`, hosts exit when all coordinators have ended, as with --until-done. `keeps`: hosts have
     journals. Code takes `slowness` times its usual CPU time. `time_of_day` is that of all computers at the
@@ -84,12 +84,12 @@ class FleetOptions:
     slowness: float = 1.0
     time_of_day: float | None = None
     clock_drift: float = CLOCK_DRIFT
-    #: Where the cores are recorded.
+    #: The folder for the recordings of the cores.
     record: RecordingTarget | None = None
 
 
 class Fleet:
-    """The hosts of a mission, all started at the beginning. `seed` determines everything random.
+    """The hosts of a mission, all started at the beginning. `seed` determines all random values.
 
     `watch` is called after every event, and raises AssertionError for a violated invariant; `on_start` with
     each incarnation of a host before it runs. `plug` provides hardware and returns the mission with its
@@ -195,12 +195,12 @@ class Fleet:
         self.lives[name].process.loop.enter(self.lives[name].shutdown_signals.request)
 
     def power_off(self, name: str) -> None:
-        """Power its computer off without notice."""
+        """Power a host's computer off without notice."""
         self.computers[name].power_off()
         self.lives.pop(name, None)
 
     def lose(self, name: str) -> None:
-        """Its computer is permanently lost, without notice."""
+        """Lose a host's computer permanently, without notice."""
         self.gone.add(name)
         self.power_off(name)
 
@@ -219,7 +219,7 @@ class Fleet:
             release(computer.machine)
 
     def lose_disk(self, name: str) -> None:
-        """Replace its disk by an empty one."""
+        """Replace a host's disk by an empty one."""
         self.disks[name].replace()
         self.replaced.add(name)
         self._known.add(name)
@@ -255,7 +255,7 @@ class Fleet:
         process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
 
     def _mission_on(self, host: str) -> Mission:
-        """The mission as the process of a host has it."""
+        """The mission as in the process of a host."""
         found = _mission_of(self.mission, host)
         return found if self.options.record is None else replayed_form(found)
 

@@ -1,9 +1,9 @@
 """The simulated disk of a computer, with the journal of its host.
 
-It is slow, and may be full, broken, damaged or replaced. Uncommitted data is lost when the process ends; a
-commit in progress is stored completely or not at all (random), as SQLite resolves a torn write. Data refused
-by a broken disk may still be on it. Not modelled: a disk that loses acknowledged data, and partial read
-errors.
+The disk is slow, and may be full, broken, damaged or replaced. Uncommitted data is lost when the process
+ends; a commit in progress is stored completely or not at all (random), as SQLite resolves a torn write. Data
+refused by a broken disk may still be on it. Not modelled: a disk that loses acknowledged data, and partial
+read errors.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class JournalDisk:
         self.rng = rng
         #: Seconds per commit, also while slow; commits left on a full disk.
         self.sync, self.slow, self.reserve = sync, 0.0, RESERVE
-        #: Whether it is full; whether it refuses writes.
+        #: Whether the disk is full; whether it refuses writes.
         self.full = self.broken = False
-        #: The id of its journal, 0 without one.
+        #: The id of the journal, 0 without one.
         self.identity = 0
         self._entries: dict[RecordKey, JournalEntry] = {}
 
     def replace(self) -> None:
-        """Replace it by a working empty disk: its journal gets another id."""
+        """Replace the disk by a working empty one: its journal gets another id."""
         self.identity, self.reserve = 0, RESERVE
         self._entries.clear()
         self.full = self.broken = False
@@ -50,7 +50,7 @@ class JournalDisk:
         self._entries[key] = found._replace(checksum=found.checksum ^ 1)
 
     def open(self, clock: Clock, report: Callable[[str], None]) -> SimulatedJournal:
-        """Open its journal for a new process. Raises JournalError on a broken disk."""
+        """Open the journal for a new process. Raises JournalError on a broken disk."""
         self._check_usable()
         pages = dict[RecordKey, tuple[JournalEntry, Record]]()
         for key, found in list(self._entries.items()):
@@ -67,7 +67,7 @@ class JournalDisk:
         return SimulatedJournal(self, self.identity, pages, clock)
 
     def pages(self) -> list[Record]:
-        """Its contents as they would be after a crash now."""
+        """The contents of the disk after a crash now."""
         return [decode_record(found) for found in self._entries.values()]
 
     def trouble(self) -> str:

@@ -45,7 +45,7 @@ class LoopClock:
         return asyncio.get_running_loop().time()
 
     def time(self) -> float:
-        """The same: a wall clock that began with the loop."""
+        """The same time: a wall clock that began with the loop."""
         return self.monotonic()
 
 

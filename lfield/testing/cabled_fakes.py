@@ -1,6 +1,6 @@
 """A simulated device on virtual time at the far end of a cable: a process on its own machine.
 
-Like hardware, it is independent of the computer at the near end.
+Like hardware, the device is independent of the computer at the near end.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class CabledFake:
         sim.add_arguments(parser)
         args = parser.parse_args(options)
         self.name = name
-        #: What it serves, once it does; else why it cannot, in a sentence.
+        #: The served device, once it is ready; else the reason why it cannot be served, in a sentence.
         self.serving: ServedFake | None = None
         self.problem = ""
-        #: Its unexpected exceptions.
+        #: Unexpected exceptions of the device.
         self.trouble: list[MissionTestError] = []
         # The random numbers depend on the device's name, so that adding a device does not affect others.
         machine = SimulatedMachine(name, timeline, random.Random(name))
@@ -76,7 +76,7 @@ K = TypeVar("K")
 
 
 def wait_until_serving(fakes: Mapping[K, CabledFake], timeline: EventQueue) -> dict[K, ServedFake]:
-    """Runs until all of them serve. Raises MissionTestError, and what one raised."""
+    """Runs until all devices are served. Raises MissionTestError, and an exception of a device."""
     end = timeline.now + READY
     while len(served := {key: fake.serving for key, fake in fakes.items() if fake.serving}) < len(fakes):
         for error in (error for fake in fakes.values() for error in fake.trouble):

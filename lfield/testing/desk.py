@@ -65,7 +65,7 @@ class DeskFake:
 
     @property
     def endpoint(self) -> str:
-        """Its endpoint, as in a binding."""
+        """The endpoint of the device, as in a binding."""
         return self._fake.endpoint
 
     def fault(self, *settings: str) -> None:
@@ -84,7 +84,7 @@ class DeskFake:
             raise MissionTestError(f"the simulated device '{self._fake.kind}': {wrong[0]}")
 
     def facts(self, device: str = "") -> Mapping[str, str | int | bool]:
-        """True values of a device, by its id or the only one, independent of the wire."""
+        """True values of a device, by its id or of the only one, independent of the wire."""
         return self._fake.facts[device or next(iter(self._fake.facts))]()
 
 
@@ -107,7 +107,7 @@ class Desk:
 
     @property
     def clock(self) -> MachineClock:
-        """The clock of its computer."""
+        """The clock of the computer."""
         return self._computer.machine.clock
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
@@ -115,7 +115,7 @@ class Desk:
         self._timeline.at(seconds, action)
 
     def kill(self, pid: int) -> None:
-        """Kills a process of its computer: a guard, by `guard_pid` of its device. Raises KeyError."""
+        """Kills a process of the computer: a guard, by `guard_pid` of its device. Raises KeyError."""
         process = {process.pid: process for process in self._computer.processes}[pid]
         self._timeline.after(0.0, partial(process.die, -9))
 
@@ -209,7 +209,7 @@ class Desk:
 @contextmanager
 def _outside_story() -> Iterator[None]:
     """Leaves the running loop, so that code within does not use it."""
-    # asyncio has no public way to leave a loop for a moment; `run_until_complete` of another loop would be
+    # asyncio has no public way to leave a loop temporarily; `run_until_complete` of another loop would be
     # refused. Both functions are provided for implementers of event loops.
     running = asyncio._get_running_loop()
     asyncio._set_running_loop(None)

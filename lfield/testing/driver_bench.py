@@ -100,7 +100,7 @@ class DriverBench(KeptReports):
     is closed.
     """
 
-    #: Of the present or last scenario.
+    #: The records of the present or last scenario.
     driver: Any
 
     def __init__(
@@ -185,7 +185,7 @@ class RunningFake:
 
     @property
     def endpoint(self) -> str:
-        """Its endpoint, as in a binding."""
+        """The endpoint of the device, as in a binding."""
         return self.ready_line[0]
 
     def fault(self, *settings: str) -> dict[str, Any]:

@@ -7,8 +7,9 @@
     // startable: Patrol:patrol   (optional; as deploy, of a coordinator that the program starts)
     // input: yes                 (optional; a line of operator input that is entered at the start)
 
-`expect` lines are compared with everything the agents write and print, in order; `throws` with what
-agents died of. The program runs on one host in memory, with a clock that jumps to the next timer.
+`expect` lines are compared with all text that the agents write and print, in order; `throws` with the
+exceptions that ended agents. The program runs on one host in memory, with a clock that jumps to the next
+timer.
 """
 
 from __future__ import annotations
@@ -78,13 +79,13 @@ class GoldenWorld:
         self.output.extend(text.removesuffix("\n").split("\n"))
 
     def on_input_awaited(self, agent: Agent, seconds: float) -> None:
-        """No operator is asked."""
+        """Has no effect: no operator is asked."""
 
     def on_line_read(self, agent: Agent, text: str) -> None:
-        """Its program shows the line."""
+        """Has no effect: the program shows the line."""
 
     def on_readers_changed(self, agents: Sequence[str]) -> None:
-        """There is no page."""
+        """Has no effect: a golden program has no page."""
 
     def log(self, agent: Agent, text: str) -> None:
         """Records a printed text, line by line."""
@@ -99,11 +100,11 @@ class GoldenWorld:
         self.departures.append((agent, resource))
 
     def may_start_call(self, agent: Agent, acts: bool) -> bool:
-        """There is no disk, and no team."""
+        """Always True: a golden program has no disk and no team."""
         return True
 
     def acquire_reservation(self, agent: Agent, resource: TeamMember, *, nested: bool) -> int:
-        """The first caller gets it; others are refused immediately."""
+        """Gives a resource to the first caller; others are refused immediately."""
         number, holder = self.reserved.get(resource.id, (0, ""))
         if holder not in ("", agent.id):
             raise Trap("ReservedException", f"{resource.id} is reserved by {holder}", resource.id)
@@ -121,7 +122,7 @@ class GoldenWorld:
                 self.machine.agents[resource.id].mark_reserved(on=False)
 
     def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
-        """The holder by its last number, and every coordinator while it is free."""
+        """Whether the caller is the holder by its last number, or the resource is free."""
         last, holder = self.reserved.get(resource.id, (0, ""))
         if number and (number, agent.id) != (last, holder):
             raise Trap("ReservationLostException", f"{resource.id} is no longer reserved", resource.id)
@@ -130,21 +131,21 @@ class GoldenWorld:
         return True
 
     def may_start_calls(self, agent: Agent, calls: Sequence[CallRequest]) -> bool:
-        """As `may_start_call`."""
+        """Always True, as `may_start_call`."""
         return True
 
     def on_call_completed(self, call: PendingCall) -> None:
-        """The result counts as persisted at once: there is no journal."""
+        """Counts the result as persisted at once: a golden program has no journal."""
         self.machine.pending_calls.on_persisted(call.key)
 
     def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
-        """No call runs elsewhere."""
+        """Has no effect: no call runs elsewhere."""
 
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
-        """No call runs elsewhere: there is one host."""
+        """Has no effect: no call runs elsewhere, as there is one host."""
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """A waiting agent is still here; others are not frozen."""
+        """Has no effect: a waiting agent is still on this host; others are not frozen."""
         if self.sequencer.abandon_wait(agent):
             return True
         waiting = [pair for pair in self.departures if pair[0] is not agent]
@@ -153,11 +154,11 @@ class GoldenWorld:
         return given_up
 
     def cancel(self, agent: Agent, thread: int) -> bool:
-        """There is no hardware to wait for."""
+        """Always False: a golden program has no hardware to wait for."""
         return False
 
     def is_superseded(self, agent: str, generation: int) -> bool:
-        """There is one epoch of each."""
+        """Always False: each agent has one epoch."""
         return False
 
     def host_of(self, member: TeamMember) -> str:
@@ -182,7 +183,7 @@ class GoldenWorld:
         return self.answers.find_teams(capability, constraint, size) if self.answers else []
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why other resources do not match, if there is a registry."""
+        """The reasons why other resources do not match, if there is a registry."""
         return self.answers.explain_others(capability, constraint) if self.answers else ""
 
     def ended(self, agent: Agent) -> None:
@@ -230,7 +231,7 @@ def run_text(
 
 
 def run_until_idle(machine: Machine, clock: ManualClock) -> None:
-    """Runs until nothing is pending, skipping all waits."""
+    """Runs until no event is pending, skipping all waits."""
     end = clock.now + PATIENCE
     for _ in range(ROUNDS):
         pause = machine.run()

@@ -1,6 +1,7 @@
 """Starts and stops coordinators of golden programs: the home of all of them, in memory.
 
-It decides as the home of a mission does (`lfield/host/sequencing`), without disk, rights and other hosts.
+The decisions are those of the home of a mission (`lfield/host/sequencing`), without disk, rights and other
+hosts.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ class GoldenSequencer:
 
     def __init__(self) -> None:
         self._machine: Machine | None = None
-        #: The number of starts, and how each coordinator has ended.
+        #: The number of starts, and the end of each coordinator.
         self._starts: dict[str, int] = {}
         self._ends: dict[str, str] = {}
         self._waiting: list[tuple[Agent, str]] = []
 
     def attach(self, machine: Machine) -> None:
-        """Set the machine that runs them."""
+        """Sets the machine that runs the coordinators."""
         self._machine = machine
 
     def start(self, asking: Agent, member: TeamMember, request: int) -> bool | None:
-        """Starts it at once, if it does not run."""
+        """Starts a coordinator at once, if it does not run."""
         assert self._machine is not None
         if member.id in self._machine.agents:
             raise Trap("ReservedException", f"{member.id} runs here already", member.id)
@@ -39,11 +40,11 @@ class GoldenSequencer:
         return True
 
     def has_started(self, member: TeamMember, request: int) -> bool:
-        """Never: a start returns at once."""
+        """Always False: a start returns at once."""
         return False
 
     def stop(self, asking: Agent, member: TeamMember) -> bool | None:
-        """Orders its end, which `end_of` waits for."""
+        """Orders the end of a coordinator, which `end_of` waits for."""
         assert self._machine is not None
         if asking.id == member.id:
             raise Trap("ConstraintException", f"{asking.id} cannot wait for its own end")
@@ -52,7 +53,7 @@ class GoldenSequencer:
         return True
 
     def end_of(self, asking: Agent, member: TeamMember) -> str | None:
-        """How it ended last."""
+        """The last end of a coordinator in a word; None while it runs."""
         assert self._machine is not None
         if member.id in self._machine.agents:
             self._waiting.append((asking, member.id))
@@ -60,18 +61,18 @@ class GoldenSequencer:
         return self._ends.get(member.id, "not started")
 
     def abandon_wait(self, agent: Agent) -> bool:
-        """Cancels the wait of a coordinator; whether it did wait."""
+        """Cancels the wait of a coordinator; returns whether it did wait."""
         before = len(self._waiting)
         self._waiting = [pair for pair in self._waiting if pair[0] is not agent]
         return len(self._waiting) < before
 
     def is_running(self, asking: Agent, member: TeamMember) -> bool | None:
-        """Whether the machine has it."""
+        """Whether the machine runs the coordinator."""
         assert self._machine is not None
         return member.id in self._machine.agents
 
     def on_ended(self, agent: Agent) -> None:
-        """A coordinator has ended: those that wait for it continue."""
+        """Continues the coordinators that wait for one that has ended."""
         failed = f"failed: {agent.report.splitlines()[0]}" if agent.ended == "died" else ""
         self._ends[agent.id] = failed or (STOPPED if agent.report == STOPPED else "done")
         waiting, self._waiting = self._waiting, []

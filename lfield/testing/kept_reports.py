@@ -1,4 +1,4 @@
-"""Records what a driver reports, for tests without a guard."""
+"""Records the reports of a driver, for tests without a guard."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class KeptReports:
         self.reported.setdefault(device, {}).update(values)
 
     def heard(self, device: str) -> None:
-        """Contact is not recorded."""
+        """Has no effect: contact is not recorded."""
 
     def note(self, device: str, text: str) -> None:
         """Records a log line."""

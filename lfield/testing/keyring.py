@@ -4,7 +4,7 @@
     keys.give("alpha", "bravo")
     subprocess.run(["lfield", "up", "mission.lfm", "--host", "alpha", "--keys", keys.folder])
 
-For tests only: the CA is deleted with the test. `lfield up --all` needs none of this.
+For tests only: the CA is deleted with the test. `lfield up --all` needs no keys.
 """
 
 from __future__ import annotations

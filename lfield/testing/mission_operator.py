@@ -37,7 +37,7 @@ class MissionOperator:
         self._fleet, self._readers, self._orders = fleet, readers, 0
 
     def pause(self, *, lift: bool) -> None:
-        """Pause the mission on all hosts that run, or with `lift` resume it."""
+        """Pauses the mission on all hosts that run, or with `lift` resumes it."""
         self._orders += 1
         order = Pause(self._orders.to_bytes(16), lift)
         for life in self._fleet.lives.values():
@@ -45,7 +45,7 @@ class MissionOperator:
             life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, _OperatorLink)))
 
     def type_line(self, host: str, text: object) -> None:
-        """Enter a line where a host runs, at the end of the present moment. Raises MissionTestError."""
+        """Enters a line where a host runs, at the end of the present moment. Raises MissionTestError."""
         call = f"type_line({host!r}, {text!r})"
         if not isinstance(text, str) or "\n" in text:
             raise MissionTestError(f"{call}: give one line of text, without its newline")

@@ -1,6 +1,6 @@
 """The pytest plugin for tests of missions: `pytest_plugins = ["lfield.testing.plugin"]`, or `lfield test`.
 
-It is not loaded automatically.
+The plugin is not loaded automatically.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def recordings_in(memory: RecordingMemory) -> list[HostRecording]:
 
 
 def _run(fleet: Fleet, fakes: MissionFakes, seconds: float, on_progress: Callable[[float], None]) -> None:
-    """Run until all hosts have ended, and raise what a simulated device has raised."""
+    """Runs until all hosts have ended, and raises an exception of a simulated device."""
     while fleet.now < seconds and (fleet.lives or not fleet.left):
         fleet.run(min(1.0, seconds - fleet.now))
         for trouble in fakes.trouble:

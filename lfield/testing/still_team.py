@@ -1,4 +1,4 @@
-"""A constant team for golden programs with capability queries: everything is as in the registry."""
+"""A constant team for golden programs with capability queries: all attributes are as in the registry."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class StillTeam:
         return [self._candidate(m) for m in self.members if m.type == resource]
 
     def here(self) -> Position | None:
-        """No agent has a position."""
+        """None: no agent has a position."""
         return None
 
     def _candidate(self, member: TeamMember) -> Candidate:

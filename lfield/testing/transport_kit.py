@@ -1,4 +1,4 @@
-"""What every transport must do, as tests.
+"""The requirements for every transport, as tests.
 
 A test module makes a class of its own from `TransportKit` and gives it a `bench` fixture:
 
@@ -40,7 +40,7 @@ MAX_BLOCK = 1 << 20
 class TransportBench(Protocol):
     """A transport under test, and a way to run it."""
 
-    #: Created with a `max_block` of MAX_BLOCK.
+    #: The transport, created with a `max_block` of MAX_BLOCK.
     transport: Transport
     #: An address to listen at, with port 0.
     address: str
@@ -49,7 +49,7 @@ class TransportBench(Protocol):
         """Runs a coroutine of the transport to its end."""
 
     def until(self, done: Callable[[], bool]) -> None:
-        """Runs the network until `done()`; fails if it never is."""
+        """Runs the network until `done()`; fails if that never becomes true."""
 
     def write(self, link: Link, data: bytes) -> None:
         """Sends bytes that are not a message."""
@@ -67,7 +67,7 @@ class Recorder:
         self._refuse = refuse
 
     def on_message(self, link: Link, message: Message) -> None:
-        """Records it; refuses the peer if configured."""
+        """Records a message; refuses the peer if configured."""
         self.messages.append(message)
         if self._refuse:
             link.send(HandshakeRefused(self._refuse))

@@ -1,8 +1,9 @@
 """Faults of a simulated device by name: definitions and present values, for all or one device, changed at
 runtime.
 
-loss=0.1           a share, for every device of the simulated device dead@3=true        of device 3 only
-silent@alpha.fc=true   by the name of the device's binding in a mission.
+loss=0.1               a share, for every device of the simulated device
+dead@3=true            of device 3 only
+silent@alpha.fc=true   by the name of the device's binding in a mission
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Log of the true states of simulated devices: `--log FILE`.
 
-The wire shows what a device reports; this log shows what it does, for external measurements: for example how
-long after the failure of a computer its devices are safe. A line per change, starting with everything:
+The wire shows the reports of a device; this log shows its actual state, for external measurements: for
+example the time from the failure of a computer until its devices are safe. A line per change, starting with
+everything:
 
 1234.567890 3 mode=LAND
 
@@ -35,14 +36,14 @@ class StateLog:
         self._devices, self._clock = devices, clock
         self._known: dict[tuple[str, str], str] = {}
         try:
-            # Unbuffered, so that nothing is lost however the simulated device ends.
+            # Unbuffered, so that no line is lost however the simulated device ends.
             self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115
         except OSError as error:
             raise OutputFileError(path, error.strerror or str(error)) from None
         self.write_changes()
 
     def write_changes(self) -> None:
-        """Writes changes since the last call. Called whenever something may have changed."""
+        """Writes changes since the last call. Called whenever a value may have changed."""
         if self._file is None:
             return
         values = {

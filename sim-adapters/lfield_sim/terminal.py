@@ -1,6 +1,7 @@
 """A pseudo-terminal, as behind a USB adapter; on a simulated computer its serial port.
 
-The client finds it at a symbolic link, which stays the same when the adapter is unplugged and plugged in.
+The client finds the pseudo-terminal at a symbolic link, which stays the same when the adapter is unplugged
+and plugged in.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ class Terminal:
 
     @property
     def plugged(self) -> bool:
-        """Whether it is plugged in."""
+        """Whether the adapter is plugged in."""
         return self._ends is not None or self._simulated is not None
 
     def plug(self) -> None:
-        """Plugs it in. Raises AddressError."""
+        """Plugs the adapter in. Raises AddressError."""
         if self.plugged:
             return
         if isinstance(self._loop, SimulatedLoop):
@@ -50,7 +51,7 @@ class Terminal:
             return
         if self._path.exists() and not self._path.is_symlink():
             raise AddressError(str(self._path), "there is a file or a device of that name")
-        # The slave stays open, otherwise the master reads an error whenever no client is there.
+        # The slave stays open, otherwise the master reads an error whenever no client has it open.
         master, slave = self._ends = os.openpty()
         tty.setraw(master)
         tty.setraw(slave)
@@ -66,7 +67,7 @@ class Terminal:
         self._loop.add_reader(master, self._read)
 
     def unplug(self) -> None:
-        """Unplugs it: clients get an input/output error."""
+        """Unplugs the adapter: clients get an input/output error."""
         if self._simulated is not None:
             self._simulated.close()
             self._simulated = None

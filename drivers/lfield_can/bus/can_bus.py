@@ -82,7 +82,9 @@ class Bus:
 
     @property
     def trouble(self) -> str:
-        """Why no device may be received: its state, with the cause if known; '' for nothing known."""
+        """The reason why no device may be received: the state of the bus, and its cause if known; '' for
+        none.
+        """
         if self._state == ACTIVE:
             return ""
         return f"{self._state}: {self._cause}" if self._cause else self._state
@@ -112,7 +114,7 @@ class Bus:
         return DeviceError("bus", f"{self._place.text}: {reason}", kind=kind)
 
     def _on_error(self, identifier: int, data: bytes) -> None:
-        """An error frame."""
+        """Handles an error frame."""
         if self._wire_log is not None:
             self._wire_log.log_can_error(self._channel, identifier, data)
         self.errors += 1
@@ -128,7 +130,7 @@ class Bus:
             self._log_error(report)
 
     def _enter(self, state: str) -> None:
-        """The controller is in another state."""
+        """Reports a new state of the controller."""
         self._state = state
         if state == ACTIVE:
             self._cause = ""

@@ -40,7 +40,7 @@ LONGEST_LINE = 4096
 #: PCAN_ERROR_BUSOFF of PCAN-Basic.
 PCAN_OFF = 0x10
 
-# They log every problem with a traceback; the driver's notes report it instead.
+# These loggers write every problem with a traceback; the driver's notes report it instead.
 for _library in ("can", "canopen", "cantools"):
     logging.getLogger(_library).setLevel(logging.CRITICAL + 1)
 

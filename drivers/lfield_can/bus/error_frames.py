@@ -64,7 +64,7 @@ TRANSCEIVER: Mapping[int, str] = {
 #: Types of errors of PCAN-Basic, in the id.
 _PCAN_TYPES: Mapping[int, str] = {1: "single bit", 2: "form", 4: "bit stuffing", 8: "another error"}
 
-#: What to check, by a part of the text.
+#: Advice on what to check, by a part of the text.
 _CURES: Mapping[str, str] = {
     "acknowledgement": "check that another node is on and has the same bit rate",
     "shorted": "check the wires",
@@ -131,5 +131,5 @@ DIALECTS: Mapping[str, Callable[[int, bytes], ErrorReport]] = {"pcan": pcan_erro
 
 
 def cure(text: str) -> str:
-    """What to check, as the end of a sentence; '' if unknown."""
+    """Advice on what to check, as the end of a sentence; '' if unknown."""
     return next((f"; {what}" for part, what in _CURES.items() if part in text), "")

@@ -46,7 +46,7 @@ def group_of(identifier: int) -> int:
 
 # -- interfaces ------------------------------------------------------------------------------------------
 
-#: Why a failed interface did not send a frame.
+#: The reason why a failed interface did not send a frame.
 BUS_LOST = "the bus is lost"
 
 
@@ -80,4 +80,4 @@ class Interface(Protocol):
         """Queues a frame; never waits."""
 
     async def close(self) -> None:
-        """Closes it."""
+        """Closes the interface."""

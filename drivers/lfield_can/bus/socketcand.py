@@ -109,7 +109,7 @@ class Socketcand(asyncio.Protocol):
     # -- received data ------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It is connected."""
+        """The connection is open."""
         self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
         connection = transport.get_extra_info("socket")
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)

@@ -14,8 +14,8 @@ from operator import xor
 
 @dataclass(frozen=True, slots=True)
 class Covered:
-    """What a checksum covers: the id of the frame, its `data` with the bits of the checksum 0, the `rest` of
-    it without the bytes of the checksum, the data ids of the binding, and the counter.
+    """The data that a checksum covers: the id of the frame, its `data` with the bits of the checksum 0, the
+    `rest` of it without the bytes of the checksum, the data ids of the binding, and the counter.
     """
 
     identifier: int

@@ -74,7 +74,7 @@ class DbcFile:
         return list(self._by_name)
 
     def key(self, message: str) -> int:
-        """The key of its frames, or of its J1939 parameter group. Raises DbcError."""
+        """The key of the frames of a message, or of its J1939 parameter group. Raises DbcError."""
         found = self.message(message)
         return group_of(found.frame_id) if found.is_j1939 else _key(found)
 
@@ -101,7 +101,7 @@ class DbcFile:
         return signals[name]
 
     def reserve(self, message: str, reasons: Mapping[str, str]) -> None:
-        """Takes signals out of a message that is sent, with the reason for each. Raises DbcError."""
+        """Makes signals of a sent message unusable for programs, for the given reasons. Raises DbcError."""
         found = self.message(message)
         kept = [signal for signal in found.signals if signal.name not in reasons]
         self._by_name[message] = replace(found, signals=kept, unusable={**found.unusable, **reasons})
@@ -138,7 +138,7 @@ class DbcFile:
         return message.name, {name: value for name, value in values if math.isfinite(value)}
 
     def problem(self, frame: Frame) -> str:
-        """What is wrong with a frame: too short, or an unknown page; '' for nothing."""
+        """The defect of a frame: too short, or an unknown page; '' for a valid or unknown frame."""
         message = self.find(frame)
         return "" if message is None else message.problem(frame.data)
 

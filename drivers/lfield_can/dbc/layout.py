@@ -54,12 +54,12 @@ class Signal:
 
     @property
     def first(self) -> int:
-        """Its first bit in written order."""
+        """The first bit of the signal in written order."""
         return self.start ^ 7 if self.is_motorola else self.start
 
     @property
     def end(self) -> int:
-        """The minimum number of bits of its message, in whole bytes."""
+        """The number of bits up to the end of the signal: the least length of its message."""
         return self.first + self.length
 
     def is_selected(self, raw: Mapping[str, int | float]) -> bool:
@@ -70,7 +70,7 @@ class Signal:
         return value is not None and any(value in ids for ids in self.multiplexer_ids)
 
     def extract(self, data: bytes) -> int | float:
-        """Its raw value in sufficiently long data."""
+        """The raw value of the signal in sufficiently long data."""
         if self.is_motorola:
             bits = int.from_bytes(data, "big") >> 8 * len(data) - self.end
         else:
@@ -138,7 +138,7 @@ class Signal:
 
     @property
     def raw_range(self) -> tuple[int, int]:
-        """The lowest and highest integer of its bits."""
+        """The lowest and highest integer of the bits of the signal."""
         if self.is_signed:
             return -(1 << self.length - 1), (1 << self.length - 1) - 1
         return 0, (1 << self.length) - 1
@@ -162,18 +162,18 @@ class Message:
     signals: Sequence[Signal] = ()
     is_extended_frame: bool = False
     is_fd: bool = False
-    #: Whether its data are sent at the second bit rate of CAN FD.
+    #: Whether the data are sent at the second bit rate of CAN FD.
     is_switched: bool = False
     #: Seconds between two frames, as the file says; 0 if it does not.
     cycle: float = 0.0
-    #: Whether it is a SAE J1939 parameter group, with any priority and sender.
+    #: Whether the message is a SAE J1939 parameter group, with any priority and sender.
     is_j1939: bool = False
     #: Signals of the file that do not fit a frame, with the reasons.
     unusable: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def size(self) -> int:
-        """Bytes of its frame: CAN FD frames are padded to a valid length."""
+        """Bytes of a frame of the message: CAN FD frames are padded to a valid length."""
         return next((size for size in (self.length, *FD_LENGTHS) if _is_length(size, self.length)), LONGEST)
 
     def decode(self, data: bytes) -> dict[str, float]:
@@ -184,7 +184,7 @@ class Message:
         }
 
     def problem(self, data: bytes) -> str:
-        """What is wrong with a frame of these bytes; '' for nothing."""
+        """The defects of a frame with this data; '' for a valid frame."""
         problems = []
         kind = f"frame 0x{self.frame_id:X}"
         raw = self._raw(data)
@@ -200,7 +200,7 @@ class Message:
         return "; ".join(problems)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
-        """Its bytes with these values; of multiplexed signals, the selected ones.
+        """The bytes of the message with these values; of multiplexed signals, the selected ones.
 
         Raises OutOfRange, and KeyError with the name of a missing signal.
         """
@@ -216,7 +216,7 @@ class Message:
 
     @cached_property
     def _in_order(self) -> Sequence[Signal]:
-        """Its signals, multiplexers before the signals they select."""
+        """The signals, multiplexers before the signals that they select."""
         done: list[Signal] = []
         names: set[str | None] = {None}
         left = list(self.signals)

@@ -58,7 +58,7 @@ class Protection:
         return data
 
     def problem(self, data: bytes) -> str:
-        """Why a received frame is not used: a wrong checksum, or the counter of the frame before; or ''.
+        """The reason why a received frame is not used: a wrong checksum, or a repeated counter; '' if used.
 
         Lost frames are no problem: a received value ages until the next one.
         """

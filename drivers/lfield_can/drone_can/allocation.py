@@ -40,11 +40,11 @@ class Allocator:
         self._query, self._at = b"", now
 
     def on_node(self, node: int) -> None:
-        """A node is on the bus: its id is not given to another."""
+        """Records a node on the bus: its id is not given to another."""
         self._in_use.add(node)
 
     def on_request(self, data: bytes, now: float) -> Answer | None:
-        """An anonymous request; the answer, or None if it is ignored."""
+        """The answer to an anonymous request; None if it is ignored."""
         if (decoded := decode(ALLOCATION, data)) is None or now - self._start < LEARNING:
             return None
         values, part = decoded

@@ -30,7 +30,7 @@ class DataType:
 
     @property
     def kind(self) -> TransferKind:
-        """That of its messages."""
+        """The kind of transfer that carries messages of this type."""
         return TransferKind(self.id)
 
 
@@ -57,7 +57,7 @@ ACTUATOR_STATUS = DataType(
         *(("_", "u1"), ("power", "u7")),
     ),
 )
-#: With one command.
+#: With a single command.
 ACTUATOR_COMMAND = DataType(
     1010, 0xD8A7486238EC3AF3, (("index", "u8"), ("command_type", "u8"), ("value", "f16"))
 )
@@ -70,7 +70,7 @@ BATTERY_INFO = DataType(
         *(("health", "u7"), ("charge", "u7"), ("charge_deviation", "u7"), ("index", "u8"), ("model", "u32")),
     ),
 )
-#: Those that are received in several frames.
+#: The types that are received in several frames.
 RECEIVED = (ESC_STATUS, ACTUATOR_STATUS, BATTERY_INFO, GET_NODE_INFO, ALLOCATION)
 
 #: `command_type` of an actuator: radians or metres.

@@ -1,4 +1,4 @@
-"""This computer as a node of a DroneCAN bus: its status, transfers to and from devices, dynamic node ids."""
+"""A computer as a node of a DroneCAN bus: its status, transfers to and from devices, dynamic node ids."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ class NetworkNode(Protocol):
 
     @property
     def node(self) -> int:
-        """Its node id."""
+        """The node id of the device."""
 
     @property
     def master(self) -> int:
-        """The node id that its binding gives to this computer."""
+        """The node id that the binding of the device gives to this computer."""
 
     @property
     def unique_id(self) -> bytes:
-        """The unique id in its binding; b'' for a node with a fixed id."""
+        """The unique id in the binding of the device; b'' for a node with a fixed id."""
 
     def on_transfer(self, data_type: int, number: int, data: bytes) -> None:
-        """A message of its node, with the number of its transfer."""
+        """Handles a message of the node, with the number of its transfer."""
 
     def on_node_info(self, info: NodeInfo) -> None:
-        """Its node has answered who it is."""
+        """Handles the answer of the node about its identity."""
 
     def error(self, reason: str) -> DeviceError:
-        """An exception about it."""
+        """An exception about the device."""
 
 
 class DroneCanNetwork:
@@ -68,7 +68,7 @@ class DroneCanNetwork:
 
     @property
     def trouble(self) -> str:
-        """Why no node may be received, as far as the bus knows."""
+        """The reason why no node may be received, as far as the bus knows."""
         return self._bus.trouble
 
     @property
@@ -95,7 +95,7 @@ class DroneCanNetwork:
         self._members.setdefault(member.node, []).append(member)
 
     def start(self) -> None:
-        """The bus is open."""
+        """Starts the network when the bus is open."""
         if not self._members:
             return
         now = self._start = self._clock.monotonic()
@@ -107,7 +107,7 @@ class DroneCanNetwork:
         self._send_status()
 
     def close(self) -> None:
-        """The driver ends."""
+        """Stops the network when the driver ends."""
         self._status.stop()
 
     def quiet(self, on: bool) -> None:
@@ -132,7 +132,7 @@ class DroneCanNetwork:
         self._post(Transfer(kind, self.master, self._number(kind), b""), GET_NODE_INFO, 30)
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame with a 29-bit id that no other device receives."""
+        """Handles a frame with a 29-bit id that no other device receives."""
         if not self._members:
             return
         transfer = self._assembler.on_frame(frame, self._clock.monotonic())

@@ -53,7 +53,7 @@ class DroneCanDevice(Device):
         self.node: int = binding.option("node")
         self.master: int = binding.option("master")
         self.unique_id = b""
-        #: Its last message of measured values.
+        #: The last message of measured values.
         self.values: Values = {}
         self._last_contact = -math.inf
         self._info: NodeInfo | None = None
@@ -62,7 +62,7 @@ class DroneCanDevice(Device):
         self._lost = self._opened = False
 
     def prepare(self) -> None:
-        """Checks its options. Raises DeviceError."""
+        """Checks the options of the device. Raises DeviceError."""
         text: str = self.binding.option("unique_id")
         try:
             self.unique_id = bytes.fromhex(text)
@@ -73,18 +73,18 @@ class DroneCanDevice(Device):
         self.network.join(self)
 
     def listens(self) -> frozenset[int]:
-        """None: its network dispatches its frames."""
+        """No keys: the network dispatches the frames of the node."""
         return frozenset()
 
     def commands(self) -> frozenset[int]:
-        """None: frames of nodes have the id of their sender."""
+        """No keys: frames of nodes have the id of their sender."""
         return frozenset()
 
     def on_frame(self, frame: Frame) -> None:
-        """None arrives here."""
+        """Never called: the network dispatches the frames of the node."""
 
     def quiet(self, on: bool) -> None:
-        """A sensor sends nothing."""
+        """Has no effect: a sensor is sent no frames."""
 
     def close(self) -> None:
         """The driver ends."""
@@ -92,7 +92,7 @@ class DroneCanDevice(Device):
     # -- messages of the node -------------------------------------------------------------------------
 
     def on_transfer(self, data_type: int, number: int, data: bytes) -> None:
-        """A message of its node: its status, or measured values of this function."""
+        """Handles a message of the node: its status, or measured values of this function."""
         if data_type == NODE_STATUS.id and (decoded := decode(NODE_STATUS, data)):
             self._on_status(decoded[0], number)
             return
@@ -107,12 +107,12 @@ class DroneCanDevice(Device):
         self.changes.notify()
 
     def on_node_info(self, info: NodeInfo) -> None:
-        """Its node has answered who it is."""
+        """Handles the answer of the node about its identity."""
         self._info = info
         self.changes.notify()
 
     def measured(self, values: Values) -> Mapping[str, object]:
-        """Its telemetry; unknown values (NaN) are absent."""
+        """The telemetry of the function; unknown values (NaN) are absent."""
         raise NotImplementedError
 
     def _on_status(self, values: Values, number: int) -> None:
@@ -129,7 +129,7 @@ class DroneCanDevice(Device):
 
     @property
     def has_conflict(self) -> bool:
-        """Whether two nodes seem to have its id."""
+        """Whether two nodes seem to have the id of this node."""
         if len(self._restarts) < CONFLICT_COUNT:
             return False
         return self.clock.monotonic() - self._restarts[-1] <= CONFLICT_TIME
@@ -155,23 +155,23 @@ class DroneCanDevice(Device):
             self.note(log_messages.SILENT.line())
 
     async def on_recovery(self) -> None:
-        """It is received again."""
+        """Called when messages of the node arrive again after a loss."""
 
     # -- opening --------------------------------------------------------------------------------------
 
     @property
     def patience(self) -> float:
-        """Seconds without its message after which it is lost."""
+        """Seconds without a message of the function after which it is lost."""
         max_age: float = self.binding.option("max_age")
         return max_age
 
     @property
     def silence(self) -> float:
-        """Seconds since its last message."""
+        """Seconds since the last message of the function."""
         return self.clock.monotonic() - self._last_contact
 
     def contact_error(self) -> DeviceError:
-        """Its messages are missing. A failed motion ends with its recovery, however short the loss is."""
+        """The error for missing messages. A failed motion ends with its recovery, even after a short loss."""
         self._on_loss()
         cause = self.network.trouble
         why = f" ({cause})" if cause else ""
@@ -211,7 +211,7 @@ class DroneCanDevice(Device):
         )
 
     def _touched(self) -> bool:
-        """Opening only asks."""
+        """Always False: opening only requests the identity of the node."""
         return False
 
     async def _serial(self) -> str:
@@ -232,7 +232,7 @@ class DroneCanBattery(DroneCanDevice):
     reported = BATTERY_INFO
 
     def measured(self, values: Values) -> Mapping[str, object]:
-        """Its charge is 0 to 1."""
+        """The telemetry of a battery; its charge is 0 to 1."""
         flags = int(values["flags"])
         texts = [text for bit, text in BATTERY_FLAGS.items() if flags & bit]
         faults = [text for bit, text in BATTERY_FLAGS.items() if flags & bit & BATTERY_FAULTS]
@@ -247,7 +247,7 @@ class DroneCanEsc(DroneCanDevice):
     reported = ESC_STATUS
 
     def measured(self, values: Values) -> Mapping[str, object]:
-        """Its power is a share of the greatest."""
+        """The telemetry of a motor controller; its power is a share of the greatest."""
         found = supply(values)
         found["speed"] = values["rpm"] * math.tau / 60.0
         return {**found, "power": values["power"] / 100.0, "errors": int(values["error_count"])}

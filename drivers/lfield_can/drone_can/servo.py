@@ -53,13 +53,13 @@ class DroneCanServo(DroneCanDevice):
         self._stream.stop()
 
     def measured(self, values: Values) -> Mapping[str, object]:
-        """Force is a torque; a load of 127 is unknown."""
+        """The telemetry of a servo. Force is a torque; a load of 127 is unknown."""
         names = {"position": "position", "speed": "speed", "force": "torque"}
         found = {name: values[key] for key, name in names.items() if key in values}
         return {**found, **({"load": values["power"] / 100.0} if values["power"] <= 100 else {})}
 
     async def on_recovery(self) -> None:
-        """Its motion meanwhile is unknown: command its safe state."""
+        """Commands the safe state: the motion of the servo during the loss is unknown."""
         try:
             await self.make_safe()
         except DeviceError as error:
@@ -102,12 +102,12 @@ class DroneCanServo(DroneCanDevice):
     # -- instructions -------------------------------------------------------------------------------------
 
     async def do_set_position(self, position: float) -> None:
-        """A setpoint."""
+        """Sends a position setpoint."""
         self._check("setPosition", position)
         self._command(position, self.binding.ttl)
 
     async def do_move_to(self, position: float) -> None:
-        """Done at rest at its goal."""
+        """Moves the servo; done when it is at rest at its goal."""
         self._check("moveTo", position)
         self._command(position, math.inf)
         progress = MoveProgress(self.clock, STUCK_TIME, MIN_PROGRESS)
@@ -121,7 +121,7 @@ class DroneCanServo(DroneCanDevice):
             await self.changes.wait_change(0.1)
 
     async def do_halt(self) -> None:
-        """Holds its present position; done at rest."""
+        """Holds the present position; done when the servo is at rest."""
         self._hold()
         await asyncio.sleep(0.0)
         if not await self.changes.wait_for(lambda: self._is_still, HALT_TIMEOUT):
@@ -137,9 +137,9 @@ class DroneCanServo(DroneCanDevice):
             raise self.error(f"{instruction} refused: two nodes have id {self.node}; give each its own")
 
     def _hold(self) -> float:
-        """Commands its present position, and returns it.
+        """Commands the present position of the servo, and returns it.
 
-        An older position would move it back. Then nothing more is sent, so that its own failsafe acts, and
+        An older position would move the servo back. Then no frame is sent, so that its own failsafe acts, and
         DeviceError is raised.
         """
         position = self.values.get("position")

@@ -24,7 +24,7 @@ _SERVICE = 0x80
 
 
 class TransferKind(NamedTuple):
-    """What a transfer carries: a message, or a service of node `destination` (request or response)."""
+    """The content of a transfer: a message, or a service of node `destination` (request or response)."""
 
     type_id: int
     destination: int = 0
@@ -32,7 +32,7 @@ class TransferKind(NamedTuple):
 
     @property
     def is_service(self) -> bool:
-        """Whether it is a request or a response."""
+        """Whether the transfer is a request or a response."""
         return self.destination != 0
 
 
@@ -54,7 +54,7 @@ def frame_id(kind: TransferKind, source: int, priority: int) -> int:
 
 
 def kind_of(identifier: int) -> tuple[TransferKind, int]:
-    """What a frame is part of, and its source. An anonymous frame has the low two bits of its type only."""
+    """The kind of transfer of a frame, and its source. An anonymous frame has two bits of its type only."""
     source = identifier & 0x7F
     if identifier & _SERVICE:
         destination, is_request = identifier >> 8 & 0x7F, bool(identifier & 0x8000)

@@ -32,7 +32,7 @@ async def healthy(bench: Bench) -> str:
 
 @AXIS.check("disabled, it refuses setpoints", moves=True, types=_TYPES)
 async def disabled(bench: Bench) -> str:
-    """The refusal names the call that is needed."""
+    """The refusal of an instruction while the axis is disabled names the call that is needed."""
     await bench.call("disable")
     _see(not bench.query("enabled"), "disable() returned, but it is enabled")
     reason = await refused(bench, "setVelocity", 0.0)
@@ -50,7 +50,7 @@ async def reset(bench: Bench) -> str:
 
 @AXIS.check("enabling does not move it", moves=True, types=_TYPES)
 async def enabled(bench: Bench) -> str:
-    """Torque on without a jump."""
+    """The axis switches its torque on without a jump."""
     before = bench.query("position")
     await bench.call("enable")
     _see(bench.query("enabled"), "enable() returned, but it is not enabled")
@@ -62,7 +62,7 @@ async def enabled(bench: Bench) -> str:
 
 @AXIS.check("homing at its position", moves=True, types=_TYPES)
 async def homing(bench: Bench) -> str:
-    """Only by a method without motion."""
+    """The axis is homed only by a method without motion."""
     if bench.binding.option("protocol") != "cia402" or bench.binding.option("homing_method") not in STAYING:
         raise NotTried("homing may move; done here only by CiA 402 'homing_method' 35 or 37")
     await bench.call("enable")
@@ -74,7 +74,7 @@ async def homing(bench: Bench) -> str:
 
 @AXIS.check("turns there and back", moves=True, types=_TYPES)
 async def turns(bench: Bench) -> str:
-    """moveTo() returns when it is at rest at its goal."""
+    """moveTo() returns when the axis is at rest at its goal."""
     if not bench.query("referenced") and not bench.binding.waives("no_homing"):
         raise NotTried("it has not been homed: home it, or add 'waivers: [no_homing]' to its binding")
     await bench.call("enable")
@@ -89,7 +89,7 @@ async def turns(bench: Bench) -> str:
 
 @AXIS.check("a cancelled motion halts", moves=True, types=_TYPES)
 async def cancels(bench: Bench) -> str:
-    """It stops on its way, enabled, and goes from there to the next goal."""
+    """A cancelled axis stops on its way, enabled, and goes from there to the next goal."""
     if not bench.query("referenced") and not bench.binding.waives("no_homing"):
         raise NotTried("it has not been homed: home it, or add 'waivers: [no_homing]' to its binding")
     await bench.call("enable")
@@ -108,7 +108,7 @@ async def cancels(bench: Bench) -> str:
 
 @AXIS.check("a velocity that is not renewed ends", moves=True, types=_TYPES)
 async def velocity(bench: Bench) -> str:
-    """After its time-to-live the guard brings it into the safe state."""
+    """The guard brings the axis into the safe state after the time-to-live of a velocity."""
     await bench.call("enable")
     last = await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
     ttl = bench.binding.ttl
@@ -136,7 +136,7 @@ async def hang(bench: Bench) -> str:
 
 @AXIS.check("stop", moves=True, types=_TYPES)
 async def stop(bench: Bench) -> str:
-    """It returns when the axis is at rest; the setpoint ends, and nothing is latched."""
+    """stop() returns when the axis is at rest; the setpoint ends, and nothing is latched."""
     await bench.call("enable")
     await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
     await bench.call("stop")
@@ -149,7 +149,7 @@ async def stop(bench: Bench) -> str:
 
 @AXIS.check("the limits of its binding are enforced", moves=True, types=_TYPES)
 async def limits(bench: Bench) -> str:
-    """Commands beyond them are refused before anything is sent."""
+    """Commands beyond the limits are refused before any frame is sent."""
     given, option = bench.binding.limits, bench.binding.option
     await bench.call("disable")
     beyond: list[tuple[str, tuple[float, ...]]] = [
@@ -168,7 +168,7 @@ async def limits(bench: Bench) -> str:
 
 @AXIS.check("it is disabled at the end", moves=True, types=_TYPES)
 async def ends_safely(bench: Bench) -> str:
-    """Torque off, free."""
+    """The axis ends with its torque off, free."""
     await bench.call("disable")
     _see(not bench.query("enabled"), "disable() returned, but it is enabled")
     _see(not bench.latched, f"it is latched: {bench.latched}")
@@ -176,7 +176,7 @@ async def ends_safely(bench: Bench) -> str:
 
 
 async def _drive(bench: Bench, speed: float) -> float:
-    """Repeats a velocity until it turns; returns the time of the last setpoint."""
+    """Repeats a velocity until the axis turns; returns the time of the last setpoint."""
     end = bench.now + 3.0
     start = bench.query("position")
     while bench.now < end:

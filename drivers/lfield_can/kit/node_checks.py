@@ -13,7 +13,7 @@ _SENSORS, _SERVO = ("DroneCanBattery", "DroneCanEsc"), ("DroneCanServo",)
 
 @NODES.check("its node is healthy", moves=False, types=(*_SENSORS, *_SERVO))
 async def healthy(bench: Bench) -> str:
-    """It responds, operates and reports no error."""
+    """The node responds, operates and reports no error."""
     if not bench.query("online"):
         raise CheckFailed("it does not respond")
     if bench.query("health") not in ("ok", "warning"):
@@ -23,7 +23,7 @@ async def healthy(bench: Bench) -> str:
 
 @NODES.check("its supply is plausible", moves=False, types=_SENSORS)
 async def supply(bench: Bench) -> str:
-    """A voltage above 1 V."""
+    """The node reports a voltage above 1 V."""
     if bench.query("voltage") < 1.0:
         raise CheckFailed(f"its voltage is {bench.query('voltage'):.1f} V")
     return f"{bench.query('voltage'):.1f} V, {bench.query('current'):.1f} A"
@@ -31,7 +31,7 @@ async def supply(bench: Bench) -> str:
 
 @NODES.check("turns there and back", moves=True, types=_SERVO)
 async def turns(bench: Bench) -> str:
-    """moveTo() returns when it is at rest at its goal."""
+    """moveTo() returns when the servo is at rest at its goal."""
     start = bench.query("position")
     off = []
     for goal in (start + _way(bench), start):
@@ -44,7 +44,7 @@ async def turns(bench: Bench) -> str:
 
 @NODES.check("a cancelled motion holds", moves=True, types=_SERVO)
 async def cancels(bench: Bench) -> str:
-    """It stops on its way."""
+    """A cancelled servo stops on its way."""
     start = bench.query("position")
 
     def started() -> bool:
@@ -59,14 +59,14 @@ async def cancels(bench: Bench) -> str:
 
 @NODES.check("a setpoint that is not renewed ends", moves=True, types=_SERVO)
 async def expires(bench: Bench) -> str:
-    """After its time-to-live the guard brings it into the safe state."""
+    """The guard brings the servo into the safe state after the time-to-live of a setpoint."""
     await bench.call("setPosition", bench.query("position"))
     return await held(bench, bench.binding.ttl + 2.0)
 
 
 @NODES.check("a host that stops responding", moves=True, types=_SERVO)
 async def hang(bench: Bench) -> str:
-    """The guard holds it."""
+    """The guard holds the servo."""
     await bench.call("setPosition", bench.query("position"))
     await bench.fall_silent(3 * bench.silence)
     return await held(bench, 1.0)
@@ -74,7 +74,7 @@ async def hang(bench: Bench) -> str:
 
 @NODES.check("positions beyond its bounds are refused", moves=True, types=_SERVO)
 async def bounds(bench: Bench) -> str:
-    """Before anything is sent."""
+    """A position beyond the bounds is refused before any frame is sent."""
     for instruction in ("setPosition", "moveTo"):
         await refused(bench, instruction, bench.binding.option("lowest") - 0.1)
         reason = await refused(bench, instruction, bench.binding.option("highest") + 0.1)

@@ -47,7 +47,7 @@ async def reads(bench: Bench) -> str:
 
 @SIGNALS.check("all its frames are valid", moves=False, types=_TYPES)
 async def healthy(bench: Bench) -> str:
-    """It responds, and the file describes its messages."""
+    """The device responds, and the file describes its messages."""
     if not bench.query("online"):
         raise CheckFailed("it does not respond")
     if bench.query("malformed"):
@@ -76,7 +76,7 @@ async def unlisted(bench: Bench) -> str:
 
 @SIGNALS.check("values that a signal cannot represent are refused", moves=True, types=_TYPES)
 async def ranges(bench: Bench) -> str:
-    """Also without a range in the file: a number that does not fit its bits."""
+    """A number that does not fit the bits of its signal is refused, also without a range in the file."""
     signals = [
         (name, signal)
         for name in _commands(bench)

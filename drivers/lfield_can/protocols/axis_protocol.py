@@ -30,7 +30,7 @@ class AxisState:
 
 @dataclass(frozen=True, slots=True)
 class ProtocolContext:
-    """What a protocol needs. `error` creates an exception, `note` writes to the log."""
+    """The objects that a protocol uses. `error` creates an exception, `note` writes to the log."""
 
     binding: DeviceBinding
     bus: Bus
@@ -42,7 +42,7 @@ class ProtocolContext:
 
 
 class AxisProtocol:
-    """One axis with one protocol. Nothing blocks; every wait is bounded and ends in a DeviceError.
+    """One axis with one protocol. No method blocks; every wait is bounded and ends in a DeviceError.
 
     The caller has checked limits, contact, and for motions that the axis is enabled.
     """
@@ -55,7 +55,7 @@ class AxisProtocol:
         self.node: int = wiring.binding.option("node")
         self.state = AxisState()
         self.needs_setup = False
-        #: Why two devices seem to have this id; '' otherwise.
+        #: The reason why two devices seem to have this id; '' otherwise.
         self.conflict = ""
         sign = -1.0 if wiring.binding.option("reversed") else 1.0
         #: Turns of the motor for one radian of the axis.
@@ -70,7 +70,7 @@ class AxisProtocol:
         return frozenset()
 
     def on_overheard(self, frame: Frame) -> None:
-        """A frame to the device: does not prove contact."""
+        """Handles a frame to the device, which does not prove contact."""
 
     def prepare(self) -> None:
         """Reads files before the bus is opened; may block. Raises DeviceError."""
@@ -100,23 +100,23 @@ class AxisProtocol:
         return None
 
     async def enable(self) -> None:
-        """Enables it at rest; done when it is confirmed."""
+        """Enables the axis at rest; done when the device confirms it."""
         raise NotImplementedError
 
     async def disable(self) -> None:
-        """Switches its torque off; done when it is confirmed."""
+        """Switches the torque off; done when the device confirms it."""
         raise NotImplementedError
 
     async def reset_fault(self) -> None:
-        """Clears its faults; done when it reports none."""
+        """Clears the faults; done when the device reports none."""
         raise NotImplementedError
 
     async def home(self) -> None:
-        """Finds its zero position; done when it is confirmed."""
+        """Finds the zero position; done when the device confirms it."""
         raise NotImplementedError
 
     async def start_move(self, position: float, speed: float) -> None:
-        """Starts a motion to a position, by its own profile."""
+        """Starts a motion to a position, by the profile of the device."""
         raise NotImplementedError
 
     async def start_halt(self) -> None:
@@ -124,18 +124,18 @@ class AxisProtocol:
         raise NotImplementedError
 
     async def end_halt(self) -> None:
-        """It is at rest: ensures that no earlier goal takes effect."""
+        """Ensures, when the axis is at rest, that no earlier goal takes effect."""
 
     async def set_position(self, position: float) -> None:
-        """A position setpoint."""
+        """Sends a position setpoint."""
         raise NotImplementedError
 
     async def set_velocity(self, velocity: float) -> None:
-        """A velocity setpoint."""
+        """Sends a velocity setpoint."""
         raise NotImplementedError
 
     async def set_torque(self, torque: float) -> None:
-        """A torque setpoint."""
+        """Sends a torque setpoint."""
         raise NotImplementedError
 
     async def command_safe(self, state: str) -> None:
@@ -143,28 +143,28 @@ class AxisProtocol:
         raise NotImplementedError
 
     def is_safe(self, state: str, still: bool) -> bool:
-        """Whether the device reports that safe state; `still`: it does not turn."""
+        """Whether the device reports that safe state; `still`: the axis does not turn."""
         raise NotImplementedError
 
     async def poll(self) -> Mapping[str, object]:
-        """Requests what the device does not send by itself, about once a second; not on a muted bus."""
+        """Requests values that the device does not send by itself, once a second; not on a muted bus."""
         return {}
 
     def quiet(self, on: bool) -> None:
-        """Stops (or starts) what feeds the device's own watchdog."""
+        """Stops (or starts) the frames that feed the device's own watchdog."""
 
     def on_silence(self) -> None:
-        """The device has not responded for too long: discards its state."""
+        """Discards the state of a device that has not responded for too long."""
         self.state.enabled = False
         self.state.position = self.state.velocity = None
 
     def close(self) -> None:
-        """The driver ends."""
+        """Ends the protocol when the driver ends."""
 
     # -- for subclasses ---------------------------------------------------------------------------------
 
     async def expect(self, condition: Callable[[], bool], bound: float, what: str) -> None:
-        """Waits until the state confirms it. Raises DeviceError `what`."""
+        """Waits until the state fulfils a condition. Raises DeviceError `what`."""
         if not await self.wiring.changes.wait_for(condition, bound):
             fault = f"; fault: {self.state.fault}" if self.state.fault else ""
             raise self.wiring.error(

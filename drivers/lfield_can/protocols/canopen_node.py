@@ -60,13 +60,13 @@ class CanopenNode:
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._id_probe: IdConflictProbe | None = None
-        #: Whether it does not answer requests for missing objects.
+        #: Whether the node does not answer requests for missing objects.
         self._ignores = False
         #: Called with every written object and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
     def set_write_handler(self, on_written: Callable[[int, int, bytes], None]) -> None:
-        """Sets what is called with every written object and its bytes."""
+        """Sets the function that is called with every written object and its bytes."""
         self.on_written = on_written
 
     def load(self, path: str, note: Note) -> None:
@@ -76,18 +76,18 @@ class CanopenNode:
     def ping(self) -> None:
         """Requests the device type without waiting.
 
-        It never changes, so its answer may be taken for that to a later request.
+        The device type never changes, so an answer to this request may count as the answer to a later one.
         """
         self._send(PING)
 
     def on_answer(self, data: bytes) -> None:
-        """A frame of the node's SDO server."""
+        """Handles a frame of the node's SDO server."""
         if self._id_probe is not None and (key := _key_of(data)) is not None:
             self._id_probe.on_answer(key)
         self._apply(self._client.on_response(data))
 
     def on_bus_request(self, data: bytes) -> None:
-        """A frame to the node's SDO server on the bus: of another client, or of this computer."""
+        """Handles a frame to the node's SDO server: of another client, or of this computer."""
         if self._id_probe is None or (key := _key_of(data)) is None:
             return
         if data == _MARK:
@@ -152,7 +152,7 @@ class CanopenNode:
         return probe.is_doubled
 
     def close(self) -> None:
-        """The driver ends: the pending transfer fails."""
+        """Fails the pending transfer when the driver ends."""
         self._apply([*self._client.on_cancelled(), Failed("the driver has ended", silent=True)])
 
     # -- transfers --------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ class CanopenNode:
 
 
 def _key_of(frame: bytes) -> Key | None:
-    """The object of a frame from either side, if it names one."""
+    """The object of a frame from either side, if the frame names one."""
     if len(frame) != 8:
         return None
     _, index, subindex = struct.unpack_from("<BHB", frame)

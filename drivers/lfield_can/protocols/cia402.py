@@ -31,20 +31,20 @@ class Cia402(Cia402Node):
         self._commanded: float | None = None
 
     def reset_state(self, state: str) -> None:
-        """The previous state is invalid."""
+        """Discards the previous state."""
         self._stream.stop()
         self._mode, self._commanded = 0, None
         super().reset_state(state)
 
     def on_status(self, statusword: int) -> dict[str, object] | None:
-        """A stream may contain the control word: it must not re-enable a drive that has stopped by itself."""
+        """Stops the stream of a drive that stopped by itself: its control word could re-enable the drive."""
         changes = super().on_status(statusword)
         if not self.state.enabled:
             self._stream.stop()
         return changes
 
     def quiet(self, on: bool) -> None:
-        """A stream feeds its watchdog too."""
+        """Stops (or starts) a stream too: it feeds the watchdog of the drive."""
         if on:
             self._stream.stop()
         super().quiet(on)
@@ -92,20 +92,20 @@ class Cia402(Cia402Node):
         await self.expect(lambda: self.state.state != state, STEP_TIMEOUT, f"it did not leave '{state}'")
 
     async def disable(self) -> None:
-        """Voltage off."""
+        """Switches the voltage off."""
         self._stream.stop()
         await self._control(t.DISABLE_VOLTAGE)
         await self.expect(lambda: self.state.state in t.IDLE, STEP_TIMEOUT, "its torque did not switch off")
 
     async def reset_fault(self) -> None:
-        """A rising edge of the reset bit."""
+        """Sends a rising edge of the reset bit."""
         await self._control(t.DISABLE_VOLTAGE)
         await self._control(t.FAULT_RESET)
         await self.expect(lambda: not self.state.fault, STEP_TIMEOUT, "the fault was not cleared")
         await self._control(t.DISABLE_VOLTAGE)
 
     async def home(self) -> None:
-        """By the method of the binding."""
+        """Homes the drive by the method of the binding."""
         method: int = self.binding.option("homing_method")
         if method == 0:
             raise self.wiring.error(
@@ -125,7 +125,7 @@ class Cia402(Cia402Node):
         self.state.referenced = True
 
     async def _homed(self) -> None:
-        """Waits for the end. The bits of an earlier homing may remain for a moment."""
+        """Waits for the end of homing. The bits of an earlier homing may remain for a moment."""
         await self.wiring.changes.wait_for(lambda: not self.statusword & t.ACKNOWLEDGED, STALE_BITS)
         done = t.ACKNOWLEDGED | t.TARGET_REACHED
 
@@ -145,7 +145,7 @@ class Cia402(Cia402Node):
         await self._new_setpoint(position)
 
     async def start_halt(self) -> None:
-        """The halt bit, in any mode: it brakes as its halt option code (0x605D) defines."""
+        """Sets the halt bit, in any mode: the drive brakes as its halt option code (0x605D) defines."""
         self._stream.stop()
         if self.state.enabled:
             await self._control(t.ENABLE | t.HALT)
@@ -166,7 +166,7 @@ class Cia402(Cia402Node):
         await self._control(t.ENABLE)
 
     async def set_position(self, position: float) -> None:
-        """A new goal of the profile, or with `cyclic` a stream towards it within the speed limit."""
+        """Sets a new goal of the profile, or with `cyclic` a stream towards it within the speed limit."""
         speed = self.limit("speed")
         assert speed is not None, "checked by the axis"
         if not self.binding.option("cyclic"):
@@ -187,7 +187,7 @@ class Cia402(Cia402Node):
         return self._frame(t.TO_POSITION, self.units.to_counts(self._commanded))
 
     async def set_velocity(self, velocity: float) -> None:
-        """A target velocity, or with `cyclic` a stream of it."""
+        """Sets a target velocity, or with `cyclic` a stream of it."""
         await self._set_target(
             velocity,
             self.units.to_velocity(velocity),
@@ -198,7 +198,7 @@ class Cia402(Cia402Node):
         )
 
     async def set_torque(self, torque: float) -> None:
-        """A target torque, or with `cyclic` a stream of it."""
+        """Sets a target torque, or with `cyclic` a stream of it."""
         if not self.units.rated_torque:
             raise self.wiring.error(
                 "setTorque requires 'rated_torque' in its binding: the drive does not report it"
@@ -222,7 +222,7 @@ class Cia402(Cia402Node):
         await self.bus.send(self._frame(code, value))
 
     async def _start_stream(self, frame: Callable[[], Frame]) -> None:
-        """Sends now and every period until the setpoint's time-to-live is over."""
+        """Sends a frame now and every period until the setpoint's time-to-live is over."""
         self._stream.stop()
         await self.bus.send(frame())
         period: float = self.binding.option("period")
@@ -231,7 +231,7 @@ class Cia402(Cia402Node):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def command_safe(self, state: str) -> None:
-        """Quick stop, or voltage off. By SDO if process data are not running."""
+        """Commands a quick stop, or voltage off. Uses SDO if process data are not running."""
         self._stream.stop()
         controlword = t.DISABLE_VOLTAGE if state == "torque_off" else t.QUICK_STOP
         if self.pdo_configuration.data.can_send(t.CONTROL):
@@ -241,7 +241,7 @@ class Cia402(Cia402Node):
             await self.read_state()
 
     def is_safe(self, state: str, still: bool) -> bool:
-        """From the status word; a drive that is off cannot hold and need not."""
+        """Whether the status word shows the safe state; a drive that is off cannot hold and need not."""
         if state == "torque_off":
             return self.state.state in t.IDLE
         return still and (self.state.state in t.IDLE or self.state.state == "quick stop active")

@@ -44,7 +44,7 @@ class Cia402Node(AxisProtocol):
         )
         self.objects = CanopenNode(self.binding.field, self.node, self.bus.post)
         self._heartbeats = PeriodicTask(wiring.clock)
-        #: Its process data, empty before they are configured.
+        #: The process data of the drive, empty before they are configured.
         self.pdo_configuration = PdoConfiguration()
         self._sync_id = t.SYNC
         self._longest = 0.0
@@ -52,9 +52,9 @@ class Cia402Node(AxisProtocol):
         self._send_heartbeat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
-        #: When position and velocity were last received.
+        #: The time when position and velocity were last received.
         self._reported_at = dict.fromkeys((t.POSITION, t.VELOCITY), -MAX_VALUE_AGE)
-        #: How often each was received by process data.
+        #: The number of receptions of each by process data.
         self._report_counts = Counter[int]()
         #: Bits of the supported modes, 0 if not reported.
         self.modes = 0
@@ -73,7 +73,7 @@ class Cia402Node(AxisProtocol):
         return frozenset((t.SDO_REQUEST + self.node,))
 
     def on_overheard(self, frame: Frame) -> None:
-        """A request of another client or of this one."""
+        """Handles a request of another client or of this one."""
         self.objects.on_bus_request(frame.data)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
@@ -99,7 +99,7 @@ class Cia402Node(AxisProtocol):
         return self.on_values(values)
 
     def on_values(self, values: Mapping[int, int]) -> dict[str, object] | None:
-        """Values of objects, by PDO or SDO; None for an invalid status word."""
+        """Handles values of objects, by PDO or SDO; returns None for an invalid status word."""
         readings: dict[str, object] = {}
         if t.STATUS in values:
             status = self.on_status(values[t.STATUS])
@@ -167,12 +167,12 @@ class Cia402Node(AxisProtocol):
         }
 
     def reset_state(self, state: str) -> None:
-        """The previous state is invalid."""
+        """Discards the previous state."""
         self.state.state, self.state.enabled = state, False
         self.state.position = self.state.velocity = None
 
     def on_silence(self) -> None:
-        """It has not responded for too long."""
+        """Discards the state of a drive that has not responded for too long."""
         self.reset_state("silent")
 
     # -- setting up -------------------------------------------------------------------------------------
@@ -187,7 +187,7 @@ class Cia402Node(AxisProtocol):
         self.objects.ping()
 
     async def setup(self) -> str:
-        """Identifies it, sets it up, and starts its process data."""
+        """Identifies the drive, sets it up, and starts its process data."""
         node, note, error = self.objects, self.wiring.note, self.wiring.error
         self.configured = False
         identity = await setting.identify(node, error)
@@ -222,7 +222,7 @@ class Cia402Node(AxisProtocol):
         return f"serial number {number}" if number else ""
 
     async def _start(self) -> None:
-        """Makes it operational; waits for state and motion."""
+        """Makes the node operational; waits for state and motion."""
         self._nmt = None
         if self.pdo_configuration.by_sync:
             self._sync_id = (await setting.optional(self.objects, 0x1005) or t.SYNC) & 0x7FF
@@ -239,7 +239,7 @@ class Cia402Node(AxisProtocol):
         )
 
     async def set_watchdog(self, longest: float) -> float | None:
-        """Its consumer heartbeat, which our heartbeats feed from now on."""
+        """Sets the consumer heartbeat of the drive, which our heartbeats feed from now on."""
         self._longest = longest
         master: int = self.binding.option("master")
         self._heartbeats.start(longest / 4.0, lambda: self.bus.post(self._send_heartbeat))
@@ -250,7 +250,7 @@ class Cia402Node(AxisProtocol):
         return seconds
 
     async def read_state(self) -> None:
-        """Reads by SDO what process data contain. Raises DeviceError.
+        """Reads by SDO the values that process data contain. Raises DeviceError.
 
         An answer may be older than concurrent process data, which are not repeated without a change: data
         received since the request take precedence.
@@ -293,7 +293,7 @@ class Cia402Node(AxisProtocol):
         return {} if millivolts is None else {"voltage": millivolts / 1000.0}
 
     def quiet(self, on: bool) -> None:
-        """Our heartbeats feed its watchdog."""
+        """Stops (or starts) our heartbeats, which feed the watchdog of the drive."""
         if on:
             self._heartbeats.stop()
             self.wiring.sync.release(self.node)

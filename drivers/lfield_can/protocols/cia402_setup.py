@@ -13,7 +13,7 @@ from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100
-#: The slowest permitted one: two of them must fit the time-out.
+#: The longest permitted period: two of them must fit the time-out.
 SLOWEST_HEARTBEAT = 200
 #: The low half of 0x1000 of a drive.
 DRIVE_PROFILE = 402
@@ -24,7 +24,7 @@ Note = Callable[[str], None]
 
 
 async def identify(node: CanopenNode, error: Callable[[str], DeviceError]) -> str:
-    """Its identity. Raises DeviceError when it is not a drive."""
+    """The identity of the drive. Raises DeviceError when the node is not a drive."""
     kind = await node.read(0x1000)
     if kind & 0xFFFF != DRIVE_PROFILE:
         raise error(f"it is not a CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")

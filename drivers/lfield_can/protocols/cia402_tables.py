@@ -67,7 +67,7 @@ EVERY = 0.02
 STATUS, POSITION, VELOCITY, TORQUE, CURRENT = 0x60410010, 0x60640020, 0x606C0020, 0x60770010, 0x60780010
 CONTROL, TO_POSITION, TO_VELOCITY, TO_TORQUE = 0x60400010, 0x607A0020, 0x60FF0020, 0x60710010
 
-#: Their encodings.
+#: The encodings of these objects.
 NUMBERS: Mapping[int, struct.Struct] = {
     STATUS: struct.Struct("<H"),
     POSITION: struct.Struct("<i"),

@@ -63,20 +63,20 @@ class IdConflictProbe:
         return PROBED_OBJECTS[done]
 
     def on_request(self, key: Key) -> None:
-        """An object was requested from here."""
+        """Counts a request for an object from here."""
         if key in self._requests:
             self._requests[key] += 1
 
     def on_bus_request(self, key: Key) -> None:
-        """A request was seen on the bus: of another client, or an echo."""
+        """Counts a request on the bus: of another client, or an echo."""
         self._bus_requests[key] += 1
 
     def on_marker_echo(self) -> None:
-        """A marker was received: the adapter echoes."""
+        """Counts a received marker: the adapter echoes."""
         self._marks += 1
 
     def on_answer(self, key: Key) -> None:
-        """An answer about an object was received."""
+        """Counts a received answer about an object."""
         self._answers[key] += 1
 
     @property
@@ -96,7 +96,7 @@ class IdConflictProbe:
         )
 
     def _request_count(self, key: Key, sent: int) -> int:
-        """How often an object was requested, by all clients."""
+        """The number of requests for an object, by all clients."""
         returned = sent if 2 * self._marks > len(self._requests) else 0
         return sent + max(0, self._bus_requests[key] - returned)
 
@@ -125,5 +125,5 @@ class Alternation:
 
     @property
     def last_return(self) -> float:
-        """When the last outlier was received; minus infinity for never."""
+        """The time when the last outlier was received; minus infinity for never."""
         return self._returns[-1] if self._returns else float("-inf")

@@ -1,4 +1,4 @@
-"""Axes of an ODrive by CANSimple. It has no answers: effects are seen in its heartbeats and estimates."""
+"""Axes of an ODrive by CANSimple, which has no answers: effects are observed in heartbeats and estimates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Odrive(AxisProtocol):
         self._errors = 0
         self._alternation = Alternation()
         self._mode: tuple[int, int] | None = None
-        #: Whether it was commanded to hold its position.
+        #: Whether the axis was commanded to hold its position.
         self._holds = False
         #: Whether homing was requested and may still run: its heartbeat may not show it yet.
         self._homing = False
@@ -39,11 +39,11 @@ class Odrive(AxisProtocol):
     # -- messages of the device -------------------------------------------------------------------------
 
     def ids(self) -> frozenset[int]:
-        """The frames of an axis, without those to it."""
+        """The ids of frames from the axis, without those of frames to it."""
         return frozenset(self.node << 5 | command for command in t.TELEMETRY)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
-        """A frame of the axis."""
+        """Handles a frame of the axis."""
         command = frame.id & 0x1F
         try:
             # Newer firmware appends to frames.
@@ -104,7 +104,7 @@ class Odrive(AxisProtocol):
             self.conflict = ""
 
     def on_silence(self) -> None:
-        """It has not responded for too long."""
+        """Discards the state of an axis that has not responded for too long."""
         super().on_silence()
         self._axis_state = self._mode = None
         self._holds = False
@@ -120,7 +120,7 @@ class Odrive(AxisProtocol):
             raise self.wiring.error("an ODrive supports the limit 'current' only together with 'speed'")
 
     async def setup(self) -> str:
-        """Waits for state and position; writes its limits."""
+        """Waits for state and position; writes the limits of the axis."""
         await self.expect(
             lambda: self._axis_state is not None and self.state.position is not None,
             FIRST_TIMEOUT,
@@ -139,7 +139,7 @@ class Odrive(AxisProtocol):
     # -- instructions -----------------------------------------------------------------------------------
 
     async def enable(self) -> None:
-        """Closed loop, at a velocity of 0."""
+        """Enters closed loop, at a velocity of 0."""
         if self.state.fault:
             raise self.wiring.error(f"enable refused: {self.state.fault}; resetFault() clears it")
         if self.state.enabled:
@@ -152,16 +152,16 @@ class Odrive(AxisProtocol):
             raise self.wiring.error(f"enable failed: {self.state.fault}")
 
     async def disable(self) -> None:
-        """Idle."""
+        """Enters idle."""
         await self._enter(t.IDLE, lambda: self._axis_state == t.IDLE)
 
     async def reset_fault(self) -> None:
-        """Clears its errors."""
+        """Clears the errors of the axis."""
         await self._command(t.CLEAR_ERRORS, 0)
         await self.expect(lambda: not self._errors, STEP_TIMEOUT, "its errors were not cleared")
 
     async def home(self) -> None:
-        """Its own homing sequence; it ends in idle or closed loop."""
+        """Runs the homing sequence of the axis, which ends in idle or closed loop."""
         self._homing = True
         try:
             await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
@@ -175,7 +175,7 @@ class Odrive(AxisProtocol):
         self.state.referenced = True
 
     async def start_move(self, position: float, speed: float) -> None:
-        """By its own trapezoidal profile."""
+        """Starts a motion by the trapezoidal profile of the axis."""
         self._holds = False
         await self._command(t.SET_TRAVEL_SPEED, abs(speed * self.turns))
         # A profile starts when the goal arrives, so the mode must be set before.
@@ -184,24 +184,24 @@ class Odrive(AxisProtocol):
         await self._command(t.SET_POSITION, position * self.turns, 0, 0)
 
     async def start_halt(self) -> None:
-        """Velocity 0, also from homing; repeated, since an earlier one may have been lost."""
+        """Commands velocity 0, also during homing; repeated, since an earlier command may have been lost."""
         if self._is_homing or self._axis_state == t.CLOSED_LOOP:
             await self._brake()
 
     async def set_position(self, position: float) -> None:
-        """As a move at the speed limit."""
+        """Sets a position as a move at the speed limit."""
         speed = self.limit("speed")
         assert speed is not None, "checked by the axis"
         await self.start_move(position, speed)
 
     async def set_velocity(self, velocity: float) -> None:
-        """A velocity; the value before the mode, in which an old one must not take effect."""
+        """Sets a velocity; the value is sent before the mode, in which an old one must not take effect."""
         self._holds = False
         await self._command(t.SET_VELOCITY, velocity * self.turns, 0.0)
         await self._set_mode(t.VELOCITY, t.DIRECT)
 
     async def set_torque(self, torque: float) -> None:
-        """A torque of the motor, before the gear."""
+        """Sets a torque of the motor, before the gear."""
         self._holds = False
         await self._command(t.SET_TORQUE, torque / (self.turns * math.tau))
         await self._set_mode(t.TORQUE, t.DIRECT)
@@ -209,7 +209,7 @@ class Odrive(AxisProtocol):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def command_safe(self, state: str) -> None:
-        """Off at once, or velocity 0; torque_hold then holds the position where it stopped."""
+        """Commands off at once, or velocity 0; torque_hold then holds the position where the axis stopped."""
         if state == "torque_off":
             await self._command(t.SET_STATE, t.IDLE)
             return
@@ -237,13 +237,13 @@ class Odrive(AxisProtocol):
 
     @property
     def _is_homing(self) -> bool:
-        """Whether it is homing and ignores velocities."""
+        """Whether the axis is homing and ignores velocities."""
         return self._homing or self._axis_state == t.HOMING
 
     async def _brake(self) -> None:
-        """Velocity 0, in closed loop after homing.
+        """Commands velocity 0, in closed loop after homing.
 
-        Everything is repeated: it may have been lost, or another master may have interfered.
+        All commands are repeated: they may have been lost, or another master may have interfered.
         """
         self._mode = None
         await self.set_velocity(0.0)
@@ -252,7 +252,7 @@ class Odrive(AxisProtocol):
             await self._command(t.SET_STATE, t.CLOSED_LOOP)
 
     async def _hold_here(self, input_mode: int) -> None:
-        """Position mode at the present position."""
+        """Enters position mode at the present position."""
         if self.state.position is None:
             raise self.wiring.error("its position is unknown")
         await self._command(t.SET_POSITION, self.state.position * self.turns, 0, 0)
@@ -268,7 +268,7 @@ class Odrive(AxisProtocol):
         await self.expect(condition, STEP_TIMEOUT, f"it did not enter '{t.STATES[axis_state]}'")
 
     async def _command(self, command: int, *values: float) -> None:
-        """A frame to the axis. Raises DeviceError when a value does not fit."""
+        """Sends a frame to the axis. Raises DeviceError when a value does not fit."""
         try:
             data = t.LAYOUTS[command].pack(*values)
         except (struct.error, OverflowError):

@@ -1,8 +1,8 @@
 """Configures the process data of a drive: our mapping if it permits, else its own.
 
 A drive may have COB-ids with bit 30 (no remote frames), fixed mappings, no event timer, or fixed transmission
-types. What cannot be written is read and used if it fits; otherwise the drive's answer is reported. When a
-PDO is sent (CiA 301, 7.5.2.37):
+types. A setting that cannot be written is read and used if it fits; otherwise the drive's answer is
+reported. Triggers of a PDO (CiA 301, 7.5.2.37):
 
 timer     every EVERY seconds (transmission type 255, event timer in subindex 5)
   SYNC      without a timer: type 1, and this driver sends SYNC (0x1005) every EVERY seconds
@@ -38,7 +38,7 @@ Note = Callable[[str], None]
 
 
 class PdoTrigger(IntEnum):
-    """When a PDO is sent; the greatest of several applies to all."""
+    """The event that sends a PDO; the greatest of several applies to all."""
 
     BY_TIMER = 0
     BY_SYNC = 1
@@ -57,7 +57,7 @@ class PdoConfiguration:
 async def configure_pdos(
     node: CanopenNode, number: int, error: Callable[[str], DeviceError], note: Note
 ) -> PdoConfiguration:
-    """Configures all process data of a node. Raises DeviceError with what does not fit."""
+    """Configures all process data of a node. Raises DeviceError with the data that do not fit."""
     sides = [_PdoDirection(node, number, direction, note) for direction in (TPDO, RPDO)]
     received, transmitted = [await side.set_up(error) for side in sides]
     values = {
@@ -116,7 +116,7 @@ class _PdoDirection:
         return cob, tuple(int.from_bytes(data, "little") for data in found)
 
     async def _map_ours(self) -> dict[int, Pdo]:
-        """By number, the PDOs with our mapping."""
+        """The PDOs with our mapping, by number."""
         mapped = {}
         for number, entries in enumerate(self._d.ours):
             try:
@@ -195,7 +195,7 @@ class _PdoDirection:
         return Pdo(pdo.number, identifier, pdo.entries)
 
     async def _id(self, pdo: Pdo, used: Mapping[int, Pdo]) -> int:
-        """One of the node's own ids: that of its number, or for a fifth PDO that of an unused one."""
+        """An id of the node itself: that of the PDO's number, or for a fifth PDO that of an unused one."""
         own = [self._d.first + 0x100 * n + self._number for n in range(4)]
         if pdo.number <= len(own):
             return own[pdo.number - 1]
@@ -208,7 +208,7 @@ class _PdoDirection:
         return own[free[0]]
 
     async def _times(self, pdo: Pdo, record: int, error: Callable[[str], DeviceError]) -> PdoTrigger:
-        """When it is sent, at best. Raises DeviceError for remote frames only."""
+        """The best available trigger of a PDO. Raises DeviceError if it is sent for remote frames only."""
         kind = await self._write_number(record, 2, BY_EVENT, 1)
         if not self._d.sent:
             self.needs_sync |= kind <= LAST_SYNC

@@ -26,12 +26,12 @@ class Pdo:
 
     @property
     def fits(self) -> bool:
-        """Whether it can be packed: whole bytes that fit a frame."""
+        """Whether the PDO can be packed: whole bytes that fit a frame."""
         return all(entry & 0x07 == 0 for entry in self.entries) and self.size <= LONGEST
 
     @property
     def size(self) -> int:
-        """Its length in bytes."""
+        """The length of the PDO in bytes."""
         return sum(map(size_of, self.entries))
 
     def places(self) -> Iterator[tuple[int, slice]]:
@@ -73,7 +73,7 @@ class ProcessData:
         self._values = dict(values)
 
     def is_tpdo(self, identifier: int) -> bool:
-        """Whether a frame of this id is one of its PDOs."""
+        """Whether a frame of this id is a PDO of the node."""
         return identifier in self._tpdos
 
     def can_send(self, entry: int) -> bool:
@@ -88,7 +88,7 @@ class ProcessData:
         return {entry: NUMBERS[entry].unpack(data[at])[0] for entry, at in pdo.places() if entry in NUMBERS}
 
     def on_written(self, index: int, subindex: int, data: bytes) -> None:
-        """An object was written by SDO: no frame may restore its old value."""
+        """Stores an object that was written by SDO: no frame may restore its old value."""
         self._values[index << 8 | subindex] = data
 
     def frame(self, entry: int, value: int) -> tuple[int, bytes]:

@@ -58,7 +58,7 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Effect: the server has aborted it, with an abort code of CiA 301, table 22."""
+    """Effect: the server has aborted the transfer, with an abort code of CiA 301, table 22."""
 
     code: int
 
@@ -113,7 +113,7 @@ class SdoClient:
         return self._start(key, _frame(command, key, data))
 
     def on_response(self, frame: bytes) -> list[Effect]:
-        """A frame of the server, eight bytes of any content."""
+        """Handles a frame of the server, eight bytes of any content."""
         if self._phase is _Phase.IDLE or len(frame) != 8:
             return []
         if self._phase is _Phase.SEGMENTS and frame[0] & (_KIND | _TOGGLE) == _GIVEN | self._toggle:
@@ -135,7 +135,7 @@ class SdoClient:
         return []
 
     def on_timeout(self) -> list[Effect]:
-        """The answer is late. The transfer is repeated, or has failed."""
+        """Handles a late answer: the transfer is repeated, or has failed."""
         self._left -= 1
         given_up = self._abandon(TIMED_OUT)
         if not self._left:
@@ -143,7 +143,7 @@ class SdoClient:
         return [given_up, self._probe() if self._phase is _Phase.PROBING else self._send_request()]
 
     def on_cancelled(self) -> list[Effect]:
-        """The result is no longer needed."""
+        """Aborts a transfer whose result is no longer needed."""
         if self._phase is _Phase.IDLE:
             return []
         given_up = self._abandon(GENERAL_ERROR)
@@ -158,13 +158,13 @@ class SdoClient:
         return [self._probe() if key in self._doubted else self._send_request()]
 
     def _send_request(self) -> Send:
-        """Starts at the server. A late answer to an earlier attempt of this transfer is valid too."""
+        """The first request of the transfer. A late answer to an earlier attempt of it is valid too."""
         self._phase, self._asked = _Phase.INITIATED, self._key
         self._data, self._toggle = b"", 0
         return Send(self._request, ANSWER)
 
     def _on_upload(self, frame: bytes) -> list[Effect]:
-        """An upload has started: all of it, or its length (0: unknown)."""
+        """Handles the start of an upload: all of its data, or their length (0: unknown)."""
         command, value = frame[0], frame[4:]
         if command & _EXPEDITED:
             length = 4 - (command >> 2 & 3) if command & _SIZED else 4
@@ -179,7 +179,7 @@ class SdoClient:
         return Send(bytes([_SEGMENT | self._toggle]).ljust(8, b"\0"), ANSWER)
 
     def _on_segment(self, frame: bytes) -> list[Effect]:
-        """At most seven more bytes, and whether they are the last."""
+        """Handles at most seven more bytes, and whether they are the last."""
         part, last = frame[1 : 8 - (frame[0] >> 1 & 7)], frame[0] & _LAST
         self._data += part
         if len(self._data) > LONGEST:
@@ -204,7 +204,7 @@ class SdoClient:
     # -- doubt ------------------------------------------------------------------------------------------
 
     def _abandon(self, code: int) -> Send:
-        """Aborts: a late answer must not be accepted; the server may discard the transfer."""
+        """Aborts a transfer: a late answer must not be accepted; the server may discard the transfer."""
         self._doubted[self._asked] = next(self._order)
         return Send(abort(self._asked, code))
 

@@ -3,7 +3,7 @@
 Protocol 2.0 has a number in the low seven bits and an alert in bit 7 ("look at the hardware error register");
 protocol 1.0 has a bit for each error. Hardware Error Status: e-manual of the X series, address 70 (63 selects
 those that switch the torque off). A Feetech servo (protocol 0) has its status as the error byte of every
-answer and reports no refusal: what was written must be read back.
+answer and reports no refusal: written values must be read back.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _named(bits: int, names: dict[int, str]) -> list[str]:
 
 
 def refusal_text(protocol: int, status: Status) -> str:
-    """Why a servo refused; '' if it did not."""
+    """The reason why a servo refused a request; '' if it did not."""
     if protocol != 2:
         return ", ".join(_named(status.error, _REFUSALS1)) if protocol == 1 else ""
     number = status.error & ~ALERT

@@ -1,7 +1,7 @@
 """The half-duplex bus: one exchange at a time, on the loop of the guard, each with a deadline.
 
 An exchange is a packet and its answers. It always completes, even if its caller was cancelled: a late answer
-must not be taken for that to the next request. Urgent exchanges (safe states) go first; they wait at most for
+must not count as that to the next request. Urgent exchanges (safe states) go first; they wait at most for
 the present one.
 """
 
@@ -28,19 +28,19 @@ SAFETY, COMMAND, POLL = range(3)
 
 
 class Port(Protocol):
-    """What a bus needs of its port. `latency` is the longest delay of received bytes, in seconds."""
+    """The interface of a port to its bus. `latency` is the longest delay of received bytes, in seconds."""
 
     baud: int
     latency: float
 
     def open(self) -> None:
-        """Opens it. Raises DeviceError when that is impossible now."""
+        """Opens the port. Raises DeviceError when that is impossible now."""
 
     def write(self, data: bytes) -> bool:
         """Sends a packet without waiting; returns whether that succeeded."""
 
     def close(self) -> None:
-        """Closes it."""
+        """Closes the port."""
 
 
 MakePort = Callable[[PortEvents], Port]
@@ -75,7 +75,7 @@ class Exchange:
 
     @property
     def complete(self) -> bool:
-        """Whether all have answered; a fast answer counts for all."""
+        """Whether all servos have answered; a fast answer counts for all."""
         return len(self.answers) == len(self.numbers)
 
 
@@ -123,7 +123,7 @@ class Bus:
         *,
         urgency: int = COMMAND,
     ) -> list[Status]:
-        """Sends a packet and returns the answers that came in time, of `size` bytes of data each.
+        """Sends a packet and returns the answers that arrived in time, of `size` bytes of data each.
 
         `numbers` are the ids that must answer; the broadcast id stands for the one packet that answers a fast
         sync read. Raises nothing: without a port there are no answers.
@@ -189,7 +189,7 @@ class Bus:
         return await exchange.done
 
     def received(self, data: bytes) -> None:
-        """Bytes from the port; outside an exchange they are ignored."""
+        """Handles bytes from the port; outside an exchange they are ignored."""
         if self._wire_log is not None:
             self._wire_log.log_bytes(data, is_sent=False)
         if self._echo is not None and self._echoes:
@@ -206,13 +206,13 @@ class Bus:
             self._finish()
 
     def lost(self, reason: str) -> None:
-        """The port is lost; another adapter may replace it."""
+        """Ends the exchanges after a loss of the port; another adapter may replace it."""
         self.is_lost, self._echo = reason, None
         self._cancel_all()
         self._on_lost(reason)
 
     def back(self) -> None:
-        """The port is open again."""
+        """Reports that the port is open again."""
         self.is_lost = ""
         self._on_back()
 
@@ -243,7 +243,7 @@ class Bus:
                 )
 
     def _finish(self) -> None:
-        """The exchange is complete, or its deadline has passed."""
+        """Ends the exchange when it is complete, or its deadline has passed."""
         exchange, self._current = self._current, None
         if self._timer is not None:
             self._timer.cancel()

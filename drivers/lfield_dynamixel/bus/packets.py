@@ -135,7 +135,7 @@ def _status2(packet: bytes) -> Status | None:
 def split_fast(answer: Status, numbers: tuple[int, ...], size: int) -> dict[int, Status] | None:
     """The parts `error id data crc` of the answer to a fast sync read, by id; None if incomplete.
 
-    The packet's own checksum covers it all, so those between the parts are not checked.
+    The checksum of the packet covers all parts, so the checksums between them are not checked.
     """
     body = bytes((answer.error,)) + answer.data + b"\0\0"
     part = size + 4

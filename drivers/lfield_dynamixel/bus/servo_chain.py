@@ -66,7 +66,7 @@ class Node:
 
     @property
     def codec(self) -> AnyProtocol:
-        """Its packet codec."""
+        """The packet codec of the servo."""
         return PROTOCOLS[self.protocol]
 
     def place(self, *values: int) -> bytes:
@@ -113,7 +113,7 @@ class Chain:
     async def id_conflict(
         self, node: Node, start: int, size: int, *, urgency: int = COMMAND, fewest: int = FEWEST_ROUNDS
     ) -> str:
-        """Why two servos seem to have an id; '' for one servo.
+        """The reason why two servos seem to have an id; '' for one servo.
 
         Two servos both answer: one after the other, or at once, which damages the answer. Answers get lost,
         so there are several rounds, at least `fewest`, and a single one proves nothing. An answer that is
@@ -148,7 +148,7 @@ class Chain:
     async def sync_write(
         self, start: int, data: Mapping[int, bytes], *, protocol: int = 2, urgency: int = COMMAND
     ) -> None:
-        """One packet that writes to several servos. It has no answer."""
+        """Sends one packet that writes to several servos. The packet has no answer."""
         node = Node(BROADCAST_ID, protocol)
         size = len(next(iter(data.values())))
         body = b"".join(bytes((number,)) + part for number, part in data.items())
@@ -188,7 +188,7 @@ class Chain:
         if fast:
             whole = split_fast(answers[0], numbers, size) if answers else None
             self._fast_failures = 0 if whole else self._fast_failures + 1
-            # It was answered under another id, so later answers are not in doubt.
+            # The probe was answered under another id, so later answers are not in doubt.
             return whole or {}
         found = {answer.number: answer for answer in answers if len(answer.data) == size}
         self._doubted.update(set(numbers) - found.keys())

@@ -1,1 +1,1 @@
-"""How servos are mounted: names, directions, zeros and bounds of joints, and calibration files."""
+"""The mounting of servos: names, directions, zeros and bounds of joints, and calibration files."""

@@ -46,7 +46,7 @@ def read(path: str) -> dict[str, JointCalibration]:
 
 
 def parsed(name: str, data: bytes) -> dict[str, JointCalibration]:
-    """The joints in the bytes of a file. Raises DeviceError with everything that is wrong."""
+    """The joints in the bytes of a file. Raises DeviceError with all mistakes."""
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         joints = msgspec.json.decode(data, type=dict[str, JointCalibration])
@@ -74,7 +74,7 @@ def _repeated_keys(data: bytes) -> list[str]:
 
 
 def mistakes_in(option: str, file: str) -> tuple[()]:
-    """Nothing; raises DeviceError with everything that is wrong in the file of an option."""
+    """No mistakes; raises DeviceError with all mistakes in the file of an option."""
     read(file)
     return ()
 

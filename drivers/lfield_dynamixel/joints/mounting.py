@@ -1,7 +1,7 @@
-"""How the servos of a device are mounted: the name, direction, zero and bounds of each joint. Pure.
+"""The mounting of the servos of a device: the name, direction, zero and bounds of each joint. Pure.
 
 angle of a joint = direction * (angle of its servo - zero) + offset. The zero and the bounds of a calibrated
-joint are in counts in its file, so they are known when the model is.
+joint are in counts in its file, so they are known as soon as the model is known.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Joint:
 
     @property
     def label(self) -> str:
-        """Its servo in a message: `3`, or `3 (elbow_flex)`."""
+        """The servo of the joint in a message: `3`, or `3 (elbow_flex)`."""
         return f"{self.number} ({self.name})" if self.name else f"{self.number}"
 
     def to_servo(self, angle: float) -> float:
@@ -50,7 +50,7 @@ class Joint:
         return self.direction * (angle - self.zero) + self.offset
 
     def fitted(self, model: Model) -> Joint:
-        """With the zero and the bounds of its calibration for a model. Raises DeviceError."""
+        """The joint with the zero and the bounds of its calibration for a model. Raises DeviceError."""
         entry = self.calibration
         if entry is None:
             return self

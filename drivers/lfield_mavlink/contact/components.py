@@ -1,6 +1,7 @@
 """Cameras and gimbals with component ids of their own under the system id of a vehicle: heartbeat protocol.
 
-They send through the autopilot or on the same link, or on a link of their own. Ids: https://mavlink.io/en/messages/common.html#MAV_COMPONENT.
+Components send through the autopilot or on the same link, or on a link of their own. Ids:
+https://mavlink.io/en/messages/common.html#MAV_COMPONENT.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ GIMBALS: Sequence[int] = (
 GONE = 5.0
 
 _IDS = frozenset({*CAMERAS, *GIMBALS})
-#: Messages of them that are decoded.
+#: Messages of cameras and gimbals that are decoded.
 _MESSAGES = frozenset(
     {
         dialect.MAVLINK_MSG_ID_HEARTBEAT,
@@ -51,21 +52,21 @@ class Components:
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
         self._beats: dict[int, float] = {}
-        #: Set at the first heartbeat of any of them.
+        #: Set at the first heartbeat of any component.
         self.appeared = asyncio.Event()
 
     def on_heartbeat(self, component: int) -> None:
-        """A heartbeat of a camera or gimbal."""
+        """Handles a heartbeat of a camera or gimbal."""
         self._beats[component] = self._now()
         self.appeared.set()
 
     def present(self, ids: Sequence[int]) -> list[int]:
-        """Those of these ids whose heartbeats arrive, in this order."""
+        """The given ids whose heartbeats arrive, in the same order."""
         oldest = self._now() - GONE
         return [component for component in ids if self._beats.get(component, -math.inf) > oldest]
 
     def known(self, ids: Sequence[int]) -> list[int]:
-        """Those of these ids whose heartbeats have ever arrived, in this order."""
+        """The given ids whose heartbeats have ever arrived, in the same order."""
         return [component for component in ids if component in self._beats]
 
 
@@ -90,5 +91,5 @@ class PayloadSources:
         return is_current and component in self._sources
 
     def source(self, component: tuple[int, int]) -> Source | None:
-        """Where to send to a component; None for the way to the autopilot."""
+        """The address of a component; None for the way to the autopilot."""
         return self._sources.get(component, (None, 0.0))[0]

@@ -41,9 +41,9 @@ Handler = Callable[[Any], None]
 class Contact(Device):
     """Communication with one vehicle; its abilities are in its parts.
 
-    They use `state`, `profile` and `texts` (what is known), `send` (a message), `on` and `expect` (messages),
-    `command` and `achieve` (must be accepted, and confirmed by the state), `exchange` (commands decided by
-    their answer), `wait_for`, `until` and `wait_message` (waiting), and the checks.
+    The parts use `state`, `profile` and `texts` (known facts), `send` (a message), `on` and `expect`
+    (messages), `command` and `achieve` (must be accepted, and confirmed by the state), `exchange` (commands
+    decided by their answer), `wait_for`, `until` and `wait_message` (waiting), and the checks.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Contact(Device):
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self.system: int = binding.option("system")
-        #: Our system id towards this vehicle, and why it is not unique ('': it is).
+        #: Our system id towards this vehicle, and the reason why it is not unique ('': it is).
         self.station, self.station_conflict = station_of(binding), ""
         #: Set while the host is silent: no requests are sent (see Driver.quiet).
         self.quiet = False
@@ -81,19 +81,19 @@ class Contact(Device):
 
     @property
     def profile(self) -> Profile:
-        """Its autopilot and kind; known once it is open."""
+        """The autopilot and kind of the vehicle; known once the vehicle is open."""
         if self.state.profile is None:
             raise self.error("the profile is known once the vehicle is open")
         return self.state.profile
 
     @property
     def silence(self) -> float:
-        """Seconds since its autopilot sent any message."""
+        """Seconds since the autopilot sent any message."""
         return self.clock.monotonic() - self._last_contact
 
     @property
     def heartbeat_age(self) -> float:
-        """Seconds since its last heartbeat."""
+        """Seconds since the last heartbeat of the autopilot."""
         return self.clock.monotonic() - (
             -math.inf if self.state.heartbeat_at is None else self.state.heartbeat_at
         )
@@ -111,10 +111,10 @@ class Contact(Device):
         """Waits until a command may be sent. Raises DeviceError."""
 
     def _reconnected(self, reason: str) -> None:
-        """Contact is restored after an interruption; it may be another vehicle."""
+        """Handles the end of an interruption: the vehicle may be another one."""
 
     def heard(self) -> None:
-        """Its autopilot has sent a message of any kind."""
+        """Records that the autopilot has sent a message of any kind."""
         if self.silence > LINK_LOST and self._last_contact > -math.inf:
             self._reconnected(f"{self.silence:.1f} s of silence")
         self._last_contact = self.clock.monotonic()
@@ -130,7 +130,7 @@ class Contact(Device):
             raise self.error(f"no message for {self.silence:.1f} s; the link is lost", timeout=True)
 
     def assume_control(self) -> None:
-        """Takes control: station heartbeats prevent its ground station failsafe from now on."""
+        """Takes control: station heartbeats prevent the ground station failsafe from now on."""
         self._has_control = True
 
     @property
@@ -150,7 +150,7 @@ class Contact(Device):
         self.quiet = quiet
 
     def report_station_conflict(self, reason: str) -> None:
-        """Logs that another sender has the id of its station; motion commands are refused from now on."""
+        """Logs that another sender has the id of the station; motion commands are refused from now on."""
         self.station_conflict = reason
         self.note(log_messages.STATION_CONFLICT.line(reason=reason))
 
@@ -165,7 +165,7 @@ class Contact(Device):
         return ""
 
     async def check_alone(self) -> None:
-        """Raises DeviceError when two vehicles have its system id."""
+        """Raises DeviceError when two vehicles have this system id."""
 
     def check_identity(self) -> None:
         """Raises DeviceError when the vehicle does not match the binding."""
@@ -207,7 +207,7 @@ class Contact(Device):
         self._changed.set()
 
     def _dispatch(self, message: Any) -> None:
-        """Passes it to every handler."""
+        """Passes a message to every handler."""
         self.exchange.on_message(message)
         for handler in self._handlers.get(message.get_msgId(), ()):
             handler(message)

@@ -178,11 +178,11 @@ class _Question:
         self._waiting: list[asyncio.Future[None]] = []
 
     def on_sent(self, result: asyncio.Future[int | None], now: float, patience: float) -> None:
-        """It was sent again."""
+        """Sets the deadline after the command was sent again."""
         self.result, self.due, self._latest = result, now + patience, now + LONGEST
 
     def on_answer(self, result: int, now: float) -> None:
-        """An answer has arrived; IN_PROGRESS only extends the time."""
+        """Handles an answer; IN_PROGRESS only extends the time."""
         if result == dialect.MAV_RESULT_IN_PROGRESS:
             self.due = min(now + PROGRESS, self._latest)
         else:
@@ -194,7 +194,7 @@ class _Question:
             self.result.set_result(result)
 
     def end(self) -> asyncio.Future[None]:
-        """Done when the command is no longer pending."""
+        """A future that is done when the command is no longer pending."""
         self._waiting.append(asyncio.get_running_loop().create_future())
         return self._waiting[-1]
 

@@ -1,4 +1,4 @@
-"""Verifies that the vehicle is still the one that was opened; nothing is commanded before that.
+"""Verifies that the vehicle is still the one that was opened; no command is sent before that.
 
 After each reconnection the unique id of the board (AUTOPILOT_VERSION: uid2, uid) is requested and compared. A
 board without one (uid 0) is compared by autopilot, type and firmware versions.
@@ -31,12 +31,12 @@ _HARMLESS = frozenset(
         dialect.MAVLINK_MSG_ID_MISSION_ACK,
     }
 )
-#: What to do about another vehicle.
+#: The remedy for another vehicle.
 _REMEDY = "nothing is commanded; bring the right vehicle back, or restart the host"
 
 
 class IdentifiedVehicle(Protocol):
-    """What identification needs of the vehicle. `quiet` is set while no requests may be sent."""
+    """The interface of the vehicle to its identification. `quiet` is set while no requests may be sent."""
 
     quiet: bool
 
@@ -47,10 +47,10 @@ class IdentifiedVehicle(Protocol):
         """The exception for a reason."""
 
     def heard(self) -> None:
-        """It has sent a message."""
+        """Records that the vehicle has sent a message."""
 
     def check_identity(self) -> None:
-        """Raises DeviceError when its autopilot or type does not match the binding."""
+        """Raises DeviceError when the autopilot or type does not match the binding."""
 
 
 class Identity:
@@ -73,7 +73,7 @@ class Identity:
         self._said = False
         self._checking = asyncio.Lock()
         self._suspected = asyncio.Event()
-        #: Why it is another vehicle, '' if it is not.
+        #: The reason why the vehicle is another one, '' if it is not.
         self.other_vehicle = ""
 
     @property
@@ -94,7 +94,7 @@ class Identity:
             self._suspected.set()
 
     def on_version(self, version: Any | None) -> None:
-        """Handles AUTOPILOT_VERSION: requires verification if it is another's."""
+        """Handles AUTOPILOT_VERSION: requires verification if it is from another vehicle."""
         if self._known and version is not None and self._difference(Board.of(version)):
             self.suspect("it reported another unique id")
 
@@ -126,7 +126,7 @@ class Identity:
                 raise self._vehicle.error(
                     f"its unique id is not confirmed since {reason}, so nothing is commanded", timeout=True
                 )
-            # It has answered: end the silence that was caused by another vehicle.
+            # The vehicle has answered: end the silence that was caused by another vehicle.
             self._vehicle.heard()
             self._reason = ""
             self._suspected.clear()
@@ -153,11 +153,11 @@ class Identity:
 
     @property
     def is_another_kind(self) -> bool:
-        """Whether its heartbeats have another autopilot or type than at opening."""
+        """Whether the heartbeats have another autopilot or type than at opening."""
         return self._known and self._kind() != self._first_kind
 
     def _difference(self, board: Board | None) -> str:
-        """Why it is another vehicle; '' if it is not, or if that is unknown."""
+        """The reason why the vehicle is another one; '' if it is not, or if that is unknown."""
         try:
             self._vehicle.check_identity()
         except DeviceError as error:

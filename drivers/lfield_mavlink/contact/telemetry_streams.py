@@ -101,7 +101,7 @@ class TelemetryStreams:
         self._refused: set[int] = set()
 
     def on_message(self, kind: int, now: float) -> None:
-        """A message was received and decoded."""
+        """Records a message that was received and decoded."""
         if kind in self._rates:
             self._last[kind] = self._read[kind] = now
             if kind in self._asked:
@@ -140,7 +140,7 @@ class TelemetryStreams:
             vehicle.note(log_messages.TELEMETRY_MISSING.line(names=", ".join(missing)))
 
     def _required(self) -> list[int]:
-        """The messages to request, of those that its autopilot supports."""
+        """The messages to request, of those that the autopilot supports."""
         profile = self._vehicle.profile
         others = ONLY_ARDUPILOT if profile.px4 else ONLY_PX4
         others |= frozenset() if profile.kind == "copter" else ONLY_COPTERS
@@ -174,7 +174,7 @@ class TelemetryStreams:
 
     @property
     def _lacks_origin(self) -> bool:
-        """Whether its position in the team's frame depends on an origin that is not known yet."""
+        """Whether the position in the team's frame depends on an origin that is not known yet."""
         placed, state = self._vehicle.binding.frame, self._vehicle.state
         return (
             placed is not None

@@ -28,7 +28,7 @@ SOURCES: Mapping[int, tuple[str, ...]] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: ("battery", "batteryVoltage", "batteryCurrent"),
 }
 
-#: Seconds by which its clock goes back at a restart; less may be a reordered packet.
+#: Seconds by which the clock goes back at a restart; less may be a reordered packet.
 REORDER_LIMIT = 1.0
 #: Seconds for which a position is published again when home has moved.
 FRESH = 0.5
@@ -68,7 +68,7 @@ def _sensor_name(bit: int) -> str:
 
 
 class VehicleState:
-    """The newest of everything; None is unknown.
+    """The newest value of every quantity; None is unknown.
 
     Positions are in metres relative to *home*. The autopilot uses the origin of its estimator, which is its
     first known position, while home moves to where it was armed last. PX4's home also moves vertically in
@@ -89,7 +89,7 @@ class VehicleState:
         self.type = -1
         self.mode = ""
         self.armed = False
-        #: Whether its heartbeat reports a failure (MAV_STATE_CRITICAL).
+        #: Whether the heartbeat reports a failure (MAV_STATE_CRITICAL).
         self.critical = False
         #: The commanded mode while a failsafe of PX4 overrides it, '' without a failsafe.
         self.overruled: str | None = None
@@ -105,7 +105,7 @@ class VehicleState:
         #: m/s horizontal and upward, and their time.
         self.speeds: tuple[float, float] | None = None
         self.speeds_at = -math.inf
-        #: Time of its last position.
+        #: Time of the last position.
         self.placed_at = -math.inf
         self._relative_altitude: float | None = None
         self._local: Vector | None = None
@@ -118,17 +118,17 @@ class VehicleState:
 
     @property
     def radius(self) -> float:
-        """The Earth radius of its autopilot's conversion, in metres."""
+        """The Earth radius of the autopilot's conversion, in metres."""
         return RADII.get(self.autopilot, EARTH_RADIUS)
 
     @property
     def origin(self) -> Place | None:
-        """The origin of its local frame on the Earth, None while unknown."""
+        """The origin of the local frame on the Earth, None while unknown."""
         return None if self._restarted else self._origin
 
     @property
     def origin_moved(self) -> Vector | None:
-        """The distance of its origin from the first one; None after a restart until it is known."""
+        """The distance of the origin from the first one; None after a restart until it is known."""
         if self._first_origin is None:
             return (0.0, 0.0, 0.0)
         return None if self.origin is None else self._first_origin.to(self.origin, self.radius)
@@ -159,7 +159,7 @@ class VehicleState:
 
     @property
     def holder(self) -> str:
-        """Who has selected a mode other than this program's, as far as known."""
+        """The controller that has selected a mode other than this program's, as far as known."""
         if self.overruled is None:
             return "a pilot or a failsafe"
         return (
@@ -172,14 +172,16 @@ class VehicleState:
         return self.home is not None and (self.origin is not None or self._local_home is not None)
 
     def on_mode_entered(self, mode: str) -> None:
-        """A confirmed answer reports this mode before a heartbeat does.
+        """Sets a mode that a confirmed answer reports before a heartbeat does.
 
         Otherwise a mode that is requested back at once would appear unchanged.
         """
         self.mode = mode
 
     def on_switched_off(self, now: float) -> Values:
-        """An answer instead of a heartbeat confirms that its motors are off; returns the telemetry."""
+        """Handles an answer that confirms, instead of a heartbeat, that the motors are off; returns
+        telemetry.
+        """
         self.armed, self.armed_at = False, now
         return {"armed": False}
 
@@ -209,7 +211,7 @@ class VehicleState:
         return {"mode": self.mode, "failsafe": self._failsafe}
 
     def set_failsafe(self, active: bool) -> None:
-        """Sets whether its own failsafe is active, if its messages do not report that."""
+        """Sets whether the autopilot's own failsafe is active, if its messages do not report that."""
         self.has_failsafe = active
 
     def set_kind(self, autopilot: int, vehicle_type: int) -> None:
@@ -248,7 +250,7 @@ class VehicleState:
         return {"attitude": list(angles), "heading": message.yaw % math.tau, "yawRate": message.yawspeed}
 
     def _check_clock(self, booted: int) -> None:
-        """Milliseconds since it was switched on; a restart invalidates its frames."""
+        """Handles the milliseconds since power-on; a restart invalidates the frames of the vehicle."""
         if booted < self._reported_at - 1000.0 * REORDER_LIMIT:
             self._restarted = True
             self._local = self._local_home = self.home = None

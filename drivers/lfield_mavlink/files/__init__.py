@@ -1,1 +1,1 @@
-"""Mission and parameter files of ground stations: bytes in, values out. Nothing here knows a vehicle."""
+"""Mission and parameter files of ground stations: bytes in, values out. Independent of any vehicle."""

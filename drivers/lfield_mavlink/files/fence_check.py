@@ -35,7 +35,7 @@ class _Zone:
         return f"{'inclusion' if self.inclusion else 'exclusion'} zone {self.number} of the fence"
 
     def mistake(self) -> str:
-        """Why it is invalid; '' if it is not."""
+        """The reason why the zone is invalid; '' for a valid zone."""
         if len(self._corners) == 1:
             return "" if 0.0 < self._radius < math.inf else f"a circle with the radius {self._radius:g} m"
         if not 3 <= len(self._corners) <= MAX_CORNERS:

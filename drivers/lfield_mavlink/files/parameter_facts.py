@@ -53,12 +53,12 @@ _RESTART: Mapping[int, Patterns] = {
 
 
 def own_values(autopilot: int, names: Iterable[str]) -> list[str]:
-    """Which of these names the autopilot counts or measures."""
+    """The given names whose parameters the autopilot itself counts or measures."""
     return _matching(_OWN[autopilot], names)
 
 
 def effective_after_restart(autopilot: int, names: Iterable[str]) -> list[str]:
-    """Which of these names take effect after a restart."""
+    """The given names whose parameters take effect after a restart."""
     return _matching(_RESTART[autopilot], names)
 
 

@@ -30,7 +30,7 @@ from lfield_mavlink.services.plan_items import RALLY_POINT, Item, command_name, 
 #: The most items that a firmware stores: ArduPilot 15 bytes each in 64 kB of a microSD card (BRD_SD_MISSION),
 #: PX4 NUM_MISSIONS_SUPPORTED of boards (navigation.h).
 MOST_ITEMS: Mapping[str, int] = {"ardupilot": 4369, "px4": 500, "": 4369}
-#: What an ArduPilot board stores without a microSD card.
+#: The number of items that an ArduPilot board stores without a microSD card.
 ON_BOARD = 724
 #: Metres from home to the first item that are unusual; PX4's MIS_DIST_1WP was 900 up to 1.14.
 FAR = 900.0
@@ -38,7 +38,7 @@ _KIND_WORDS = {"vtol": "plane that takes off vertically"}
 
 
 def read_plan(name: str, data: bytes, request: PlanRequest) -> PlanReport:
-    """What a mission file contains, and what is wrong with it. Raises MissionFileError."""
+    """The content of a mission file, and its defects. Raises MissionFileError."""
     return check_plan(read_plan_file(name, data), request)
 
 
@@ -145,7 +145,7 @@ class _PlanCheck:
             yield FileFinding("M901", f"item {first.item} is {far:.0f} m from home", first.item)
 
     def _items(self) -> Iterator[FileFinding]:
-        """By the rules that hold for uploads too."""
+        """The findings by the rules that apply to uploads too."""
         plan, enums = self._plan, dialect.enums["MAV_CMD"]
         items = [each.item for each in plan.items]
         check = MissionCheck("", items, self._limits, _error, self._situation())

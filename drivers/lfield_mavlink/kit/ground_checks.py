@@ -89,7 +89,7 @@ async def parameters(bench: Bench) -> str:
 
 @GROUND.check("an unknown parameter fails soon", moves=False)
 async def unknown_parameter(bench: Bench) -> str:
-    """Autopilots do not answer; the request must time out."""
+    """Autopilots do not answer a request for an unknown parameter, which must time out."""
     start = bench.now
     reason = await refused(bench, "parameter", NO_PARAMETER)
     took = bench.now - start
@@ -100,7 +100,7 @@ async def unknown_parameter(bench: Bench) -> str:
 
 @GROUND.check("a parameter is written", moves=True)
 async def write_parameter(bench: Bench) -> str:
-    """Writes its present value to the first writable parameter."""
+    """The present value can be written to the first writable parameter."""
     for line in (await bench.call("parameters")).splitlines():
         name, value = line.split()
         try:
@@ -121,7 +121,7 @@ async def files(bench: Bench) -> str:
 
 @GROUND.check("it can be armed", moves=True)
 async def ready(bench: Bench) -> str:
-    """Its pre-arm checks have passed and its position is known; takes 45 s after power-on."""
+    """The pre-arm checks have passed and the position is known; takes 45 s after power-on."""
     start = bench.now
     await bench.call("waitReady", READY_BY)
     if not await bench.call("isReady") or await bench.call("whyNotReady"):
@@ -140,13 +140,13 @@ async def raw_commands(bench: Bench) -> str:
 
 @GROUND.check("an unknown mode is refused", moves=True)
 async def modes(bench: Bench) -> str:
-    """Mode names are checked before anything is sent."""
+    """Mode names are checked before any command is sent."""
     return await refused(bench, "setMode", "SOMERSAULT")
 
 
 @GROUND.check("the limits of its binding are enforced", moves=True)
 async def limits(bench: Bench) -> str:
-    """Goals outside are refused while it is at rest, before anything is sent."""
+    """Goals beyond the limits are refused while the vehicle is at rest, before any command is sent."""
     given = bench.binding.limits
     north, east, down = bench.query("position")
     # Limits are relative to home, which it may be away from; positions may use another frame.

@@ -1,6 +1,6 @@
 """Checks that move a vehicle: a copter climbs to 3 m, a rover stays on the ground.
 
-They move 3 m, and farther to approach a speed limit.
+The checks move the vehicle by 3 m, and farther to approach a speed limit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LATE = 0.5
 
 @MOTION.check("takeoff() is refused while disarmed", moves=True)
 async def takeoff_disarmed(bench: Bench) -> str:
-    """PX4 would accept the command and fly when it is armed later."""
+    """A takeoff of a disarmed vehicle is refused: PX4 would accept it and fly when it is armed later."""
     if _kind(bench) != "copter":
         raise NotTried(f"a {_kind(bench)} does not take off")
     reason = await refused(bench, "takeoff", _height(bench))
@@ -49,7 +49,7 @@ async def takeoff_disarmed(bench: Bench) -> str:
 
 @MOTION.check("motors on and off", moves=True)
 async def arming(bench: Bench) -> str:
-    """The armed bit follows."""
+    """The armed bit follows the instructions."""
     await bench.call("arm")
     try:
         _see(bench.query("armed"), "arm() returned, but it is not armed")
@@ -82,7 +82,7 @@ async def trip(bench: Bench) -> str:
 
 @MOTION.check("a cancelled motion holds", moves=True)
 async def cancels(bench: Bench) -> str:
-    """It stops where it was cancelled, free for the next goal; a landing is completed."""
+    """A cancelled vehicle stops where it was, free for the next goal; a landing is completed."""
     async with _under_way(bench):
         north, east, down = bench.query("position")
         outcomes = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
@@ -148,7 +148,7 @@ async def speed_limit(bench: Bench) -> str:
 
 @MOTION.check("a velocity that is not renewed ends", moves=True)
 async def velocity(bench: Bench) -> str:
-    """After its time-to-live the guard brings it into the safe state, where it comes to rest."""
+    """The guard brings the vehicle into the safe state after the time-to-live, where it comes to rest."""
     async with _under_way(bench):
         last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
         ttl = bench.binding.ttl
@@ -203,7 +203,7 @@ async def _under_way(bench: Bench) -> AsyncIterator[None]:
 
 
 async def _drive(bench: Bench, speed: float) -> float:
-    """Repeats a velocity to the north until it moves; returns the time of the last setpoint."""
+    """Repeats a velocity to the north until the vehicle moves; returns the time of the last setpoint."""
     pause = bench.binding.ttl / 4.0
     end = bench.now + 5.0
     while bench.now < end:

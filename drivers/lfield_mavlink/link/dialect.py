@@ -2,8 +2,8 @@
 
 The dialect is `all`: ArduPilot's with additions of PX4 such as CURRENT_MODE.
 
-It is imported by name: `pymavlink.mavutil` would select one by the environment and the received data, and its
-`recv_match` discards every other message.
+The dialect is imported by name: `pymavlink.mavutil` would select one by the environment and the received
+data, and its `recv_match` discards every other message.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Reader:
     ) -> None:
         self._parser: Any = dialect.MAVLink(None)
         self._on_packet = on_packet
-        # Without it, one wrong checksum raises.
+        # Without this setting, one wrong checksum raises.
         self._parser.robust_parsing = True
         self._signed = signing is not None
         if signing is not None:

@@ -24,7 +24,7 @@ class SenderStats:
         self._recent: deque[list[float]] = deque()
 
     def add(self, sequence: int, now: float) -> None:
-        """A packet has arrived."""
+        """Counts a packet that has arrived."""
         if sequence == self._next and self._recent and now - self._recent[-1][0] < TOGETHER:
             # The common case; a busy link has hundreds of packets a second.
             self._recent[-1][1] += 1

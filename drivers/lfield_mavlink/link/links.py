@@ -1,7 +1,7 @@
 """Endpoints and the links behind them: UDP, TCP and serial. Bytes only.
 
 udp:HOST:PORT         sends to a vehicle that listens there
-udpin:HOST:PORT       listens for vehicles that send (what is sent goes to all recent senders)
+udpin:HOST:PORT       listens for vehicles that send (packets are sent to all recent senders)
 tcp:HOST:PORT         connects
 serial:/dev/ttyX:BAUD a serial port, 8N1
 
@@ -46,19 +46,19 @@ class Link(Protocol):
     """One open endpoint."""
 
     async def open(self) -> None:
-        """Opens it. Raises DeviceError when that is impossible now."""
+        """Opens the endpoint. Raises DeviceError when that is impossible now."""
 
     def send(self, data: bytes) -> None:
         """Sends one packet; it is dropped if it cannot be sent."""
 
     def send_to(self, data: bytes, address: str) -> None:
-        """Sends one packet to an address from which something was received."""
+        """Sends one packet to an address from which data was received."""
 
     def why_silent(self) -> str:
-        """What to report when nothing was received: known facts and a remedy."""
+        """The text to report when no data was received: known facts and a remedy."""
 
     def close(self) -> None:
-        """Closes it."""
+        """Closes the endpoint."""
 
 
 def split_endpoint(endpoint: str) -> list[str]:
@@ -74,7 +74,7 @@ class LinkUses(NamedTuple):
 
     @classmethod
     def of(cls, endpoint: str) -> LinkUses:
-        """Those of an endpoint; a link may occur with and without the prefix."""
+        """The link numbers of an endpoint; a link may occur with and without the prefix."""
         parts, links = _parts(endpoint), split_endpoint(endpoint)
         return cls(
             [number for number, link in enumerate(links) if link in parts],
@@ -154,7 +154,7 @@ class SerialLink:
         self.port.open()
 
     def received(self, data: bytes) -> None:
-        """Bytes of the port."""
+        """Handles bytes of the port."""
         self._on_data(data)
 
     def send(self, data: bytes) -> None:
@@ -166,7 +166,9 @@ class SerialLink:
         self.port.write(data)
 
     def why_silent(self) -> str:
-        """A port needs the right baud rate and an autopilot that is configured for MAVLink."""
+        """The text for a silent port: it needs the right baud rate and an autopilot configured for
+        MAVLink.
+        """
         return (
             f"nothing received from {self.port.path}; check the cable, the baud rate of {self.port.baud}, "
             "and that the autopilot is configured for MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
@@ -177,10 +179,10 @@ class SerialLink:
         self.port.close()
 
     def lost(self, reason: str) -> None:
-        """The port is lost; it is reopened when it is back under its path."""
+        """Reports that the port is lost; it is reopened when it is back under its path."""
         self._events.note(log_messages.SERIAL_LOST.line(path=self.port.path, reason=reason))
 
     def back(self) -> None:
-        """The port is open again."""
+        """Reports that the port is open again."""
         self._events.note(log_messages.SERIAL_BACK.line(path=self.port.path))
         self._events.reopened()

@@ -29,9 +29,10 @@ MAX_SOURCES, MAX_QUERIES, QUERY_INTERVAL = 16, 5, 0.5
 #: Difference of two boot clocks in seconds: the same vehicle over two links below; different vehicles above,
 #: if two boards have one id, as all PX4 simulators do.
 SAME_CLOCK, OTHER_CLOCK = 2.0, 5.0
-#: What to do about two vehicles.
+#: The remedy for two vehicles.
 REMEDY = "give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
-#: How often a clock must go back within so many seconds to indicate two vehicles at one address.
+#: The number of times that a clock must go back within so many seconds to indicate two vehicles at one
+#: address.
 BACKWARDS, WITHIN = 3, 5.0
 #: Seconds within which two vehicles at one address both answer two queries.
 BY_TURNS = 2.0
@@ -48,18 +49,18 @@ class Source(NamedTuple):
 
 @dataclass(slots=True)
 class _SourceState:
-    """What one source has sent."""
+    """The messages of one source."""
 
     at: float = -math.inf
     first_beat: float = math.inf
     beat: float = -math.inf
     board: Board | None = None
-    #: The previously reported board, and when that changed.
+    #: The previously reported board, and the time of the change.
     former: Board | None = None
     changed: float = -math.inf
-    #: When two boards were reported alternately.
+    #: The time when two boards were reported alternately.
     doubled: float = -math.inf
-    #: Whether it has sent heartbeats while the vehicle's own address did.
+    #: Whether the source has sent heartbeats while the vehicle's own address did.
     is_rival: bool = False
     queries: int = 0
     queried_at: float = -math.inf
@@ -85,7 +86,7 @@ class _SourceState:
             self._on_clock(message.time_boot_ms / 1000.0, now)
 
     def _on_board(self, board: Board, now: float) -> None:
-        """A vehicle that replaces another one changes the board once."""
+        """Handles a report of the board: a vehicle that replaces another one changes the board once."""
         if board == self.board:
             return
         if board == self.former and now - self.changed <= BY_TURNS:
@@ -100,12 +101,12 @@ class _SourceState:
             self.clock = ahead
 
     def is_mixed(self, now: float) -> bool:
-        """Whether two boards answer from here, or two clocks alternate."""
+        """Whether two boards answer from this source, or two clocks alternate."""
         by_turns = len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
         return by_turns or now - self.doubled <= LASTS
 
     def is_same(self, other: _SourceState, *, both: bool) -> bool | None:
-        """Whether both are one vehicle; None while unknown.
+        """Whether two sources are one vehicle; None while unknown.
 
         `both`: both send now. The clock of a silent one may have restarted elsewhere.
         """
@@ -154,17 +155,17 @@ class Sources:
     # -- packets ------------------------------------------------------------------------------------------
 
     def accepts(self, source: Source) -> bool:
-        """Whether packets from there are the vehicle's, as far as known."""
+        """Whether packets from a source are the vehicle's, as far as known."""
         return source in self._own and source not in self._mixed
 
     def touch(self, source: Source, now: float) -> None:
-        """A packet that need not be decoded came from one of the vehicle's own addresses."""
+        """Records a packet from one of the vehicle's own addresses that need not be decoded."""
         self._states[source].at = now
 
     def on_packet(self, source: Source, message: Any, now: float) -> bool:
         """Handles a packet of the vehicle's autopilot; returns whether it is accepted.
 
-        Packets before the first heartbeat from an address are not: they may not be an autopilot's.
+        Packets before the first heartbeat from an address are refused: they may not be an autopilot's.
         """
         state = self._states.get(source)
         if state is None:
@@ -191,7 +192,7 @@ class Sources:
         return self._states.setdefault(source, _SourceState())
 
     def _on_other(self, source: Source, state: _SourceState, now: float) -> None:
-        """A heartbeat from an unknown address."""
+        """Handles a heartbeat from an unknown address."""
         used = [each for each in self._own if now - self._states[each].at <= IN_USE]
         if same_port := [each for each in used if each.link == source.link]:
             if any(self._states[each].at - state.first_beat >= BOTH for each in same_port):
@@ -257,9 +258,9 @@ class Sources:
         return ""
 
     def is_settled(self, now: float) -> bool:
-        """Whether it is certain that there is one vehicle, or that there are two.
+        """Whether the number of vehicles, one or two, is certain.
 
-        Behind a single peer, that requires two queries for the board.
+        Behind a single peer, certainty requires two queries for the board.
         """
         if not self._several or self.conflict(now):
             return True

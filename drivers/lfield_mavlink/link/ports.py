@@ -125,7 +125,7 @@ class Neighbours:
         self._commands: dict[int, tuple[int, int, float]] = {}
 
     def on_command(self, message: Any, now: float) -> None:
-        """A message of another system that may move a vehicle."""
+        """Handles a message of another system that may move a vehicle."""
         if getattr(message, "command", None) not in (None, *_LEADS):
             return
         who = message.get_srcSystem(), message.get_srcComponent(), now
@@ -140,7 +140,7 @@ class Neighbours:
         return f"system {by}, component {component}" if now - at <= COMMAND_MEMORY else ""
 
     def on_message(self, message: Any) -> None:
-        """A message of another system."""
+        """Handles a message of another system."""
         who = message.get_srcSystem(), message.get_srcComponent()
         if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._names:
             return
@@ -178,7 +178,7 @@ class Route:
         self._packets: OrderedDict[bytes, int] = OrderedDict()
 
     def on_packet(self, link: int, packet: bytes | bytearray, now: float) -> bool:
-        """A packet came on a link; returns whether it is new, not a copy from another link."""
+        """Handles a packet from a link; returns whether it is new, not a copy from another link."""
         self._last_packet[link] = now
         if len(self._everywhere) == 1:
             return True
@@ -192,7 +192,9 @@ class Route:
         return first == link
 
     def links(self, now: float) -> Sequence[int]:
-        """Where to send: the link on which its messages arrive, or all if none arrive."""
+        """The numbers of the links to send on: the one on which messages of the vehicle arrive, or all if
+        none arrive.
+        """
         if self._link is None or now - self._last_packet[self._link] > LINK_TIMEOUT:
             newest = max(self._last_packet, key=self._last_packet.__getitem__, default=None)
             self._link = (

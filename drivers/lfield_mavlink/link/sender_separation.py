@@ -33,7 +33,7 @@ class Board(NamedTuple):
 
     @classmethod
     def of(cls, message: Any) -> Board:
-        """From uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
+        """The board of uid2 and uid: PX4's simulators all have the same uid, ArduPilot has only uid2."""
         long = bytes(message.uid2).rstrip(b"\0")
         uid = long.hex() + (f"-{message.uid:x}" if message.uid else "") if long or message.uid else ""
         versions = (message.flight_sw_version, message.middleware_sw_version, message.os_sw_version)
@@ -66,7 +66,7 @@ class SenderSeparator:
         return first
 
     def _follows_first(self, kind: int, number: int, now: float) -> bool:
-        """By its number: a packet soon follows the previous one of its own sequence."""
+        """Whether a packet soon follows, by its number, the previous one of the first vehicle."""
         behind = self._behind(True, number)
         if kind in _DECISIVE and now - self._clock_at <= SOON and NEAR < behind < 256:
             self._other_at = now
@@ -101,7 +101,7 @@ class HeartbeatContradictions:
         self._said: tuple[int, ...] = ()
         self._former: tuple[int, ...] = ()
         self._said_at = self._former_at = -math.inf
-        #: When a heartbeat last equalled the one before the previous one.
+        #: The time when a heartbeat last equalled the one before the previous one.
         self.contradicted = -math.inf
 
     def on_heartbeat(self, message: Any, now: float) -> None:

@@ -20,7 +20,7 @@ from lfield_mavlink.link.signing_timestamps import PER_SECOND, SigningTimestamps
 
 #: The end of a signed packet: link id, 48-bit timestamp, 48-bit signature.
 BLOCK, SIGNATURE = 13, 6
-#: How far a new stream may be behind us.
+#: The time by which a new stream may be behind us.
 BEHIND = 60 * PER_SECOND
 #: Seconds between two checks of the remaining timestamps, which last more than twice as long.
 CHECK_INTERVAL = 2.0

@@ -20,7 +20,7 @@ from lfield.driver import Clock, DeviceError, read_within
 
 #: Timestamps count units of 10 us since 1 January 2015.
 PER_SECOND, EPOCH = 100_000, 1_420_070_400
-#: How far ahead of use the timestamp is written, and the reserve that triggers the next write.
+#: The time ahead of use to which the timestamp is written, and the reserve that triggers the next write.
 AHEAD, LOW = 20 * PER_SECOND, 10 * PER_SECOND
 #: Bytes of a key.
 KEY = 32
@@ -72,7 +72,7 @@ class SigningTimestamps:
         return self._last
 
     def on_timestamp(self, timestamp: int) -> None:
-        """A peer with the key uses `timestamp`: ours must not be older."""
+        """Handles a `timestamp` of a peer with the key: ours must not be older."""
         self._start += max(timestamp - self.due, 0)
 
     @property

@@ -45,7 +45,7 @@ class TcpLink:
         self._task = asyncio.get_running_loop().create_task(self._run(self._connection))
 
     async def _connect(self) -> _Connection:
-        """Connects to the first of its addresses that answers. Raises OSError."""
+        """Connects to the first address of the host that answers. Raises OSError."""
         made, where = await connected(self._lookup, ATTEMPT, lambda: _Connection(self._on_data))
         made.where = where
         return made
@@ -84,7 +84,7 @@ class TcpLink:
         self.send(data)
 
     def why_silent(self) -> str:
-        """Whether it is connected."""
+        """The text for a silent connection: closed by the peer, or connected without data."""
         if self._hung_up:
             return f"{self._name} hung up"
         return (
@@ -114,26 +114,26 @@ class _Connection(asyncio.Protocol):
 
     @property
     def is_lost(self) -> bool:
-        """Whether the peer or the system has closed it."""
+        """Whether the peer or the system has closed the connection."""
         return self._lost.is_set()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It is connected."""
+        """Stores the transport of the open connection."""
         self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
 
     def data_received(self, data: bytes) -> None:
-        """Bytes of the stream."""
+        """Handles bytes of the stream."""
         self._last_received, self._has_received = asyncio.get_running_loop().time(), True
         self._on_data(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It is closed."""
+        """Records the end of the connection and its reason."""
         if exc is not None:
             self._reason = reason_of(exc)
         self._lost.set()
 
     async def until_lost(self, attempts: Attempts) -> str:
-        """Waits until it is closed, or SILENT seconds without data; returns the reason."""
+        """Waits until the connection is closed, or SILENT seconds without data; returns the reason."""
         loop = asyncio.get_running_loop()
         while not self.is_lost:
             left = self._last_received + SILENT - loop.time()
@@ -157,6 +157,6 @@ class _Connection(asyncio.Protocol):
             self._transport.close()
 
     def abort(self) -> None:
-        """Aborts it; queued data is lost."""
+        """Aborts the connection; queued data is lost."""
         if self._transport is not None:
             self._transport.abort()

@@ -41,7 +41,7 @@ class _Sockets:
         self.open: list[socket.socket] = []
 
     def add(self, opened: socket.socket) -> None:
-        """Reads from it from now on."""
+        """Reads from a socket from now on."""
         self.open.append(opened)
         asyncio.get_running_loop().add_reader(opened, self._receive, opened)
 
@@ -54,7 +54,7 @@ class _Sockets:
         self._on_datagram(opened, data, peer)
 
     def remove(self, opened: socket.socket) -> None:
-        """Closes it."""
+        """Closes a socket."""
         self.open.remove(opened)
         asyncio.get_running_loop().remove_reader(opened)
         opened.close()
@@ -124,14 +124,14 @@ class UdpLink:
                 self._events.log(self._attempts.opened(f"it sends to {where}", loop.time()))
 
     def _on_datagram(self, _: socket.socket, data: bytes, __: Address) -> None:
-        """A packet from the vehicle."""
+        """Handles a packet from the vehicle."""
         self._at, self._has_received, self._unreachable = asyncio.get_running_loop().time(), True, False
         # Keep an address that answers.
         self._attempts.works()
         self._on_data(data)
 
     def _on_error(self) -> None:
-        """The port is closed; a later heartbeat will succeed."""
+        """Records that the port of the peer is closed; a later heartbeat will succeed."""
         self._unreachable = True
 
     def send(self, data: bytes) -> None:
@@ -145,7 +145,9 @@ class UdpLink:
         self.send(data)
 
     def why_silent(self) -> str:
-        """Simulators do not listen on UDP as radios and routers do: names the endpoint to use instead."""
+        """The text for a silent peer; simulators do not listen on UDP, so it names the endpoint to use
+        instead.
+        """
         problem = "no process listens at" if self._unreachable else "nothing received from"
         return (
             f"{problem} {self._name}; simulators use other endpoints: ArduPilot's is tcp:127.0.0.1:5760, and "
@@ -248,7 +250,7 @@ class UdpListener:
                     self._attempts.works()
 
     def _on_datagram(self, opened: socket.socket, data: bytes, peer: Address) -> None:
-        """A packet from a vehicle."""
+        """Handles a packet from a vehicle."""
         self._at = asyncio.get_running_loop().time()
         if not self._unbound:
             self._attempts.works()
@@ -268,14 +270,14 @@ class UdpListener:
             self.send_to(data, address)
 
     def send_to(self, data: bytes, address: str) -> None:
-        """Sends to one of them while it is known."""
+        """Sends to one peer while it is known."""
         if address in self._peers:
             opened, peer = self._peers[address]
             with suppress(OSError):
                 opened.sendto(data, peer)
 
     def why_silent(self) -> str:
-        """No data was received."""
+        """The text for a port at which no data was received."""
         return f"nothing received at {self._endpoint}; does the vehicle, simulator or router send there?"
 
     def close(self) -> None:

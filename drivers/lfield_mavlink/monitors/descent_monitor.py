@@ -40,9 +40,9 @@ HITS, TOUCHES, HARDER, STOPS, LOW = 2.0, 1.15, 0.25, 6.0, 2.5
 GAP = 1.0
 #: Descent in m/s without motors that is not a touch-down.
 DROPS = 1.5
-#: Seconds without a fall after which it has recovered.
+#: Seconds without a fall after which the vehicle has recovered.
 RECOVERS = 1.0
-#: Seconds in which its clock can restart without a person who switched it off on the ground.
+#: Seconds of silence up to which a restart of the clock is not a power cycle by a person on the ground.
 SILENT = 10.0
 
 #: Texts of a fall, and of a crash. ArduCopter: thrust_loss_check and crash_check; PX4: its failure detector.
@@ -97,53 +97,54 @@ class DescentMonitor:
         self._floor: float | None = None
         self._top = -math.inf
         self._last: tuple[float, float, float] | None = None
-        # Since when it descends too fast, is too low, tilts too far, and has recovered.
+        # The times since which the vehicle descends too fast, is too low, tilts too far, and has recovered.
         self._sinks_at = self._low_at = self._tilts_at = self._well_at = math.inf
         self._tilt = 0.0
         self._hit: Finding | None = None
         self._stands_at = math.inf
         self._armed = self._aloft = False
-        # How it dropped when its motors went off, until a landing is certain.
+        # The drop of the vehicle when its motors went off, until a landing is certain.
         self._off_at = -math.inf
 
     # -- expected motion --------------------------------------------------------------------------------
 
     def expect(self, expected: Expected) -> None:
-        """A motion starts, with its expected heights."""
+        """Starts to monitor a motion with its expected heights."""
         if expected != self._expected:
             self._expected, self._floor, self._top = expected, None, -math.inf
             self._sinks_at = self._low_at = math.inf
             self._excess = 0.0
 
     def on_velocity(self, sink: float, now: float) -> None:
-        """A velocity is commanded, in m/s downwards."""
+        """Handles a commanded velocity, in m/s downwards."""
         self.expect(Expected(by_velocity=True))
         self._commanded.append((now, max(0.0, sink)))
         while self._commanded[0][0] < now - COMMANDED:
             self._commanded.popleft()
 
     def may_descend(self, speed: float, landing: float) -> None:
-        """Its own descent and landing speeds in m/s, from its parameters; 0 if unknown."""
+        """Sets the autopilot's own descent and landing speeds in m/s, from its parameters; 0 if unknown."""
         self._fastest = max(FASTEST, SHARE * speed + MORE)
         self._descends, self._lands = max(speed, landing) or UNKNOWN, landing
 
     def clear(self) -> None:
-        """The vehicle was inspected."""
+        """Clears the findings after an inspection of the vehicle."""
         self.falling = self.crashed = ""
         self._hit, self._disarms = None, 0
 
     @property
     def undecided(self) -> bool:
-        """Whether its motors seem to have gone off in the air and the result is not known yet.
+        """Whether the motors seem to have gone off in the air and the result is not known yet.
 
-        Also whether it has reported to disarm after a crash, and its heartbeat does not show that yet.
+        Also whether the autopilot has reported to disarm after a crash, and its heartbeat does not show that
+        yet.
         """
         return self._off_at > -math.inf or self._disarms > 0
 
     # -- telemetry --------------------------------------------------------------------------------------
 
     def on_armed(self, armed: bool, *, landed: bool | None, now: float) -> Finding | None:
-        """Arming state and reported landing."""
+        """Handles the arming state and a reported landing."""
         before, self._armed = self._armed, armed
         self._disarms = max(0, self._disarms - 1) if armed else 0
         if armed:
@@ -161,7 +162,7 @@ class DescentMonitor:
         return self._stood(landed, now)
 
     def on_motion(self, height: float, sink: float, now: float, *, judged: bool) -> Finding | None:
-        """A sample: metres above home, m/s downwards; `judged`: the motion is the program's."""
+        """Handles a sample: metres above home, m/s downwards; `judged`: the motion is the program's."""
         last, self._last = self._last, (now, height, sink)
         found = self._dropped(height, sink) or self._impact(last, height, sink, now)
         if found is not None or not (judged and self._armed and self._aloft):
@@ -182,7 +183,7 @@ class DescentMonitor:
         return self._falls(low) if now - self._low_at >= LASTS_LOW else None
 
     def on_attitude(self, roll: float, pitch: float, now: float, *, judged: bool) -> Finding | None:
-        """A sample, in radians."""
+        """Handles a sample of the attitude, in radians."""
         self._tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
         if not self._armed or self._tilt < TILTS:
             self._tilts_at = math.inf
@@ -197,7 +198,7 @@ class DescentMonitor:
         return self._falls(description) if judged else None
 
     def on_text(self, text: str) -> Finding | None:
-        """A text of the autopilot."""
+        """Handles a text of the autopilot."""
         if not self._armed and not self._off_at > -math.inf:
             return None
         if _CRASHES.search(text):
@@ -208,7 +209,7 @@ class DescentMonitor:
         return None
 
     def on_restart(self, silent: float) -> Finding | None:
-        """Its clock has restarted, after so many seconds without a message."""
+        """Handles a restart of the vehicle's clock after so many seconds without a message."""
         if not (self._armed and self._aloft) or silent > SILENT:
             return None
         self._aloft = False
@@ -227,7 +228,7 @@ class DescentMonitor:
             self._floor, self._top = None, -math.inf
 
     def _move_floor(self, height: float, sink: float) -> None:
-        """The floor of a climb rises with it up to its goal; an initial descent may be braked."""
+        """Raises the floor of a climb with the vehicle up to its goal; an initial descent may be braked."""
         goal = self._expected.goal
         if goal is None:
             return
@@ -247,7 +248,7 @@ class DescentMonitor:
         return DESCENDS * self._descends if leads_down else math.inf
 
     def _add_up(self, height: float, sink: float, now: float, took: float) -> None:
-        """Integrates the excessive descent; if it continues, it is a fall."""
+        """Integrates the excessive descent, which is a fall if it continues."""
         may = self._may_sink(height, now) + (BIAS if self._expected.by_velocity else 0.0)
         self._excess = max(0.0, self._excess + (sink - may) * min(took, GAP))
 
@@ -260,7 +261,7 @@ class DescentMonitor:
         return self._why_low(height, sink) if sink > SINKS else ""
 
     def _why_low(self, height: float, sink: float) -> str:
-        """Why it is too low and does not climb, at any speed; '' if it is not."""
+        """The reason why the vehicle is too low and does not climb, at any speed; '' if it is not."""
         if sink < -CLIMBS:
             return ""
         low = 0.0 if self._floor is None else self._floor - height
@@ -277,7 +278,7 @@ class DescentMonitor:
             self.falling = ""
 
     def _dropped(self, height: float, sink: float) -> Finding | None:
-        """Whether its motors went off in the air: it falls."""
+        """The crash of a vehicle that falls because its motors went off in the air, if any."""
         if self._off_at == -math.inf or sink < DROPS:
             return None
         self._off_at = -math.inf
@@ -300,7 +301,7 @@ class DescentMonitor:
         description = f"it hit the ground at {fell:.1f} m/s"
         if height <= LOW:
             return self._crash(description)
-        # It may be on a hill, or have braked: wait until it is at rest.
+        # The vehicle may be on a hill, or have braked: wait until it is at rest.
         self._hit, self._stands_at = Finding(description, crashed=True), now
         return None
 

@@ -50,7 +50,7 @@ DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     ),
     (PX4, "copter"): ({"MPC_Z_VEL_MAX_DN": 1.0},),
 }
-#: Its landing speeds, likewise.
+#: The autopilot's landing speeds, likewise.
 LANDINGS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     (ARDUPILOT, "copter"): ({"LAND_SPD_MS": 1.0, "LAND_SPEED": 100.0},),
     (PX4, "copter"): ({"MPC_LAND_SPEED": 1.0},),
@@ -98,27 +98,27 @@ class FlightMonitor:
 
     @property
     def crashed(self) -> str:
-        """Why it must not fly before an inspection, '' while it may."""
+        """The reason why the vehicle must not fly before an inspection, '' while it may."""
         return self._descent.crashed
 
     @property
     def falling(self) -> str:
-        """Why it falls, '' while it does not."""
+        """The reason of a fall, '' while the vehicle does not fall."""
         return self._descent.falling
 
     @property
     def lost_position(self) -> str:
-        """Why its position is lost, '' while it is known or the vehicle is at rest."""
+        """The reason of a lost position, '' while it is known or the vehicle is at rest."""
         return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
 
     @property
     def is_blind(self) -> bool:
-        """Whether its reported position and speed are unreliable, in the air or not."""
+        """Whether the reported position and speed are unreliable, in the air or not."""
         return bool(self._position.lost(self._now))
 
     @property
     def commanded_by(self) -> str:
-        """Names another station that has just commanded it, to explain a foreign mode; '' for none."""
+        """Another station that has just commanded the vehicle, to explain a foreign mode; '' for none."""
         return f", commanded by {others}" if (others := self.others()) else ""
 
     def check_start(self, what: str) -> None:
@@ -157,7 +157,7 @@ class FlightMonitor:
             raise self._vehicle.error(f"{what} ended early: {self.crashed}")
 
     async def settle(self) -> None:
-        """Waits for the result if its motors went off in the air."""
+        """Waits for the result if the motors went off in the air."""
         await self._vehicle.wait_for(lambda: not self._descent.undecided, SETTLES)
 
     def safe_mode(self, state: str) -> str:
@@ -179,7 +179,7 @@ class FlightMonitor:
     # -- commands -----------------------------------------------------------------------------------------
 
     def on_order(self, order: Order) -> None:
-        """A command starts."""
+        """Records the start of a command."""
         self._target.clear(self._now)
         self._modes = order.modes | {self._vehicle.profile.guided}
         if not order.has_destination:
@@ -189,14 +189,14 @@ class FlightMonitor:
             self._sent(order.goal)
 
     def on_mode(self, mode: str) -> None:
-        """A mode without targets of this program is commanded."""
+        """Records that a mode without targets of this program is commanded."""
         profile = self._vehicle.profile
         self._target.clear(self._now)
         self._modes = frozenset({profile.guided})
         self._expect(Expected(math.inf) if mode in (profile.hold, profile.guided) else DESCENT)
 
     def on_sent(self, target: Target) -> None:
-        """A setpoint is sent."""
+        """Records a sent setpoint."""
         if target.mask in (ONLY_POSITION, POSITION_AND_YAW):
             self._modes |= {self._vehicle.profile.guided}
             self._sent(target.place)
@@ -205,11 +205,11 @@ class FlightMonitor:
         self._descent.on_velocity(target.velocity[2], self._now)
 
     def goes_to(self, goal: Vector) -> None:
-        """It moves straight to a position, in metres of home."""
+        """Starts to monitor a straight motion to a position, in metres of home."""
         self._course.start(goal)
 
     def release(self) -> None:
-        """The program takes control again after an inspection or a takeover."""
+        """Resets the monitors when the program takes control again after an inspection or a takeover."""
         self.foreign = ""
         self._target.clear(self._now)
         self._descent.clear()
@@ -248,7 +248,7 @@ class FlightMonitor:
         self._on_mode(message)
 
     def _on_mode(self, _: Any) -> None:
-        """A foreign target is a takeover once the mode is known to be still ours."""
+        """Handles a mode: a foreign target is a takeover once the mode is known to be still ours."""
         if self._state.mode not in self._modes or not self._state.armed or self.foreign:
             return
         if target := self._target.on_guided(self._now):
@@ -302,7 +302,7 @@ class FlightMonitor:
         self._position.on_estimate(message.flags)
 
     def _on_global_target(self, message: Any) -> None:
-        """The goal of ArduPilot, and of PX4 in automatic modes; in OFFBOARD PX4 sends an old one."""
+        """Handles the goal of ArduPilot, and of PX4 in automatic modes; in OFFBOARD PX4 sends an old one."""
         state = self._state
         if self._vehicle.state.profile is None or message.type_mask & NO_PLACE:
             return
@@ -321,7 +321,7 @@ class FlightMonitor:
         self._on_target_place((north, east, down if level and state.origin else math.nan))
 
     def _on_local_target(self, message: Any) -> None:
-        """The setpoint in the mode for them; PX4 sends its next target in automatic modes.
+        """Handles the setpoint in the mode for setpoints; PX4 sends its next target in automatic modes.
 
         The position of an ArduCopter is in the other message.
         """
@@ -336,7 +336,7 @@ class FlightMonitor:
             self._target.on_reported_velocity(velocity, self._now)
 
     def _on_distance(self, message: Any) -> None:
-        """Only ArduRovers were recorded to report 0 while they follow velocities."""
+        """Handles the distance to the target; only ArduRovers were recorded to report 0 on a velocity."""
         state = self._state
         if state.kind == "rover" and state.position is not None:
             here, speed = self._local(state.position), math.hypot(*state.velocity[:2])
@@ -359,7 +359,7 @@ class FlightMonitor:
 
     @property
     def _landed(self) -> bool | None:
-        """A vehicle that does not fly is always on the ground."""
+        """Whether the vehicle is on the ground; a vehicle that does not fly always is."""
         return self._state.landed if self._flies else True
 
     @property
@@ -368,13 +368,13 @@ class FlightMonitor:
 
     @property
     def _is_judged(self) -> bool:
-        """Whether it is a copter whose height this program controls."""
+        """Whether the vehicle is a copter whose height this program controls."""
         copter = self._state.profile is not None and self._state.profile.kind == "copter"
         return copter and self.is_ours()
 
     @property
     def _is_judged_by_place(self) -> bool:
-        """A submarine has no GNSS under water."""
+        """Whether the position is monitored; a submarine has no GNSS under water."""
         return self._state.kind != "submarine" and (not self._flies or self._state.landed is False)
 
     def _expect(self, expected: Expected) -> None:

@@ -38,7 +38,7 @@ class MissionChanges:
         self._returns: Collection[int] = ()
 
     def checked(self, *, curved: bool = False, returns: Collection[int] = ()) -> None:
-        """The plans were read and checked.
+        """Records the plans that were read and checked.
 
         `curved`: the path depends on its starting point; `returns`: the numbers of items that return, perhaps
         to rally points, which are checked again before that.
@@ -46,7 +46,7 @@ class MissionChanges:
         self._curved, self._returns = curved, returns
 
     def on_current(self, message: Any) -> bool:
-        """MISSION_CURRENT: whether it indicates another plan, or a curve from another starting point."""
+        """Whether MISSION_CURRENT indicates another plan, or a curve from another starting point."""
         before, self._number = self._number, message.seq
         plans, self._plans = self._plans, (message.total, *_ids_of(message))
         depends = self._curved or message.seq + 1 in self._returns
@@ -54,7 +54,7 @@ class MissionChanges:
         return jumps or (plans is not None and plans != self._plans)
 
     def on_parameter(self, message: Any) -> bool:
-        """PARAM_VALUE: whether a counter was sent unrequested, or by name."""
+        """Whether PARAM_VALUE is a counter that was sent unrequested, or by name."""
         return message.param_id in COUNTERS and message.param_index == BY_NAME
 
 
@@ -74,7 +74,7 @@ class MissionTarget:
         self._radius, self._altitude = radius, altitude
 
     def beyond(self, message: Any, home: Place, *, flies: bool) -> str:
-        """How POSITION_TARGET_GLOBAL_INT exceeds the limits; '' when it does not.
+        """The excess of POSITION_TARGET_GLOBAL_INT over the limits in words; '' within them.
 
         A rover has no heights; a position that is not finite is ignored.
         """

@@ -30,29 +30,29 @@ class PositionMonitor:
 
     def __init__(self) -> None:
         self._fixes: dict[int, tuple[int, float]] = {}
-        # When a receiver last had a fix, infinity before the first.
+        # The time when a receiver last had a fix, infinity before the first.
         self._fixed_at = math.inf
         self._estimated = self._estimate_lost = False
 
     def on_fix(self, receiver: int, fix: int, now: float) -> None:
-        """A receiver reports its GPS_FIX_TYPE."""
+        """Handles the GPS_FIX_TYPE of a receiver."""
         self._fixes[receiver] = fix, now
         if fix >= FIX:
             self._fixed_at = now
 
     def on_estimate(self, flags: int) -> None:
-        """The estimator reports its flags."""
+        """Handles the flags of the estimator."""
         knows = bool(flags & POSITION)
         self._estimate_lost = self._estimated and not knows
         self._estimated = self._estimated or knows
 
     def restart(self) -> None:
-        """The autopilot restarted, or is on the ground: forget earlier fixes."""
+        """Discards earlier fixes when the autopilot restarted, or is on the ground."""
         self._fixed_at = math.inf
         self._estimated = self._estimate_lost = False
 
     def lost(self, now: float) -> str:
-        """Why the position is lost; '' while it is known, or was never reported.
+        """The reason of a lost position; '' while it is known, or was never reported.
 
         Reports older than OLD seconds are ignored.
         """

@@ -42,13 +42,13 @@ class TargetMonitor:
         self._level = level
         self._places: deque[tuple[float, Vector]] = deque()
         self._velocities: deque[tuple[float, Vector]] = deque()
-        # Earlier targets and until when they may be reported. Until one of the new ones is reported all may
-        # be, since it ignores targets outside its fence.
+        # Earlier targets, each with the time until which it may be reported. Until a new target is reported,
+        # all of them may be, since the autopilot ignores targets outside its fence.
         self._earlier: list[tuple[float, Vector]] = []
         self._started_at = math.inf
-        # Where it stops when it has not accepted a position yet, and until when that may be reported.
+        # The stopping place of a vehicle that has accepted no position yet, and the end of reports of it.
         self._rests: tuple[Vector, float] | None = None
-        # When the newest position was sent that it is known to have followed.
+        # The time of the newest sent position that the vehicle is known to have followed.
         self._followed = -math.inf
         self._is_confirmed = self._by_velocity = False
         self._stops_at: float | None = None
@@ -58,7 +58,7 @@ class TargetMonitor:
         self._foreign: tuple[float, str] | None = None
 
     def clear(self, now: float) -> None:
-        """It follows no sent target from now on, but may still report the last ones."""
+        """Ends the sent targets: the vehicle follows none from now on, but may still report the last ones."""
         self._earlier = [each for each in self._earlier if now <= each[0]]
         self._earlier += [(now + LATE, place) for _, place in self._places]
         self._places.clear()
@@ -69,7 +69,9 @@ class TargetMonitor:
             self._rests = self._rests[0], min(self._rests[1], now + LATE)
 
     def on_place(self, place: Vector, now: float, rests_at: Vector | None) -> None:
-        """A position was sent; `rests_at` is where it stops if it has not accepted one yet."""
+        """Records a sent position; `rests_at` is the stopping place of a vehicle that has not accepted one
+        yet.
+        """
         if self._by_velocity:
             self.clear(now)
         if not self._places:
@@ -83,7 +85,7 @@ class TargetMonitor:
             self._places.popleft()
 
     def on_velocity(self, velocity: Vector, now: float) -> None:
-        """A velocity was sent."""
+        """Records a sent velocity."""
         if not self._by_velocity:
             self.clear(now)
             self._by_velocity = True
@@ -92,14 +94,14 @@ class TargetMonitor:
             self._velocities.popleft()
 
     def on_reported_place(self, place: Vector, now: float, here: Vector | None, *, aloft: bool) -> None:
-        """The autopilot reports its target; a height of NaN is not reported.
+        """Handles a target that the autopilot reports; a height of NaN is not reported.
 
-        `here` is its position, `aloft` whether it flies: on the ground it may report an old target.
+        `here` is the vehicle's position, `aloft` whether it flies: on the ground it may report an old target.
         """
         if (sent := self._sent_at(place, now)) is not None:
             self._followed = max(self._followed, sent)
             self._reported = place if math.isfinite(sent) else self._reported
-            # It reports nothing about an ignored goal: only the last one shows that they are followed.
+            # The autopilot does not report an ignored goal: only the last goal shows that goals are followed.
             self._is_confirmed = self._is_confirmed or (
                 bool(self._places) and self._is_near(place, self._places[-1][1])
             )
@@ -114,7 +116,7 @@ class TargetMonitor:
                 self._find(now, f"to a place {far:.0f} m away")
 
     def on_reported_distance(self, distance: float, here: Vector | None, speed: float, now: float) -> None:
-        """A rover reports the distance to its target in metres, 0 without one.
+        """Handles the distance in metres to its target that a rover reports, 0 without one.
 
         A second 0 within LATE seconds is foreign if it is far from the last reported position of this motion.
         """
@@ -130,22 +132,22 @@ class TargetMonitor:
         self._undefined_at = now
 
     def on_reported_velocity(self, velocity: Vector, now: float) -> None:
-        """The autopilot reports that it follows a velocity."""
+        """Handles a report of the autopilot that it follows a velocity."""
         description = f"at {math.hypot(*velocity):.1f} m/s"
         if self._was_sent(velocity, now):
             self._stops_at = None
         elif math.hypot(*velocity) > SAME:
             self._find(now, description)
         elif self._places and self._is_confirmed:
-            # It stops instead of continuing; once is its own behaviour when it enters the mode.
+            # The vehicle stops instead of continuing; once is its own behaviour when it enters the mode.
             self._stops_at = now if self._stops_at is None else self._stops_at
             if now - self._stops_at > FIRST_TARGET_TIMEOUT:
                 self._find(now, description)
 
     def on_guided(self, now: float) -> str:
-        """It is still in the mode for setpoints: how its target differs from the sent one, in words.
+        """The difference in words of the reported target from the sent one, in the mode for setpoints.
 
-        '' while it is the sent one, or nothing is known. A target may be reported before the mode that
+        '' while both are equal, or no target is known. A target may be reported before the mode that
         belongs to it.
         """
         return "" if self._foreign is None or now <= self._foreign[0] else self._foreign[1]
@@ -160,7 +162,9 @@ class TargetMonitor:
         return math.dist(place, goal) if level else math.dist(place[:2], goal[:2])
 
     def _sent_at(self, place: Vector, now: float) -> float | None:
-        """When a position was last sent, minus infinity before this motion; None if it was not."""
+        """The time when a position was last sent, minus infinity before this motion; None if it was not
+        sent.
+        """
         for at, sent in reversed(self._places):
             if self._is_near(place, sent):
                 return at
@@ -185,7 +189,7 @@ class TargetMonitor:
         return not level or abs(place[2] - sent[2]) <= apart
 
     def _was_sent(self, velocity: Vector, now: float) -> bool:
-        """Whether it is a velocity of the last seconds, or the present one, limited by the autopilot."""
+        """Whether a velocity is one of the last seconds, or the present one, limited by the autopilot."""
         recent = [sent for at, sent in self._velocities if at >= now - LATE]
         recent += [self._velocities[-1][1]] if self._by_velocity else []
         return any(_is_bounded(velocity, sent) for sent in recent)
@@ -204,9 +208,9 @@ def _is_bounded(velocity: Vector, sent: Vector) -> bool:
 class CourseMonitor:
     """Detects that a vehicle on its way to a goal moves elsewhere, by its horizontal velocity.
 
-    It is on its way once its course is within TOWARDS of the goal; rovers turn first, and copters accelerate.
-    Then a course that is off by more than OFF for LASTS seconds, faster than SPEED m/s, is foreign. Within
-    NEAR metres plus the braking distance courses are ignored.
+    A vehicle is on its way once its course is within TOWARDS of the goal; rovers turn first, and copters
+    accelerate. Then a course that is off by more than OFF for LASTS seconds, faster than SPEED m/s, is
+    foreign. Within NEAR metres plus the braking distance courses are ignored.
     """
 
     TOWARDS, OFF, LASTS, SPEED, NEAR = math.radians(45.0), math.radians(60.0), 0.8, 0.8, 3.0
@@ -215,16 +219,16 @@ class CourseMonitor:
         self._goal: Vector | None = None
         self._was_towards = False
         self._off_at = math.inf
-        #: The speed in m/s at which it moves elsewhere, 0 while it does not.
+        #: The speed in m/s at which the vehicle moves elsewhere, 0 while it does not.
         self.leaves = 0.0
 
     def start(self, goal: Vector | None) -> None:
-        """A motion starts, to a goal or without a known one."""
+        """Starts to monitor a motion, to a goal or without a known one."""
         self._goal, self._was_towards = goal, False
         self._off_at, self.leaves = math.inf, 0.0
 
     def on_motion(self, place: Vector, velocity: Vector, now: float) -> None:
-        """A sample."""
+        """Handles a sample of the motion."""
         if self._goal is None:
             return
         way = (self._goal[0] - place[0], self._goal[1] - place[1])

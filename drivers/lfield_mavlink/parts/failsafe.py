@@ -1,4 +1,4 @@
-"""Detects the autopilot's own failsafe, even in a mode that the program uses itself.
+"""Detects the autopilot's own failsafe, even in a mode that the program itself uses.
 
 From recordings (`e-gcs-loss`, `f-fence-breach`, `f-fence-landing`): PX4 sends "Failsafe activated", and its
 CURRENT_MODE has an intended mode that differs from the actual one; if both are equal (a hold that replaces a
@@ -40,9 +40,9 @@ class Failsafe:
     def __init__(self, vehicle: Contact) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
         self.on_engaged: Callable[[], None] = lambda: None
-        #: Whether it has control, until it is released or another mode is commanded.
+        #: Whether the failsafe has control, until it is released or another mode is commanded.
         self.is_engaged = False
-        # When it was detected, when it was last released, and its state.
+        # The times when the failsafe was detected and last released, and its state.
         self._noticed_at = self._released_at = -math.inf
         self._was_critical, self._overruled, self._breaches = False, "", 0
         # Whether CURRENT_MODE has reported who selected the mode, and so will report the next one.
@@ -54,14 +54,14 @@ class Failsafe:
 
     @property
     def text(self) -> str:
-        """The autopilot's texts about it, separated by commas; '' without any."""
+        """The autopilot's texts about the failsafe, separated by commas; '' without any."""
         said = self._vehicle.texts.since(self._noticed_at - BEFORE)
         named = (text for text in said if _NAMES.search(text) and not _DOES_NOT.search(text))
         return ", ".join(dict.fromkeys(named))
 
     @property
     def holder(self) -> str:
-        """Who controls a vehicle that is not ours, as far as known."""
+        """The controller of a vehicle that is not ours, as far as known."""
         # PX4 reports when a station or pilot has selected a mode after it.
         return "its failsafe" if self.is_engaged and not self._led else self._state.holder
 
@@ -78,19 +78,19 @@ class Failsafe:
         )
 
     def set_engaged_handler(self, on_engaged: Callable[[], None]) -> None:
-        """Sets what is called when it takes control."""
+        """Sets the function that is called when the failsafe takes control."""
         self.on_engaged = on_engaged
 
     def release(self) -> None:
-        """The program takes control again."""
+        """Ends the control by the failsafe: the program takes control again."""
         self.is_engaged, self._led, self._noticed_at = False, False, -math.inf
         self._state.set_failsafe(False)
         self._released_at = self._vehicle.clock.monotonic()
 
     async def may_have_done(self, what: str, command: int, *values: float) -> None:
-        """Checks whether it acted before this command because PX4 missed its setpoints.
+        """Checks whether the failsafe acted before this command because PX4 missed its setpoints.
 
-        It reports no reason then, and its text may arrive after the mode. If it has acted, the accepted
+        PX4 reports no reason then, and its text may arrive after the mode. If it has acted, the accepted
         command makes the mode this program's. Raises DeviceError.
         """
         if not self.is_engaged:
@@ -100,7 +100,7 @@ class Failsafe:
             self.release()
 
     def on_earlier_engagement(self) -> None:
-        """It, or another controller, had the vehicle before contact was made."""
+        """Records that a failsafe or another controller had the vehicle before contact was made."""
         self._notice()
 
     # -- detection --------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ class Failsafe:
             self._check_mode()
 
     def _check_mode(self) -> None:
-        """Checks whether the mode was selected by it."""
+        """Checks whether the failsafe selected the mode."""
         state = self._state
         retreats = state.profile is not None and state.armed and state.mode in state.profile.fallbacks
         recent = self._vehicle.clock.monotonic() - self._noticed_at <= LED

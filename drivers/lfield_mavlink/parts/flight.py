@@ -59,7 +59,7 @@ class Flight:
         self._returns = returns
         self._arming_until = self._home_at = -math.inf
         vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
-        # The mode in which it was last left under foreign control, '' for none.
+        # The mode in which the vehicle was last left under foreign control, '' for none.
         self._left_in = ""
 
     # -- instructions ---------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ class Flight:
         return self._motion.foreign_control
 
     async def _await_home(self) -> None:
-        """Home moves to where it is armed: requests it again, since the message may have been lost."""
+        """Requests home again, which moves to where the vehicle is armed: the message may have been lost."""
         vehicle, since = self._vehicle, self._vehicle.clock.monotonic()
         home = float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
         for _ in range(HOMES):
@@ -147,7 +147,7 @@ class Flight:
             raise self._vehicle.error(f"takeoff requires a height above 0, not {height:g}")
         self._motion.start_motion("takeoff")
         if not state.armed:
-            # PX4 would accept it, and fly when it is armed later.
+            # PX4 would accept the takeoff, and fly when it is armed later.
             raise self._vehicle.error("takeoff refused: the motors are off; call arm() first")
         stood = state.landed
 
@@ -162,7 +162,7 @@ class Flight:
         await self._motion.travel("takeoff", order, lambda place: abs(height + place[2]), near)
 
     async def do_land(self) -> None:
-        """Lands at its present position."""
+        """Lands at the present position."""
         mode = await self._leave_for("land", "land", dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
@@ -172,7 +172,7 @@ class Flight:
         await self._await_motors_off("land")
 
     async def do_return_home(self) -> None:
-        """Returns to home or a nearer rally point; done when it is at rest there, landed if it can."""
+        """Returns to home or a nearer rally point; done at rest there, after a landing if possible."""
         self._motion.check_bounded("returnHome", self._vehicle.profile.home)
         await self._returns.check("returnHome")
         copter = self._vehicle.profile.kind == "copter"
@@ -191,7 +191,7 @@ class Flight:
             return
         arrival = await self._motion.arrival()
         if self._vehicle.profile.px4:
-            # It would exceed its own parameter. A vehicle that refuses a speed returns all the same.
+            # PX4 would return at its own, faster speed. A vehicle that refuses a speed still returns.
             with suppress(DeviceError):
                 await self._motion.speed.apply_target()
 
@@ -204,7 +204,7 @@ class Flight:
         await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
 
     async def do_hold(self) -> None:
-        """Stops and holds its position."""
+        """Stops and holds the position."""
         self._motion.start_motion("hold")
         await self._motion.hold()
 
@@ -228,13 +228,13 @@ class Flight:
     # -- the safe state -------------------------------------------------------------------------------
 
     def may_be_arming(self) -> None:
-        """A command to arm was sent, and may take effect although it is no longer awaited."""
+        """Records that a command to arm was sent, which may take effect although it is no longer awaited."""
         self._arming_until = self._vehicle.clock.monotonic() + UNDER_WAY
 
     async def make_safe(self, state: str) -> None:
-        """Enters a safe state of the manifest, unless it is at rest or under foreign control.
+        """Enters a safe state of the manifest, unless the vehicle is at rest or under foreign control.
 
-        Requires up-to-date messages for that. Raises DeviceError.
+        The decision requires up-to-date messages. Raises DeviceError.
         """
         vehicle = self._vehicle
         self._motion.stream.stop()
@@ -272,7 +272,7 @@ class Flight:
             raise vehicle.error(f"no heartbeat for {vehicle.heartbeat_age:.1f} s", timeout=True)
 
     def _leave_alone(self) -> None:
-        """A pilot or its own failsafe controls it: taking over would be less safe."""
+        """Leaves the control to a pilot or the autopilot's own failsafe: taking over would be less safe."""
         if self._left_in != self._state.mode:
             self._left_in = self._state.mode
             by = self._motion.failsafe.holder.rstrip(",")
@@ -297,7 +297,7 @@ class Flight:
 
     @property
     def _down(self) -> bool:
-        """Whether it is on the ground, or cannot move by itself."""
+        """Whether the vehicle is on the ground, or cannot move by itself."""
         return bool(self._state.landed) or not self._state.armed
 
     async def _await_motors_off(self, what: str) -> None:

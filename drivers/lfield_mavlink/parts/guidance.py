@@ -50,7 +50,7 @@ class Guidance:
         motion.failsafe.set_engaged_handler(self._check_fence_here)
 
     async def run(self) -> None:
-        """Logs which of its own fences prevents a velocity or has triggered, until cancelled.
+        """Logs which of the autopilot's own fences prevents a velocity or has triggered, until cancelled.
 
         setVelocity does not wait for the fence parameters, since it must be repeated in time.
         """
@@ -163,14 +163,14 @@ class Guidance:
     # -- speeds ---------------------------------------------------------------------------------------
 
     async def do_set_speed(self, speed: float) -> None:
-        """The horizontal speed of following motions, within the limit of the binding."""
+        """Sets the horizontal speed of following motions, within the limit of the binding."""
         if not speed > 0.0:
             raise self._vehicle.error(f"setSpeed requires a speed above 0, not {speed:g}")
         self._limits.check_speed("setSpeed", speed)
         await self._motion.speed.set(speed)
 
     async def do_set_velocity(self, north: float, east: float, down: float) -> None:
-        """A velocity setpoint, valid for the time-to-live of the binding unless it is replaced."""
+        """Sets a velocity, valid for the time-to-live of the binding unless it is replaced."""
         velocity = (north, east, down)
         self._limits.check_speed("setVelocity", math.hypot(*velocity))
         self._limits.check_way_out(self._state.position, velocity)
@@ -179,7 +179,7 @@ class Guidance:
         self._check_fence_ahead(velocity)
 
     def _check_fence_ahead(self, velocity: Vector) -> None:
-        """Schedules a check of its own fence when it does not follow."""
+        """Schedules a check of the autopilot's own fence when the vehicle does not follow a velocity."""
         state, now, ttl = self._state, self._vehicle.clock.monotonic(), self._vehicle.binding.ttl
         place = state.position
         if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
@@ -189,12 +189,12 @@ class Guidance:
             self._doubtful.put_nowait((what, f"{AHEAD:g} m ahead is", (north, east, down)))
 
     def _check_fence_here(self) -> None:
-        """Schedules a check of its own fence after its failsafe acted; its text names no parameter."""
+        """Schedules a check of the fence after its failsafe acted; its text names no parameter."""
         if (place := self._state.position) is not None and not self._vehicle.quiet:
             self._doubtful.put_nowait((f"its failsafe has it in {self._state.mode}", "it is", place))
 
     async def do_set_yaw_rate(self, rate: float) -> None:
-        """A setpoint: turns on the spot at this rate for the time-to-live."""
+        """Turns on the spot at this rate for the time-to-live."""
         if not math.isfinite(rate):
             raise self._vehicle.error(f"setYawRate requires a finite rate, not {rate}")
         now, ttl = self._vehicle.clock.monotonic(), self._vehicle.binding.ttl

@@ -85,7 +85,9 @@ class Maintenance:
         )
 
         def back() -> bool:
-            """A clock that restarted from 0; or, without a known time, a message after a silence."""
+            """Whether a clock restarted from 0, or, without a known time, a message arrived after a
+            silence.
+            """
             if self._vehicle.silence > LINK_LOST:
                 restarted.set()
             now = self._state.booted

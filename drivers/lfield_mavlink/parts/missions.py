@@ -63,11 +63,11 @@ class Missions:
         # Whether the mission may have curves, whose path depends on their starting points.
         self._curved = True
         self._current = self._reached = -1
-        # When the mission was complete the last time.
+        # The time when the mission was last complete.
         self._completed_at = -math.inf
-        # Whether it has not reported to be within its mission, and so starts with waypoint 0.
+        # Whether the vehicle has not reported to be within its mission, and so starts with waypoint 0.
         self._is_starting = True
-        # Signs of a changed mission in flight: '' requires a check, else it is why it must hold.
+        # Signs of a changed mission in flight: '' requires a check, any other text is a reason to hold.
         self._changes = MissionChanges()
         self._target = MissionTarget(*limits.places)
         self._signs: asyncio.Queue[str] = asyncio.Queue()
@@ -130,7 +130,7 @@ class Missions:
         start = dialect.MAV_CMD_MISSION_START
         await self._motion.enter(what, profile.mission, start, 0.0, 0.0)
         if profile.px4:
-            # It stays in this mode when the mission is complete.
+            # The vehicle stays in this mode when the mission is complete.
             self._motion.claim(profile.mission, profile.hold)
         try:
             await self._motion.speed.apply_target()
@@ -146,7 +146,7 @@ class Missions:
         return self._completed_at >= since
 
     async def do_pause_mission(self) -> None:
-        """Stops and holds; startMission continues from here."""
+        """Stops and holds; startMission continues the mission."""
         self._motion.start_motion("pauseMission")
         if self._state.mode != self._vehicle.profile.mission:
             raise self._vehicle.error(
@@ -182,7 +182,9 @@ class Missions:
                 sign = await self._next_sign(UNDER_WAY)
 
     async def _recheck(self) -> str:
-        """Reads and checks the running mission; returns why it must stop, '' when it may continue."""
+        """Reads and checks the running mission; returns the reason why it must stop, '' when it may
+        continue.
+        """
         try:
             await self._check("its mission", await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
@@ -275,7 +277,7 @@ class Missions:
         check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
     async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:
-        """The data for the check; requests only what these items need."""
+        """The data for the check; requests only data that these items need."""
         profile, state, limits = self._vehicle.profile, self._state, self._limits
         autopilot, returns = profile.autopilot, has_command(items, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         radius, climb, rally = None, None, list[Item]()

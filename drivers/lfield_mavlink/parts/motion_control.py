@@ -56,9 +56,9 @@ class Motion:
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes of the last command; any other mode is foreign.
         self._commanded: frozenset[str] = frozenset()
-        # Start of the last motion, and why this driver stopped it.
+        # Start of the last motion, and the reason why this driver stopped it.
         self._started_at, self._stopped = -math.inf, ""
-        # Since when it has left OFFBOARD, None while it is in it or entering it.
+        # The time when the vehicle left OFFBOARD, None while it is in OFFBOARD or entering it.
         self._left_at: float | None = None
         self._was_in_guided = False
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_mode)
@@ -77,7 +77,7 @@ class Motion:
         if self.failsafe.is_engaged or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # It changes modes by itself on the ground only; else another controller has changed the mode.
+        # The vehicle changes modes by itself on the ground only; else another controller has done so.
         by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
         own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
@@ -140,21 +140,21 @@ class Motion:
 
     @property
     def _resting_place(self) -> Vector | None:
-        """Where it would come to rest by braking now, in metres of home; None if unknown."""
+        """The place where the vehicle would stop by braking now, in metres of home; None if unknown."""
         place = self._state.position
         known = place is not None and self._state.home is not None and self._state.armed
         known = known and not (self.monitor.lost_position or self.monitor.foreign)
         return stopping_place(place, self._state.velocity) if known and place is not None else None
 
     async def set_mode(self, name: str) -> None:
-        """Enters a mode; the hold mode also stops it. Raises DeviceError."""
+        """Enters a mode; the hold mode also stops the vehicle. Raises DeviceError."""
         self.speed.forget_slowing()
         if name != self._vehicle.profile.hold or not await self._send_stay():
             values = self._vehicle.profile.mode_command(name)
             await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *values)
 
     async def _send_stay(self) -> bool:
-        """Sends PX4 a goal where it can stop, if it may be flying to one; returns whether it accepted.
+        """Sends PX4 a goal where it can stop, if it may be flying to one; returns whether PX4 accepted.
 
         In its hold mode PX4 flies to a goal of a ground station, also if that mode is commanded again.
         """
@@ -259,7 +259,7 @@ class Motion:
         self.stream.follow(trajectory)
 
     def _where(self) -> tuple[Vector | None, Vector]:
-        """Its position (None if lost) and velocity."""
+        """The vehicle's position (None if lost) and velocity."""
         state, now = self._state, self._vehicle.clock.monotonic()
         return state.position if now - state.placed_at <= PLACED else None, state.velocity
 
@@ -274,7 +274,7 @@ class Motion:
         return self._vehicle.profile.px4 and (self.guided.is_entered or self.guided.is_believed)
 
     def _on_mode(self, _: object) -> None:
-        """Notes when it leaves OFFBOARD."""
+        """Records when the vehicle leaves OFFBOARD."""
         if self._state.profile is None or self.stream.trajectory is None:
             return
         if self.guided.is_entered:
@@ -340,7 +340,7 @@ class Motion:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves horizontally or vertically, as far as known."""
+        """Whether the vehicle moves horizontally or vertically, as far as known."""
         pace = self.speed.of_motion
         least = MOVES if pace is None else max(min(MOVES, SHARE * pace), NOISE)
         return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
@@ -351,7 +351,7 @@ class Motion:
         return order.goal is not None and (is_fenced or progress.stood(now) > ASKED_WHY)
 
     async def _check_fence(self, what: str, order: Order) -> None:
-        """Raises DeviceError when its own fence is the reason."""
+        """Raises DeviceError when the autopilot's own fence is the reason."""
         assert order.goal is not None, "the caller has checked it"
         texts = self._vehicle.reasons(self._started_at)
         why = await self.fence.why_beyond(order.goal)
@@ -360,7 +360,7 @@ class Motion:
             raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{texts}")
 
     async def arrival(self) -> Arrival:
-        """How a rover arrives: ArduPilot stops it within WP_RADIUS of a goal."""
+        """The rule for the arrival of a rover: ArduPilot stops it within WP_RADIUS of a goal."""
         profile, radius = self._vehicle.profile, 0.0
         if profile.kind == "rover" and not profile.px4:
             radius = await self._parameters.read("WP_RADIUS") or 0.0
@@ -375,7 +375,7 @@ class Motion:
     async def _cancel_order(self, order: Order) -> None:
         """Cancels the goal in the autopilot, which would follow it once the obstacle is gone.
 
-        A landing or a return continues, since nothing is safer.
+        A landing or a return continues, since no other action is safer.
         """
         if order.has_destination:
             with suppress(DeviceError):
@@ -395,5 +395,5 @@ class Motion:
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 
     async def slow_down(self, speed: float, why: str) -> None:
-        """Slows it down or, if setpoints contain the speed, holds. Raises DeviceError."""
+        """Slows the vehicle down or, if setpoints contain the speed, holds. Raises DeviceError."""
         await (self.speed.slow_down(speed) if self.speed.can_slow_down else self.halt(why))

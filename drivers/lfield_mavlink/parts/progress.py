@@ -35,13 +35,13 @@ class Progress:
         return now - self._best_at > waits or self._gone(place) > self._patience.clearance
 
     def _gone(self, place: Vector | None) -> float:
-        """Metres from its start, if known."""
+        """Metres from the start of the motion, if known."""
         if self._place is None or place is None:
             return 0.0
         return math.dist(self._place[:2], place[:2])
 
     def stood(self, now: float) -> float:
-        """Seconds since it last moved."""
+        """Seconds since the vehicle last moved."""
         return now - self._moved_at
 
 
@@ -108,7 +108,7 @@ class Revolutions:
             step = math.remainder(angle - self._last, math.tau)
             self._turned += step if self._circle.clockwise else -step
         self._last = angle
-        # It may approach the circle until it is on it.
+        # The vehicle may approach the circle until it is on it.
         onto = off if self._turned < min(ONTO, self._total) else 0.0
         return onto + (self._total - self._turned) * self._circle.radius
 

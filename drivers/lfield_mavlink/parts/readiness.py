@@ -1,4 +1,4 @@
-"""Whether a vehicle can be armed, why not, and waiting for it.
+"""Whether a vehicle can be armed, the reasons against it, and waiting for it.
 
 Uses the pre-arm bit in SYS_STATUS and a position. A GNSS fix, a home or a position alone are not sufficient:
 ArduPilot has them up to 32 s before it can be armed. Nor is the bit alone, since ArduPilot's checks are those
@@ -44,16 +44,18 @@ class Readiness:
         self._counts_from = -math.inf
 
     async def do_is_ready(self) -> bool:
-        """Whether it can be armed, or is armed."""
+        """Whether the vehicle can be armed, or is armed."""
         return not self._missing()
 
     async def do_why_not_ready(self) -> str:
-        """Why it cannot be armed, in the autopilot's words if available; '' when it can."""
+        """The reason why the vehicle cannot be armed, in the autopilot's words if available; '' when it
+        can.
+        """
         lack = self._missing()
         return await self._reason_text(lack) if lack else ""
 
     async def do_wait_ready(self, seconds: float) -> None:
-        """Waits until it can be armed, in the arming mode. Raises DeviceError with the reason."""
+        """Waits until the vehicle can be armed, in the arming mode. Raises DeviceError with the reason."""
         vehicle = self._vehicle
         if not 0.0 <= seconds < math.inf:
             raise vehicle.error(f"waitReady requires seconds of at least 0, not {seconds:g}")
@@ -76,7 +78,7 @@ class Readiness:
             )
 
     async def _reason_text(self, lack: str) -> str:
-        """The autopilot's texts against arming, on request; else what is missing."""
+        """The autopilot's texts against arming, on request; else the missing condition."""
         vehicle, now = self._vehicle, self._vehicle.clock.monotonic()
         # PX4 sends no texts without station heartbeats, and then nothing is requested.
         if not vehicle.quiet and vehicle.silence <= LINK_LOST:
@@ -93,7 +95,7 @@ class Readiness:
         return "; ".join(dict.fromkeys(texts))
 
     def _missing(self) -> str:
-        """What is missing, '' for nothing."""
+        """The missing condition, '' for none."""
         if crashed := self._motion.monitor.crashed:
             return f"it crashed and must be inspected: {crashed}"
         if self._vehicle.silence > LINK_LOST:
@@ -104,7 +106,7 @@ class Readiness:
         return missing_condition(self._state, since, px4=self._vehicle.profile.px4)
 
     def _elsewhere(self) -> str:
-        """Why ArduPilot's checks do not apply to the arming mode, '' when they do.
+        """The reason why ArduPilot's checks do not apply to the arming mode, '' when they do.
 
         A rover's checks pass in MANUAL 20 s before it can be armed in GUIDED.
         """
@@ -115,11 +117,11 @@ class Readiness:
 
     @property
     def _is_in_another_mode(self) -> bool:
-        """Whether it is not in the arming mode; False while a pilot has its motors on."""
+        """Whether the vehicle is not in the arming mode; False while a pilot has its motors on."""
         return not self._state.armed and self._state.mode != self._vehicle.profile.arming
 
     async def _enter_mode(self) -> None:
-        """Repeats a refused mode: an autopilot that starts up may revert it."""
+        """Enters the arming mode, again after a refusal: an autopilot that starts up may revert it."""
         with suppress(DeviceError):
             await self._motion.set_mode(self._vehicle.profile.arming)
 
@@ -129,7 +131,7 @@ class Readiness:
 
 
 def missing_condition(state: VehicleState, since: float, *, px4: bool) -> str:
-    """What a vehicle lacks for arming, as reported since `since`; '' for nothing. Pure."""
+    """The condition that a vehicle lacks for arming, as reported since `since`; '' for none. Pure."""
     if state.armed:
         return ""
     sensors = state.sensors

@@ -42,7 +42,7 @@ class Returns:
         self._parameters, self._plans = parameters, plans
 
     async def climb(self) -> Climb | None:
-        """Its height; None if that is not limited or unknown. Raises DeviceError."""
+        """The height of a return; None if it is not limited or unknown. Raises DeviceError."""
         profile = self._vehicle.profile
         key = profile.autopilot, profile.kind
         if not self._limits.bounds_heights or key not in RETURN_HEIGHTS:

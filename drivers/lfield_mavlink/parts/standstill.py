@@ -1,9 +1,9 @@
-"""Whether a vehicle is at rest in its safe state, or how it still moves.
+"""Whether a vehicle is at rest in its safe state, or the motion that remains.
 
-With its motors off it is at rest; unknown is not. A copter that lands or returns is at rest when its motors
-are off, in `hold` when it hovers; a rover or boat when it is stationary, in `return` at home; a submarine at
-the surface, or in `hold` where it is. A fixed wing is at rest when it circles its position: in `hold`
-anywhere, under ArduPilot's RTL at home.
+With its motors off a vehicle is at rest; if that is unknown, it is not. A copter that lands or returns is at
+rest when its motors are off, in `hold` when it hovers; a rover or boat when it is stationary, in `return` at
+home; a submarine at the surface, or in `hold` where it is. A fixed wing is at rest when it circles its
+position: in `hold` anywhere, under ArduPilot's RTL at home.
 
 A vehicle under a pilot's control is at rest when its motors are off. One under a failsafe's control is
 watched until it is down.
@@ -57,16 +57,16 @@ class StandstillCheck:
 
     @property
     def _is_piloted(self) -> bool:
-        """Whether it is in a mode that neither this program nor a failsafe selects."""
+        """Whether the vehicle is in a mode that neither this program nor a failsafe selects."""
         return not self._motion.ours and self._state.mode not in self._vehicle.profile.fallbacks
 
     # -- at rest, with its motors on --------------------------------------------------------------------
 
     def _rests(self) -> bool:
-        """Whether it does only what its safe state requires."""
+        """Whether the vehicle does only what its safe state requires."""
         mode, profile = self._state.mode, self._vehicle.profile
         if mode not in profile.fallbacks:
-            # It was moved out of its safe state, and may move again.
+            # The vehicle was moved out of its safe state, and may move again.
             return False
         return _RESTS[profile.kind](self, mode)
 
@@ -92,7 +92,7 @@ class StandstillCheck:
         return there and self._slower_than(DRIFTS)
 
     def _holds(self, mode: str) -> bool:
-        """Whether its safe state is to hold and it is in that mode."""
+        """Whether the safe state is to hold and the vehicle is in that mode."""
         return self._vehicle.safe_state == "hold" and mode == self._vehicle.profile.hold
 
     def _slower_than(self, bound: float) -> bool:
@@ -100,7 +100,7 @@ class StandstillCheck:
         return speeds is not None and math.hypot(*speeds) < bound
 
     def _within(self, metres: float) -> bool:
-        """Whether its horizontal distance from home is at most `metres`."""
+        """Whether the horizontal distance from home is at most `metres`."""
         position = self._state.position
         return position is not None and math.hypot(*position[:2]) <= metres
 
@@ -114,7 +114,7 @@ class StandstillCheck:
         return state.speeds if known else None
 
     def _way(self) -> list[str]:
-        """Its position and motion; its mode, if it is not the commanded one."""
+        """The position and motion of the vehicle; its mode, if that is not the commanded one."""
         state, profile = self._state, self._vehicle.profile
         motions = [self._place(), *self._motions()]
         if self._is_piloted:
@@ -154,12 +154,12 @@ class StandstillCheck:
 
     @property
     def _standing(self) -> bool:
-        """Whether it is a flying vehicle that has landed."""
+        """Whether the vehicle flies and has landed."""
         return self._vehicle.profile.flies and bool(self._state.landed)
 
 
 def _above_zero(metres: float) -> float:
-    """An estimate may be below the ground (PX4's by a metre); never -0.0."""
+    """A height, at least 0.0: an estimate may be below the ground (PX4's by a metre); never -0.0."""
     return max(metres, 0.0) + 0.0
 
 

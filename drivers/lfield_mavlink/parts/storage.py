@@ -15,7 +15,7 @@ MAX_TEXT = 256 * 1024
 
 
 class Settings:
-    """Reads and writes parameters by name; `protects` says which the binding requires unchanged."""
+    """Reads and writes parameters by name; `protects` tells which ones the binding requires unchanged."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters, protects: Callable[[str], bool]) -> None:
         self._vehicle, self._parameters, self._protects = vehicle, parameters, protects

@@ -24,7 +24,7 @@ from lfield_mavlink.payload.state_reports import CAPTURE, IMAGE, SETTINGS, State
 PICTURES, VIDEO = dialect.CAMERA_MODE_IMAGE, dialect.CAMERA_MODE_VIDEO
 #: Seconds from the command to the picture at most, and after which its report is requested again.
 SHOOTING, REPORTING = 10.0, 1.0
-#: Seconds between two requests for its status.
+#: Seconds between two requests for the status of the camera.
 POLL = 5.0
 #: MiB below which its card counts as full; numbers of single pictures are below this.
 FULL, SEQUENCES = 10.0, 1_000_000
@@ -107,7 +107,8 @@ class Camera:
                 raise self._vehicle.error(f"{what} was accepted but no picture came within {SHOOTING:g} s")
             self._vehicle.check_link()
             if not await self._vehicle.wait_for(lambda: bool(self._report(camera, first)), REPORTING):
-                # Its report was lost, or it has not been taken yet: then this is refused.
+                # The report of the picture was lost, or the picture was not taken yet: then this request is
+                # refused.
                 await self._reports.request(IMAGE, camera, float(first))
         if report.capture_result != 1:
             raise self._vehicle.error(f"{what} failed: the camera stored no picture")
@@ -178,7 +179,7 @@ class Camera:
         return camera
 
     async def _trigger(self) -> None:
-        """One picture by the autopilot, which reports no result."""
+        """Takes one picture by the autopilot, which reports no result."""
         capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
         camera = partial(self._vehicle.command, "triggerCamera", once=True, component="camera")
         if not await camera(capture, 0.0, 0.0, 1.0, optional=True):
@@ -207,7 +208,7 @@ class Camera:
         raise self._vehicle.error(f"{what}: camera {camera} does not report its status", timeout=True)
 
     async def _order(self, camera: int, order: CameraOrder) -> None:
-        """Sends a command until it is accepted; changes the mode of the camera once if that is the obstacle.
+        """Sends a command until it is accepted; changes the mode of the camera once if it is the obstacle.
 
         A repeated command may be refused since its first copy was executed: then the status decides.
         """
@@ -228,7 +229,7 @@ class Camera:
         return "the autopilot, which may have no camera," if camera == AUTOPILOT else f"camera {camera}"
 
     async def _obstacle(self, camera: int, mode: int | None) -> str:
-        """What the camera reports that explains a refusal, '' for nothing."""
+        """The reported state of the camera that explains a refusal, '' for none."""
         if camera == AUTOPILOT:
             return f"; no camera (components 100 to 105 of system {self._vehicle.system}) sends heartbeats"
         status = await self._reports.request(CAPTURE, camera)
@@ -243,7 +244,7 @@ class Camera:
         return ""
 
     async def _has_changed_mode(self, camera: int, mode: int | None) -> bool:
-        """Whether it was in another mode, and is now in this one."""
+        """Whether the camera was in another mode, and is now in this one."""
         settings = None if mode is None else await self._reports.request(SETTINGS, camera)
         if settings is None or settings.mode_id == mode:
             return False

@@ -21,9 +21,9 @@ from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 from lfield_mavlink.payload.gimbal_attitude import GimbalAttitude, GimbalManager, direction
 from lfield_mavlink.payload.state_reports import ATTITUDE, CONTROL, MANAGER, StateReports
 
-#: Tolerance of an angle, and what counts as progress, in radians.
+#: Tolerance of an angle, and the least progress, in radians.
 TOLERANCE, PROGRESS = math.radians(3.0), math.radians(1.0)
-#: Seconds between two checks of its attitude, and within which PX4 reports who controls it without a request.
+#: Seconds between two checks of the attitude, and within which PX4 reports the controller without a request.
 PAUSE, BROADCAST = 0.1, 2.5
 #: Values of DO_GIMBAL_MANAGER_CONFIGURE: a controller stays, or is removed if it is the sender.
 UNCHANGED, REMOVED = -1.0, -3.0
@@ -46,20 +46,20 @@ class Gimbal:
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
-        """Points it: pitch above the horizon, yaw clockwise from the nose, with which it turns."""
+        """Points the gimbal: pitch above the horizon, yaw clockwise from the nose, with which it turns."""
         await self._point("pointGimbal", (pitch, yaw), LEVEL, lambda: (pitch, yaw))
 
     async def do_point_gimbal_heading(self, pitch: float, heading: float) -> None:
-        """Points it to a heading clockwise from north, which it keeps when the vehicle turns."""
+        """Points the gimbal to a heading clockwise from north, which it keeps when the vehicle turns."""
         goal = (pitch, math.remainder(heading, math.tau) if math.isfinite(heading) else heading)
         await self._point("pointGimbalHeading", goal, LEVEL | YAW_LOCK, lambda: self._on_nose(goal))
 
     async def do_point_gimbal_at(self, north: float, east: float, down: float) -> None:
-        """Points it at a position relative to home, and follows that until the next instruction."""
+        """Points the gimbal at a position relative to home, and follows that until the next instruction."""
         await self._watch("pointGimbalAt", (north, east, down))
 
     async def do_point_gimbal_at_global(self, latitude: float, longitude: float, height: float) -> None:
-        """The same for degrees, and metres above home."""
+        """Points the gimbal at a position in degrees, and metres above home, like `do_point_gimbal_at`."""
         what, state = "pointGimbalAtGlobal", self._vehicle.state
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # refuses NaN as well
             raise self._vehicle.error(
@@ -111,7 +111,7 @@ class Gimbal:
         return self._manager
 
     async def _control(self, what: str, manager: GimbalManager, *, force: bool = False) -> None:
-        """Takes primary control; only by `force` from another station, or if it is unknown who has it.
+        """Takes primary control; only by `force` from another station, or if the controller is unknown.
 
         Raises DeviceError.
         """
@@ -128,7 +128,7 @@ class Gimbal:
         self._has_control = True
 
     def _note_refusal(self, manager: GimbalManager, holder: tuple[int, int] | None) -> str:
-        """Logs why it is not controlled, and returns that."""
+        """Logs the reason why the gimbal is not controlled, and returns it."""
         if holder is None:
             self._vehicle.note(log_messages.GIMBAL_CONTROL_UNKNOWN.line(component=manager.component))
             why = f"component {manager.component} does not report which station controls the gimbal"
@@ -215,7 +215,8 @@ class Gimbal:
         return goal[0], math.remainder(goal[1] - (self._vehicle.state.yaw or 0.0), math.tau)
 
     async def _reach(self, what: str, manager: GimbalManager, goal: Goal) -> None:
-        """Waits until it points there; a gimbal that reports no attitude has accepted the command only.
+        """Waits until the gimbal points there; a gimbal without a reported attitude has accepted the command
+        only.
 
         A slow gimbal has time as long as it comes closer.
         """
@@ -236,7 +237,7 @@ class Gimbal:
             await asyncio.sleep(PAUSE)
 
     async def _attitude(self, manager: GimbalManager) -> GimbalAttitude | None:
-        """Its attitude: one that it has just sent, or on request."""
+        """The attitude of the gimbal: one that it has just sent, or on request."""
         message: Any = self._reports.recent(ATTITUDE, manager.reporter, PAUSE)
         if message is None:
             message = await self._reports.request(ATTITUDE, manager.reporter)

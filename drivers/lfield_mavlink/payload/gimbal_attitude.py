@@ -29,7 +29,7 @@ class GimbalManager:
 
     @classmethod
     def of(cls, message: Any) -> GimbalManager:
-        """From GIMBAL_MANAGER_INFORMATION."""
+        """The manager described by GIMBAL_MANAGER_INFORMATION."""
         return cls(
             message.get_srcComponent(),
             message.gimbal_device_id,
@@ -43,7 +43,7 @@ class GimbalManager:
         return self.component if self.device <= MOST_ATTACHED else self.device
 
     def why_beyond(self, pitch: float, yaw: float) -> str:
-        """Which angle is out of range, '' for none. A range without a width is unknown."""
+        """The angle that is out of range, in words; '' for none. A range without a width is unknown."""
         for name, angle, (least, most) in (("pitch", pitch, self.pitch), ("yaw", yaw, self.yaw)):
             if least < most and not least - MARGIN <= angle <= most + MARGIN:
                 return f"a {name} of {angle:.2f} is outside its range of {least:.2f} to {most:.2f} rad"
@@ -60,7 +60,7 @@ class GimbalAttitude:
 
     @classmethod
     def of(cls, message: Any, heading: float) -> GimbalAttitude | None:
-        """From GIMBAL_DEVICE_ATTITUDE_STATUS; None for an unknown attitude.
+        """The attitude in GIMBAL_DEVICE_ATTITUDE_STATUS; None for an unknown attitude.
 
         Its yaw is from north or from the nose, as flags tell; without them, as the lock of its yaw tells.
         """
@@ -75,7 +75,7 @@ class GimbalAttitude:
         return cls(roll, pitch, yaw)
 
     def away(self, pitch: float, yaw: float) -> float:
-        """How far it is from a direction: the larger of both differences."""
+        """The distance from a direction: the larger of both differences."""
         return max(abs(self.pitch - pitch), abs(math.remainder(self.yaw - yaw, math.tau)))
 
 

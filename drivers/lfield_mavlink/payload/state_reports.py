@@ -1,4 +1,4 @@
-"""Messages with the state of payload, by request: what a camera, a gimbal or an actuator reports."""
+"""Messages with the state of payload, by request: reports of a camera, a gimbal or an actuator."""
 
 from __future__ import annotations
 
@@ -65,7 +65,9 @@ class StateReports:
         bound: float = STATE_TIMEOUT,
         component: int = AUTOPILOT,
     ) -> None:
-        """Waits until a message confirms it; returns at once if the component does not send that message."""
+        """Waits until a message confirms an effect; returns at once if the component does not send that
+        message.
+        """
         end = self._vehicle.clock.monotonic() + bound
         message = await self.request(kind, component)
         if message is None:

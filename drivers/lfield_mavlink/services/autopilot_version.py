@@ -17,7 +17,7 @@ PATIENCE, ATTEMPTS = 0.2, 3
 
 
 def encoding_of(autopilot: int, capabilities: int) -> Encoding:
-    """By AUTOPILOT_VERSION.capabilities; without them PX4 is byte-wise and others cast."""
+    """The encoding by AUTOPILOT_VERSION.capabilities; without them PX4 is byte-wise and others cast."""
     if capabilities & dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
         return Encoding.BYTEWISE
     if capabilities & dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
@@ -34,7 +34,7 @@ class AutopilotVersion:
         vehicle.on(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self._on_version)
 
     async def encoding(self) -> Encoding:
-        """From the autopilot's capabilities, else by its type."""
+        """The encoding from the autopilot's capabilities, else by its type."""
         version = await self._request()
         return encoding_of(self._vehicle.state.autopilot, version.capabilities if version else 0)
 

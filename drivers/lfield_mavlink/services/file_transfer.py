@@ -111,7 +111,7 @@ class FileTransfer:
         try:
             opened = self._opened(what, await self._ask(opcode, data=name))
         except BaseException:
-            # It may have been opened in an unknown session.
+            # The file may have been opened in an unknown session.
             self._reset = False
             raise
         try:
@@ -178,12 +178,12 @@ class FileTransfer:
         return data
 
     async def _burst(self, file: Pieces, session: int) -> bool:
-        """Requests a burst after the last received byte; returns whether anything arrived."""
+        """Requests a burst after the last received byte; returns whether any data arrived."""
         before = file.reached
         request = self._request(Opcode.BURST_READ, session=session, offset=before, size=DATA)
 
         def is_of_burst(packet: Packet) -> bool:
-            # Its packets continue the request's sequence numbers.
+            # The packets of a burst continue the request's sequence numbers.
             newer = 0 < (packet.sequence - request.sequence) % 0x10000 < 0x8000
             return packet.requested == Opcode.BURST_READ and packet.session == session and newer
 
@@ -210,7 +210,7 @@ class FileTransfer:
     async def _do(
         self, what: str, opcode: Opcode, *, session: int = 0, offset: int = 0, data: bytes = b""
     ) -> Packet:
-        """A request that must succeed. Raises DeviceError with the refusal."""
+        """Sends a request that must succeed. Raises DeviceError with the refusal."""
         return self._checked(what, await self._ask(opcode, session=session, offset=offset, data=data))
 
     def _checked(self, what: str, answer: Packet | None) -> Packet:

@@ -115,71 +115,73 @@ class MissionCheck:
     # -- rules: `mission_rules` maps commands to them --------------------------------------------------
 
     def allow(self, number: int, item: Item) -> None:
-        """It moves nothing."""
+        """Permits an item without motion."""
 
     def refuse(self, number: int, item: Item) -> None:
-        """Its effect is unknown, or it gives control to another controller without limits."""
+        """Refuses an item with an unknown effect, or that gives control to another controller without
+        limits.
+        """
         raise self._error_for(
             number, item, "its position, height, speed or home is not known to stay within the limits"
         )
 
     def goal(self, number: int, item: Item) -> None:
-        """A target position."""
+        """Checks a target position."""
         self._check_goal(number, item)
 
     def waypoint(self, number: int, item: Item) -> None:
-        """A target position, or one passed at a distance (parameter 3)."""
+        """Checks a target position, or one passed at a distance (parameter 3)."""
         self._check_goal(number, item, 0.0 if math.isnan(item.parameters[2]) else abs(item.parameters[2]))
 
     def land(self, number: int, item: Item) -> None:
-        """A landing; it may go around at a height above home (parameter 1 of NAV_LAND)."""
+        """Checks a landing; it may go around at a height above home (parameter 1 of NAV_LAND)."""
         self._check_goal(number, item, sinks=True)
         self._check_height(number, item, item.parameters[0])
 
     def vtol_land(self, number: int, item: Item) -> None:
-        """A landing from a height in parameter 3, in the frame of the item."""
+        """Checks a landing from a height in parameter 3, in the frame of the item."""
         self._check_goal(number, item, sinks=True)
         approach = item.parameters[2]
         if approach and not math.isnan(approach):
             self._check_height(number, item, self._above_home(item, approach))
 
     def loiter(self, number: int, item: Item) -> None:
-        """A circle for fixed wings, and for all vehicles with LOITER_TURNS."""
+        """Checks a circle for fixed wings, and for all vehicles with LOITER_TURNS."""
         self._check_goal(number, item, self._circle(item, item.parameters[2]))
 
     def loiter_to_height(self, number: int, item: Item) -> None:
-        """A circle with a change of height."""
+        """Checks a circle with a change of height."""
         self._check_goal(number, item, self._circle(item, item.parameters[1]))
 
     def orbit(self, number: int, item: Item) -> None:
-        """A circle with a radius (parameter 1) and a speed (parameter 2)."""
+        """Checks a circle with a radius (parameter 1) and a speed (parameter 2)."""
         self._check_goal(number, item, abs(item.parameters[0]))
         self._check_speed(number, item, item.parameters[1])
 
     def reposition(self, number: int, item: Item) -> None:
-        """A goal with a speed (parameter 1; -1 keeps it); fixed wings circle it (parameter 3)."""
+        """Checks a goal with a speed (parameter 1; -1 keeps it); fixed wings circle it (parameter 3)."""
         self._check_goal(number, item, self._circle(item, item.parameters[2]))
         if item.parameters[0] != -1.0:
             self._check_speed(number, item, item.parameters[0])
 
     def climb_on(self, number: int, item: Item) -> None:
-        """It continues straight ahead up to a height: the distance is unknown."""
+        """Checks a climb straight ahead up to a height: the distance is unknown."""
         if self._limits.bounds_radius:
             self.refuse(number, item)
         self._check_height(number, item, self._above_home(item, item.z))
 
     def height(self, number: int, item: Item) -> None:
-        """A height in parameter 7."""
+        """Checks a height in parameter 7."""
         self._check_height(number, item, self._above_home(item, item.z))
 
     def change_altitude(self, number: int, item: Item) -> None:
-        """A height in parameter 1, in the frame of parameter 2."""
+        """Checks a height in parameter 1, in the frame of parameter 2."""
         height, frame = item.parameters[:2]
         framed = Item(item.command, int(frame) if 0 <= frame < 256 else -1, 0, 0)
         self._check_height(number, item, self._above_home(framed, height))
 
     def spline(self, number: int, item: Item) -> None:
-        """A curve that extends beyond its positions."""
+        """Checks a curve that extends beyond its positions."""
         self._check_goal(number, item)
         for start, before in self._starts(number, item):
             goal, after = self._position(item), self._after(number)
@@ -187,7 +189,7 @@ class MissionCheck:
                 self._limits.check_goal(f"{self._prefix}the curve of item {self._shown(number)}", corner)
 
     def arc(self, number: int, item: Item) -> None:
-        """An arc from the previous position to this one; parameter 1 is its angle in degrees."""
+        """Checks an arc from the previous position to this one; parameter 1 is its angle in degrees."""
         self._check_goal(number, item)
         for start, _ in self._starts(number, item):
             corners = arc_corners(start, self._position(item), item.parameters[0])
@@ -197,7 +199,7 @@ class MissionCheck:
                 self._limits.check_goal(f"{self._prefix}the arc of item {self._shown(number)}", corner)
 
     def speed(self, number: int, item: Item) -> None:
-        """Airspeed (0) and ground speed (1) are checked; climb (2) and descent (3) are not.
+        """Checks airspeed (0) and ground speed (1), not climb (2) and descent (3).
 
         A rover uses each of them as its speed. -1 keeps the speed. A throttle (parameter 3) gives an unknown
         speed to vehicles other than copters.
@@ -212,12 +214,12 @@ class MissionCheck:
             self._check_speed(number, item, speed)
 
     def set_home(self, number: int, item: Item) -> None:
-        """The limits are relative to home."""
+        """Refuses a change of home, since the limits are relative to it."""
         if self._limits.bound_places:
             raise self._error_for(number, item, "it changes home, which the limits refer to")
 
     def return_home(self, number: int, item: Item) -> None:
-        """Home, or a rally point, at the autopilot's own height."""
+        """Checks a return to home, or to a rally point, at the autopilot's own height."""
         if self._limits.bounds_heights and self._at.kind != "rover":
             climb = self._at.climb
             if climb is None:
@@ -232,18 +234,20 @@ class MissionCheck:
             self.rally_point(index, point)
 
     def rally_point(self, number: int, item: Item) -> None:
-        """A destination of a return; PX4's heights of a return are relative to its destination."""
+        """Checks a destination of a return; PX4's heights of a return are relative to its destination."""
         if self._at.px4 and self._at.climb is not None:
             item = replace(item, z=item.z + self._at.climb.height)
         self._check_goal(number, item, subject=f"{self._prefix}rally point {number}")
 
     def fence(self, number: int, item: Item) -> None:
-        """Disabling the autopilot's own fence removes the protection for a failure of this computer."""
+        """Refuses to disable the autopilot's own fence, the protection for a failure of this computer."""
         if not item.parameters[0] >= 1.0:
             raise self._error_for(number, item, "it disables the autopilot's own fence")
 
     def guided_limits(self, number: int, item: Item) -> None:
-        """Bounds for an external controller: a height above sea level (3) and a distance (4), 0 for none."""
+        """Checks bounds for an external controller: a height above sea level (3), a distance (4), 0 for
+        none.
+        """
         highest, farthest = item.parameters[2:4]
         if highest and self._at.home is not None:
             self._check_height(number, item, highest - self._at.home.altitude)

@@ -34,7 +34,7 @@ _INTEGERS: Mapping[int, str] = {
 
 
 class Encoding(Enum):
-    """How integers are encoded in the float."""
+    """The encoding of integers in the float."""
 
     CAST = "cast"
     BYTEWISE = "bytewise"

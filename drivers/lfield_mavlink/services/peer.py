@@ -19,9 +19,9 @@ LINK_CHECK_INTERVAL = 0.1
 
 
 class Peer(Protocol):
-    """What a service needs of a vehicle."""
+    """The interface of a vehicle that a service uses."""
 
-    #: Its system id.
+    #: The system id of the vehicle.
     system: int
 
     def send(self, message: Any, /) -> None:

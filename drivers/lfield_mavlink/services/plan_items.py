@@ -43,7 +43,7 @@ class PlanKind(IntEnum):
 
     @property
     def noun(self) -> str:
-        """For use in a sentence."""
+        """The name of the kind in a sentence."""
         return ("mission", "fence", "list of rally points")[self]
 
 
@@ -65,7 +65,7 @@ class Item:
         return cls(message.command, message.frame, message.x, message.y, message.z, values)
 
     def message(self, system: int, number: int, kind: PlanKind) -> Any:
-        """The MISSION_ITEM_INT for it as the number-th of its plan."""
+        """The MISSION_ITEM_INT for the item as the number-th of its plan."""
         return dialect.MAVLink_mission_item_int_message(
             system, AUTOPILOT, number, self.frame, self.command, 0, 1, *self.parameters, self.x, self.y,
             self.z, int(kind),
@@ -87,7 +87,7 @@ class Item:
         return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT)
 
     def same(self, other: Item) -> bool:
-        """Whether it is the same item after storage in an autopilot.
+        """Whether another item is this one after storage in an autopilot.
 
         The first parameter is compared (hold time, radius, number of corners); autopilots drop others that
         they do not use.
@@ -144,7 +144,9 @@ def rally_points(values: Sequence[float]) -> list[Item]:
 
 
 def coordinates(items: Sequence[Item], command: int) -> list[float]:
-    """The inverse: three numbers per item. Raises ValueError for other items."""
+    """The inverse of `waypoints` and `rally_points`: three numbers per item. Raises ValueError for other
+    items.
+    """
     values: list[float] = []
     for number, item in enumerate(items):
         if item.command != command or not item.above_home:

@@ -107,7 +107,7 @@ class PlanTransfer:
         raise self._peer.error(f"the {kind.noun} could not be uploaded in {ATTEMPTS} attempts: {why}")
 
     async def _offer(self, kind: PlanKind, wire: Sequence[Item]) -> str:
-        """Sends a plan; returns why it failed, or '' when the vehicle has requested every item."""
+        """Sends a plan; returns the reason of a failure, or '' when the vehicle has requested every item."""
         upload = Upload(self._peer.system, kind, wire)
         self._peer.send(upload.last)
         while not upload.over:
@@ -183,7 +183,7 @@ def mission_result_text(result: int) -> str:
 
 
 def _has_none(message: Any) -> bool:
-    """Whether it is the answer of an autopilot without rally points."""
+    """Whether a message is the answer of an autopilot without rally points."""
     is_refusal = message.get_msgId() == _ACK and message.type == dialect.MAV_MISSION_UNSUPPORTED
     return bool(is_refusal and message.mission_type == PlanKind.RALLY)
 

@@ -24,10 +24,10 @@ REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSI
 
 
 class Upload:
-    """`last` is the last message sent, initially the one that starts the upload.
+    """The state of one upload: `last` is the last message sent, initially the one that starts the upload.
 
-    When `over`, `why` is why it failed, '' when the vehicle has requested every item; `refusal` is the
-    MAV_MISSION_RESULT for the plan as a whole, and `silent` that there was no response.
+    When `over`, `why` is the reason of a failure, '' when the vehicle has requested every item; `refusal` is
+    the MAV_MISSION_RESULT for the plan as a whole, and `silent` that there was no response.
     """
 
     def __init__(self, system: int, kind: PlanKind, wire: Sequence[Item]) -> None:
@@ -46,7 +46,7 @@ class Upload:
         return bool(self._wire) and not self._handed
 
     def on_silence(self) -> Any | None:
-        """Nothing arrived for half a second; returns the message to send, if any."""
+        """Handles half a second without a message; returns the message to send, if any."""
         self._silences += 1
         most = SILENCES if self._handed and not self._complete else QUESTIONS
         if self._silences < most:
@@ -55,7 +55,7 @@ class Upload:
         return None
 
     def on_message(self, message: Any, now: float) -> Any | None:
-        """A message about this kind of plan; returns the answer, if any."""
+        """Handles a message about this kind of plan; returns the answer, if any."""
         self._budget -= 1
         if self._budget < 0:
             self._end()

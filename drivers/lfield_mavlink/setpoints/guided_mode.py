@@ -14,7 +14,7 @@ from lfield_mavlink.link.dialect import dialect, result_text
 NOTICES = 0.15
 #: Seconds for an answer, and for the mode, before a repetition; number of refusals of PX4.
 SHOWN, REFUSALS = 0.05, 2
-#: Seconds after its repeated acceptance after which a refusal would have arrived.
+#: Seconds after a repeated acceptance of PX4 after which a refusal would have arrived.
 BELIEVED = 0.1
 
 
@@ -33,7 +33,7 @@ class GuidedMode:
 
     @property
     def is_entered(self) -> bool:
-        """Whether the vehicle has reported it."""
+        """Whether the vehicle has reported the mode."""
         return self._state.mode == self._vehicle.profile.guided
 
     async def enter_guided(self, until: float) -> bool:
@@ -84,7 +84,7 @@ class GuidedMode:
                 raise vehicle.error(f"{what}: {guided} was {why}: {answer}{vehicle.reasons(start)}")
 
     async def _request_offboard(self, asked: float) -> int | None:
-        """Commands it once and waits briefly for the effect; returns the result."""
+        """Commands OFFBOARD once and waits briefly for the effect; returns the result."""
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
         result = await self._request_mode()
         if result is not None:
@@ -117,13 +117,13 @@ class Hover:
         self._work: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """It was commanded to stop; if BRAKE is its safe state it stays in it."""
+        """Starts a hover after the copter was commanded to stop, unless BRAKE is its safe state."""
         profile, binding = self._vehicle.profile, self._vehicle.binding
         if profile.kind == "copter" and not profile.px4 and profile.hold != profile.safe(binding.safe_state):
             self._asked.set()
 
     def end(self) -> None:
-        """Another command was given."""
+        """Ends the hover because of another command."""
         self._asked.clear()
         if self._work is not None:
             self._work.cancel()

@@ -59,7 +59,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How a motion is started and maintained.
+    """The start and the continuation of a motion.
 
     First the mode is entered and the command accepted; then the mode must be one of `modes` until the motion
     is complete. `target` returns the setpoint for the present position, sent every `period` seconds; or a
@@ -78,17 +78,17 @@ class Order:
 
     @property
     def has_destination(self) -> bool:
-        """Whether it has a destination and is not a landing or a return."""
+        """Whether the motion has a destination and is not a landing or a return."""
         return not (self.command is None and self.target is None and self.trajectory is None)
 
 
 @dataclass(frozen=True, slots=True)
 class ProgressPatience:
-    """How long a motion may come no `closer`, and the error after that with `{seconds}`, `{left}` and
-    `{clearance}`.
+    """The time without an approach of `closer` metres, and the error after that with `{seconds}`, `{left}`
+    and `{clearance}`.
 
-    While it moves it may take `turning` seconds, or the time for `detour` metres: a car-like rover first
-    drives away from a goal behind it. It may move `clearance` metres from its start.
+    A moving vehicle may take `turning` seconds, or the time for `detour` metres: a car-like rover first
+    drives away from a goal behind it. The vehicle may move `clearance` metres from its start.
     """
 
     seconds: float = 10.0
@@ -119,7 +119,7 @@ class Circle:
 
     @property
     def farthest(self) -> Vector:
-        """The position on it that is farthest from home."""
+        """The position on the circle that is farthest from home."""
         north, east, down = self.centre
         far = math.hypot(north, east)
         share = (far + self.radius) / far if far else 0.0
@@ -188,7 +188,7 @@ class Px4:
     guided = frozenset({"OFFBOARD"})
 
     def take_off(self, state: VehicleState, height: float) -> Order:
-        """A climbing target from its position."""
+        """A climbing target from the present position."""
         north, east, _ = place = _known(state.position)
         goal = (north, east, -height)
         return Order(self.guided, trajectory=Leg(place, state.velocity, goal, _SLOW, climb=LIFTS))
@@ -202,9 +202,9 @@ class Px4:
         return Order(self.guided, trajectory=trajectory, speed=fast, goal=goal)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
-        """Its present position, with the heading in radians.
+        """A target at the present position, with the heading in radians.
 
-        A rover ignores that heading, as recorded: it gets a velocity in that direction.
+        A rover ignores the heading, as recorded, so it gets a velocity in that direction.
         """
         place, yaw = _known(state.position), math.remainder(heading, math.tau)
         if state.kind == "rover":
@@ -243,7 +243,7 @@ class Px4Plane:
         return reposition(state, goal, speed)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
-        """DO_REPOSITION to its present position, with the heading in radians."""
+        """DO_REPOSITION to the present position, with the heading in radians."""
         return reposition(state, state.position, speed, math.remainder(heading, math.tau))
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:

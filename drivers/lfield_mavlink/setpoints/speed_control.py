@@ -74,23 +74,23 @@ class SpeedControl:
     # -- motions --------------------------------------------------------------------------------------
 
     def on_motion_started(self) -> None:
-        """A new motion starts at the target speed."""
+        """Sets the target speed for a new motion."""
         self._slowed, self._pace = 0, None
 
     def on_command_started(self) -> None:
-        """A command moves it: ArduPilot's position controller ends."""
+        """Records a command that moves the vehicle: ArduPilot's position controller ends."""
         self._steady = False
 
     def on_sent(self, target: Target) -> None:
-        """A setpoint was sent: ArduPilot's position controller continues with positions only."""
+        """Records a setpoint: ArduPilot's position controller continues with positions only."""
         self._steady = self._steady and target.mask == ONLY_POSITION
 
     async def fly_at(self, speed: float | None, send: Callable[[Target], None]) -> None:
         """Sets the speed of this motion, for ArduPilot after its start. Raises DeviceError.
 
-        Its position controller starts at its present position with its own speed before the target is
-        commanded, so it never flies faster even if the answer is slow. While it runs it keeps the commanded
-        speed.
+        ArduPilot's position controller starts at the present position with its own speed before the target is
+        commanded, so the vehicle never flies faster even if the answer is slow. While the controller runs, it
+        keeps the commanded speed.
         """
         self._pace = speed
         if speed is None or self._stream.trajectory is not None:
@@ -131,7 +131,8 @@ class SpeedControl:
             return
         self._correction = SpeedCorrection.of(profile) if profile.px4 else SpeedCorrection()
         if profile.kind == "rover" and not profile.px4:
-            # It accelerates after each turn of its mission: a correction would cause it to overshoot again.
+            # A rover accelerates after each turn of its mission: a correction would cause it to overshoot
+            # again.
             self._correction = SpeedCorrection(ROVER_BY_ITSELF)
             if await self._is_own(target):
                 return
@@ -146,7 +147,7 @@ class SpeedControl:
     def _keeps_commanded_speed(self) -> bool:
         """Whether a commanded speed is kept: ArduPilot needs a running motion.
 
-        Otherwise a rover refuses it, and a copter forgets it.
+        Without a motion, a rover refuses the speed, and a copter forgets it.
         """
         follows = self._stream.trajectory is not None
         return follows or self._steady or self._state.mode == self._vehicle.profile.mission
@@ -179,7 +180,7 @@ class SpeedControl:
         return self._slowed > 0
 
     def forget_slowing(self) -> None:
-        """The autopilot has forgotten the speed with its mode."""
+        """Discards a reduction: the autopilot has forgotten the speed with its mode."""
         self._slowed = 0
 
     # -- actual speed ---------------------------------------------------------------------------------
@@ -219,7 +220,7 @@ class SpeedControl:
         self._of_velocity.follow(self._state.velocity, self._velocity, speed, now)
 
     def _on_heartbeat(self, _: object) -> None:
-        """With another mode or motors off the autopilot forgets the speed."""
+        """Handles another mode or motors off, with which the autopilot forgets the speed."""
         if self._state.profile is not None and not (self._state.armed and self._in_guided):
             self._steady = False
 

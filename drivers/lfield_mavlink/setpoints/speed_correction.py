@@ -24,7 +24,7 @@ OTHER, HELD_UP = 0.2, 0.8
 GAIN = 0.8
 #: The least share of the initial command that a correction leaves.
 LEAST = 0.3
-#: The share of its speed along its path when it drives straight.
+#: The share of a vehicle's speed along its path when it drives straight.
 STRAIGHT = 0.95
 #: The initial share for ArduRover; excess of PX4's rover in m/s, and its remaining share of a low speed.
 ROVER_FIRST, PX4_ROVER_EXCESS, PX4_ROVER_FIRST = 0.85, 0.45, 0.15
@@ -61,12 +61,12 @@ class SpeedCorrection:
         return max(self._first - self._excess / speed, PX4_ROVER_FIRST) if speed > 0.0 else self._first
 
     def reset(self) -> None:
-        """Restarts: the vehicle stopped, or has another target."""
+        """Restarts the correction: the vehicle stopped, or has another target."""
         self.share = 1.0
         self.pause()
 
     def pause(self) -> None:
-        """Discards the present average: it turned, or braked."""
+        """Discards the present average: the vehicle turned, or braked."""
         self._started_at = self._before = None
         self._sum, self._count = 0.0, 0
 

@@ -85,7 +85,7 @@ class _Moving:
         self._at: float | None = None
 
     def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
-        """As in Trajectory."""
+        """The setpoint, as in Trajectory."""
         since = 0.0 if self._at is None else min(max(0.0, now - self._at), LONGEST)
         self._at = now
         if place is not None:
@@ -124,7 +124,7 @@ class _Moving:
 
 
 class Leg(_Moving):
-    """Straight to a goal and stay; `yaw` in rad, None to keep it."""
+    """A straight path to a goal, and a stay there; `yaw` in rad, None to keep it."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class Stay(_Moving):
 
 
 class Ring(_Moving):
-    """To the nearest point of a circle and round it.
+    """A path to the nearest point of a circle and round it.
 
     A following vehicle cuts the circle, so the target uses a larger one that compensates for that. `speed` is
     the target's; the vehicle, on the smaller circle, is not faster.
@@ -218,7 +218,7 @@ class Pursuit:
         self._goal, self._correction = goal, correction
 
     def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
-        """As in Trajectory; a rover without a position stops."""
+        """The setpoint, as in Trajectory; a rover without a position stops."""
         if place is None:
             return Target(ONLY_VELOCITY)
         north, east = self._goal[0] - place[0], self._goal[1] - place[1]
@@ -237,7 +237,7 @@ class Pursuit:
 def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, float]:
     """Start of a target for a moving vehicle, and its speed towards the goal.
 
-    It continues the vehicle's own speed, not beyond the goal.
+    The target continues the vehicle's own speed, not beyond the goal.
     """
     way = tuple(g - p for g, p in zip(goal, place, strict=True))
     left = math.hypot(*way)
@@ -250,9 +250,9 @@ def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, fl
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:
-    """Where a vehicle would come to rest by braking now, in metres of home.
+    """The place where a vehicle would come to rest by braking now, in metres of home.
 
-    To a position behind that one, a car-like rover would drive a loop.
+    To a position behind that place, a car-like rover would drive a loop.
     """
     way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
     return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]

@@ -35,7 +35,7 @@ class IssuedWebKeys(NamedTuple):
 def issue_web_keys(ledger: Ledger, names: Sequence[str], at: float, ends: float) -> IssuedWebKeys:
     """Make the keys of a page with these addresses and names, valid from now (`at`) until `ends`.
 
-    They replace earlier keys for the first of the names. Raises KeysError.
+    The keys replace earlier ones for the first of the names. Raises KeysError.
     """
     named = tuple(dict.fromkeys(map(normalised, names)))
     found = _read_root(ledger.folder)

@@ -40,11 +40,13 @@ class WebKeys:
     valid_from: float
     valid_until: float
     certificate: bytes
-    #: Not in repr(): what is printed may be stored.
+    #: Not in repr(): printed text may be stored.
     key: bytes = field(repr=False)
 
     def refusal(self, name: str, at: float) -> str:
-        """Why a page may not be served under this name at the time `at`, and the remedy; '' if it may."""
+        """The reason why a page may not be served under this name at the time `at`, and the remedy; '' if
+        it may.
+        """
         make = f"'lfield keys page {name}' makes one"
         if not any(is_match(named, name) for named in self.names):
             return f"the page's certificate is for {listed(self.names)}, not for {name}: {make}"

@@ -36,19 +36,19 @@ from lfield.capability.model import LiveAttribute, Registry
 from lfield.capability.offer import Candidate, Fact, Position
 from lfield.clock import Clock
 
-#: Answers within this time (s) are the same objects, with the same ages; the matcher reuses results for them.
+#: Answers within this time (s) are the same objects, with the same ages; the matcher reuses their results.
 ANSWER_REUSE_SECONDS = 0.1
 
 
 class ContactTimes(Protocol):
-    """When a message last came from each other host, and since when it has no link; monotonic clock."""
+    """The times of the last message from each other host, and of the loss of its link; monotonic clock."""
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """Since when each host without a link has had none."""
+        """The time since which each host without a link has had none."""
 
     def last_contact(self, host: str) -> float | None:
-        """When something last came from a host; None when nothing ever did."""
+        """The time of the last message from a host; None without any."""
 
 
 class _Remote(Struct):
@@ -66,9 +66,11 @@ class _Remote(Struct):
 
 
 class _HostState(Struct, frozen=True, gc=False):
-    """How a host is at the moment of a question: how its agents are, and since when it is away.
+    """The state of a host at the moment of a query: the conditions of its agents, and the start of its
+    absence.
 
-    It surely kept its values up to date up to `fresh_until`; those of this host are as old as they say.
+    The values of another host were certainly up to date until `fresh_until`; those of this host have their
+    own ages.
     """
 
     conditions: Mapping[str, AgentCondition]
@@ -78,7 +80,7 @@ class _HostState(Struct, frozen=True, gc=False):
 
 
 class _CachedCandidate(Struct, frozen=True, gc=False):
-    """A candidate as it was answered, good `until` then while condition and link are the same."""
+    """A cached candidate, valid `until` then while condition and link are the same."""
 
     candidate: Candidate
     condition: AgentCondition
@@ -88,7 +90,7 @@ class _CachedCandidate(Struct, frozen=True, gc=False):
     until: float
 
 
-#: For agents whose portals the querying coordinator may all call.
+#: The value for agents whose portals the querying coordinator may all call.
 NOTHING: Mapping[str, str] = {}
 
 
@@ -114,7 +116,7 @@ class AgentDirectory:
         self._pose = pose
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, AgentIdentity] = {a.id: a for a in agents if a.type in registry.providers}
-        #: The agents of this host, whose conditions `set_own` wants.
+        #: The agents of this host, whose conditions are set by `set_own`.
         self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
         self._by_type: dict[str, list[AgentIdentity]] = {}
         for agent in self._agents.values():
@@ -122,7 +124,7 @@ class AgentDirectory:
         self._profiles = agent_profiles(registry, agents)
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self.asker = ""
-        #: By primitive why an asker may not call an agent for it, by their ids; None where all may call all.
+        #: By primitive the reasons why an asker may not call an agent, by agent id; None if all may call all.
         self.barred: Callable[[str, str], Mapping[str, str]] | None = None
         self._own_status: dict[str, AgentCondition] = {}
         self._replacements: dict[str, Callable[[AgentCondition], AgentCondition]] = {}
@@ -133,24 +135,26 @@ class AgentDirectory:
     # --- this host's agents ---------------------------------------------------------------------------
 
     def answer_for(self, asker: str) -> None:
-        """The next answers are for this coordinator; '' for a person."""
+        """Set the coordinator of the next answers; '' for a person."""
         self.asker = asker
 
     def restrict(self, barred: Callable[[str, str], Mapping[str, str]]) -> None:
-        """Set the access rules: `barred` has by primitive why a coordinator may not call an agent."""
+        """Set the access rules: `barred` has by primitive the reasons why a coordinator may not call an
+        agent.
+        """
         self.barred = barred
 
     def live(self, agent: str) -> Mapping[str, LiveAttribute]:
-        """The live attributes of an agent, with where their values come from."""
+        """The live attributes of an agent, with the sources of their values."""
         return self._live[agent]
 
     def set_own(self, agent: str, condition: AgentCondition) -> None:
-        """How an agent of this host is now."""
+        """Set the condition of an agent of this host."""
         replacement = self._replacements.get(agent)
         self._own_status[agent] = condition if replacement is None else replacement(condition)
 
     def replace_own(self, agent: str, replacement: Callable[[AgentCondition], AgentCondition]) -> None:
-        """From now on replace the condition of an agent of this host: a test provides its attributes."""
+        """Replace the condition of an agent of this host from now on: a test provides its attributes."""
         self._replacements[agent] = replacement
 
     def next_delta(self) -> DirectoryDelta | None:
@@ -164,7 +168,7 @@ class AgentDirectory:
     # --- the other hosts ------------------------------------------------------------------------------
 
     def on_link_up(self, host: str, life: int) -> None:
-        """A link to a host is up; its values are current again after its full state has arrived."""
+        """Record a link to a host; its values are current again after its full state has arrived."""
         remote = self._remotes.get(host)
         if remote is None:
             return
@@ -173,7 +177,7 @@ class AgentDirectory:
             self._remotes[host] = _Remote(life)
 
     def on_link_down(self, host: str) -> None:
-        """The link to a host is lost."""
+        """Record the loss of the link to a host."""
         remote = self._remotes.get(host)
         if remote is not None:
             self._is_out_of_sync(remote, self._links.last_contact(host))
@@ -197,17 +201,17 @@ class AgentDirectory:
     # --- Team -----------------------------------------------------------------------------------------
 
     def candidates(self, resource: str) -> list[Candidate]:
-        """The agents of a resource type as they are now, in the order of the deployment."""
+        """The agents of a resource type in their present state, in the order of the deployment."""
         return self._candidates(self._by_type.get(resource, ()))
 
     def here(self) -> Position | None:
-        """Where this host is: where the first of its agents is whose place is known, else its pose."""
+        """The position of this host: that of the first of its agents with a known position, else its pose."""
         now, state = self._clock.monotonic(), self._host_state(self._here)
         own = (self._candidate(self._agents[agent], state, now) for agent in self.own_agents)
         return location_of(own, self._registry.attributes, self._pose)
 
     def all_candidates(self) -> list[Candidate]:
-        """All agents as they are now, in the order of the deployment."""
+        """All agents in their present state, in the order of the deployment."""
         return self._candidates(self._agents.values())
 
     def _candidates(self, agents: Iterable[AgentIdentity]) -> list[Candidate]:

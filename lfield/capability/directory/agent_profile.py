@@ -18,24 +18,24 @@ from lfield.capability.offer import Candidate, Fact, Position
 
 
 class AgentIdentity(Protocol):
-    """An agent as the deployment has it."""
+    """An agent as in the deployment."""
 
     @property
     def id(self) -> str:
-        """Its name in the mission."""
+        """The name of the agent in the mission."""
 
     @property
     def type(self) -> str:
-        """Its type in L."""
+        """The type of the agent in L."""
 
     @property
     def host(self) -> str:
-        """Where it lives."""
+        """The host of the agent."""
 
 
 class AgentProfile(Struct, frozen=True):
-    """What never changes of an agent: its number in the deployment, what the mission states of it, and which
-    values must be measured.
+    """The constant data of an agent: its number in the deployment, its attributes stated by the mission,
+    and the attributes that must be measured.
     """
 
     agent: AgentIdentity
@@ -97,8 +97,8 @@ def location_of(
 ) -> Position | None:
     """The position of the first of some agents that has reported north and east recently.
 
-    Else the `pose` of their host, unless one of them measures its position and it is unknown: it may have
-    moved.
+    Else the `pose` of their host, unless an agent that measures its position does not know it: the agent may
+    have moved.
     """
     for candidate in candidates:
         found = [_fresh(candidate, axis, attributes) for axis in POSITION]

@@ -1,6 +1,6 @@
 """Delta encoding of directory updates between hosts: only changes, numbered so that none is applied twice.
 
-All times are on the monotonic clock of the host that holds the data; what travels are ages. Conditions and
+All times are on the monotonic clock of the host that holds the data; messages contain ages. Conditions and
 samples are structs: in a lively team there are thousands of them in every second.
 """
 
@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from lfield.capability.model import Attribute, Value
 from lfield.capability.offer import Provenance
 
-#: A real value has changed when it differs by more than this part of what is typical of its attribute.
+#: A real value has changed when it differs by more than this part of the typical value of its attribute.
 CHANGE_THRESHOLD = 0.005
 #: A value is kept up to date while it is younger than this part of its attribute's `max_age`.
 FRESH_SHARE = 0.5
@@ -23,7 +23,7 @@ TIME_TOLERANCE = 1.0
 
 
 class Unavailability(Struct, frozen=True):
-    """Why an agent cannot be called, and `since` when, if known: `unreachable`, `died of ...`."""
+    """The reason why an agent cannot be called, and `since` when, if known: `unreachable`, `died of ...`."""
 
     reason: str
     since: float | None = None
@@ -37,7 +37,7 @@ class Unavailability(Struct, frozen=True):
 
 
 class ReservedBy(Struct, frozen=True):
-    """A coordinator has an agent for itself `since` then: others are not offered it (decision 53)."""
+    """The reservation of an agent by a coordinator, `since` then: others are not offered it (decision 53)."""
 
     holder: str
     since: float
@@ -86,7 +86,7 @@ UNCHANGED = AgentCondition()
 
 
 class DirectoryDelta(Struct, frozen=True):
-    """What changed in the agents of a host since its news number `since`; 0 is everything there is.
+    """The changes of the agents of a host since its news number `since`; 0 means the full state.
 
     `incarnation` identifies one run of the host, `sequence` grows within it.
     """
@@ -106,7 +106,7 @@ class DeltaEncoder:
         self._sequence = self._last_changes = 0
 
     def next_delta(self, conditions: Mapping[str, AgentCondition]) -> DirectoryDelta | None:
-        """News for every host, None when there is nothing new."""
+        """The changes for every host, None when there are none."""
         found = {agent: self._change(agent, condition) for agent, condition in conditions.items()}
         changed = {agent: change for agent, change in found.items() if change is not None}
         if not changed:
@@ -118,7 +118,7 @@ class DeltaEncoder:
 
     def full_delta(self) -> DirectoryDelta | None:
         """The full state sent so far, for a host that was disconnected; None if nothing was sent."""
-        # Not the current state: the next deltas are relative to what was sent to all.
+        # Not the current state: the next deltas are relative to the state that was sent to all.
         return self._delta(0, dict(self._sent)) if self._sent else None
 
     def _delta(self, since: int, agents: Mapping[str, AgentCondition]) -> DirectoryDelta:

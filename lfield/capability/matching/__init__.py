@@ -1,1 +1,1 @@
-"""From a wish to offers, best first: conditions, ranking, the search for combinations, and why not."""
+"""From a query to offers, best first: conditions, ranking, the search for combinations, explanations."""

@@ -21,7 +21,7 @@ from lfield.text.suggestions import listed
 
 #: The number of queries whose conditions on the parts are cached.
 CACHE_SIZE = 64
-#: The less sure first.
+#: The less reliable first.
 _SURER: Sequence[Provenance] = get_args(Provenance)
 
 
@@ -45,11 +45,11 @@ class Assembly:
         self.pushed_down = lru_cache(CACHE_SIZE)(self._push_down)
 
     def _push_down(self, wishes: tuple[Expression, ...]) -> list[PushedDown]:
-        """What the rule and the wishes ask of the parts."""
+        """The conditions of the rule and the query, moved to the parts."""
         return push_down(self.rule, wishes)
 
     def _place(self, name: str) -> tuple[int, str]:
-        """Which part, and which of its attributes, `need.attribute` is."""
+        """The part, by number, and the attribute of `need.attribute`."""
         need, _, attribute = name.partition(".")
         return self._needs.index(need), attribute
 
@@ -57,7 +57,7 @@ class Assembly:
         return self._ranking.whole(parts, self.rule.loss)
 
     def least_cost(self, costs: Mapping[str, float]) -> float | None:
-        """The least the whole can cost when primitives cost that; None when one of them is not there."""
+        """The least cost of the whole for these costs of primitives; None when a primitive is missing."""
         found = [costs.get(need.primitive) for need in self.rule.needs.values()]
         known = [cost for cost in found if cost is not None]
         return self.cost(known) if len(known) == len(found) else None
@@ -69,13 +69,13 @@ class Assembly:
         return BestFirstJoin(streams, self.cost, effort, narrowed.joins, narrowed.checks, self._distinct)
 
     def conflicts(self, parts: Sequence[Plan]) -> tuple[str, ...]:
-        """Why the parts do not fit together; () when they do."""
+        """The reasons why the parts do not fit together; () when they do."""
         facts, why = self._facts(parts), self._why(parts)
         found = [reason for condition in self.rule.where for reason in failure_reasons(condition, facts, why)]
         return (*found, *self._shared(parts))
 
     def _shared(self, parts: Sequence[Plan]) -> Iterator[str]:
-        """Which parts that must be distinct have an agent in common."""
+        """The parts that must be distinct and have an agent in common."""
         for one, other in combinations(sorted(self._distinct), 2):
             if both := parts[one].agents & parts[other].agents:
                 yield f"{self._needs[one]} and {self._needs[other]} are both {listed(sorted(both))}"
@@ -125,7 +125,7 @@ class Assembly:
         )
 
     def _fact(self, value: Value, inputs: Sequence[str], offers: Sequence[Offer]) -> Fact:
-        """A value of the whole: as old as the oldest of what it is from, and no surer than the least sure."""
+        """A value of the whole: as old as its oldest source, and as reliable as the least reliable."""
         places = [self._place(name) for name in inputs]
         found = [fact for index, name in places if (fact := offers[index].facts.get(name)) is not None]
         least: Provenance = next((of for of in _SURER if any(fact.of == of for fact in found)), "stated")
@@ -148,7 +148,7 @@ class Assembly:
 
 
 def _in_part(part: Plan) -> str:
-    """What lacks of a position of which the rest is known."""
+    """The unknown coordinates of a position of which the rest is known."""
     lacking = [axis for axis in POSITION if axis not in part.values]
     return f": {', '.join(map(part.unknown_reason, lacking))}" if len(lacking) < len(POSITION) else ""
 

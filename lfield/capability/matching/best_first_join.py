@@ -28,7 +28,7 @@ class PlanStream:
         self._made: list[Plan] = []
 
     def at(self, index: int) -> Plan | None:
-        """The plan with that number, or None behind the last one."""
+        """The plan with that number, or None after the last one."""
         while len(self._made) <= index:
             plan = next(self._rest, None)
             if plan is None:
@@ -41,7 +41,7 @@ class PlanStream:
         return self._made[first : first + count]
 
     def all(self) -> list[Plan]:
-        """All of them."""
+        """All plans."""
         self._made.extend(self._rest)
         return self._made
 
@@ -65,7 +65,7 @@ class SearchBudget(Struct):
 
 
 class SearchBudgetExceeded(Exception):
-    """There may be more than could be tried."""
+    """The search ended before all combinations were tried."""
 
 
 #: A partial combination: lower bound of its cost, numbers of its parts (-1: not chosen yet), insertion order;
@@ -140,7 +140,7 @@ class BestFirstJoin:
         heapq.heappush(self._waiting, entry)
 
     def _bound(self, numbers: Sequence[int], chosen: Sequence[Plan]) -> float:
-        """The least that a combination can cost which begins so."""
+        """The least cost of a combination that begins with these parts."""
         costs = [0.0 if plan is None else plan.cost for plan in self._least]
         for part, plan in zip(self._order, chosen, strict=False):
             costs[part] = plan.cost
@@ -208,7 +208,7 @@ class BestFirstJoin:
     # --- joins ----------------------------------------------------------------------------------------
 
     def _lookup(self, level: int) -> list[tuple[int, Judge, dict[Value, list[int]]]]:
-        """For each join of the part of a level to one before: the level of that, its value, and an index."""
+        """The joins of the part of a level to earlier parts: the level of that, its value, and an index."""
         part, before = self._order[level], self._order[:level]
         found = []
         for join in self._joins:
@@ -232,7 +232,7 @@ class BestFirstJoin:
         return None if candidates is None else sorted(candidates)
 
     def _reduce(self) -> None:
-        """Leave out of joined parts what has no counterpart, until nothing more can be left out."""
+        """Remove joined parts without a counterpart, until no more can be removed."""
         changed = True
         while changed:
             changed = False
@@ -266,7 +266,7 @@ def _index(plans: Iterable[Plan], value: Judge) -> dict[Value, list[int]]:
 
 
 def _members(value: Value | None) -> Iterable[Value]:
-    """What a value has in common with an equal one: itself, or members of a set; nothing if unknown."""
+    """The values that equal values have in common: the value, or the members of a set; none if unknown."""
     if value is None:
         return ()
     return value if isinstance(value, frozenset) else (value,)

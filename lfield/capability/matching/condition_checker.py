@@ -34,7 +34,7 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs
 Sort = Literal["number", "boolean", "text", "set", "part", "nothing"]
 Expectation = Literal["boolean", "number", "text", "set", "any"]
 
-#: What an expression for the value of an attribute has to be, by the type of the attribute.
+#: The required kind of an expression for the value of an attribute, by the type of the attribute.
 EXPECTATIONS: Mapping[str, Expectation] = {
     "real": "number",
     "int": "number",
@@ -45,7 +45,7 @@ EXPECTATIONS: Mapping[str, Expectation] = {
 
 
 class ValueKind(Struct, frozen=True):
-    """What an expression is worth: its sort, with all members or texts it may have (() for any).
+    """The kind of an expression: its sort, with all its possible members or texts (() for any).
 
     The sort of an erroneous part is 'nothing', which is not reported again. `unit` is that of a number, None
     if it may have any.
@@ -61,9 +61,9 @@ _PART, _NOTHING = ValueKind("part"), ValueKind("nothing")
 
 
 class NameScope(Struct, frozen=True):
-    """What names mean: bare `names`, and for each of the `needs` of a composition its `members`.
+    """The meanings of names: bare `names`, and for each of the `needs` of a composition its `members`.
 
-    `parameters` are the sorts of the values that a program passes, by what is written in the query; None
+    `parameters` are the sorts of the values that a program passes, by their text in the query; None
     in a compiled query, where names have the sorts in them. With parameters, units are compared.
     """
 
@@ -74,14 +74,14 @@ class NameScope(Struct, frozen=True):
 
     @staticmethod
     def of_offer(attributes: Mapping[str, Attribute]) -> NameScope:
-        """In a constraint, or the `when` of a rule: the attributes of one offer."""
+        """The scope of a constraint, or of the `when` of a rule: the attributes of one offer."""
         return NameScope(_kinds(attributes))
 
     @staticmethod
     def of_parts(
         attributes: Mapping[str, Attribute], needs: Collection[str], whole: Collection[str] = ()
     ) -> NameScope:
-        """In the `where` and `attributes` of a composition: its needs by name.
+        """The scope of the `where` and `attributes` of a composition: its needs by name.
 
         A `where` may also name attributes of the `whole`.
         """
@@ -111,7 +111,7 @@ def check_expression(
     expected: Expectation,
     conversions: dict[condition_tree.ConditionParameter, Conversion] | None = None,
 ) -> list[Mistake]:
-    """What is wrong with the names and types of an expression that shall be `expected`.
+    """The mistakes in the names and types of an expression that shall be `expected`.
 
     The bare name of a member is replaced in the tree by its text. `conversions` gets those of the parameters.
     """
@@ -145,7 +145,7 @@ class _Checker:
         return _NOTHING
 
     def kind(self, tree: condition_tree.ConditionExpr) -> ValueKind:
-        """What the tree is worth."""
+        """The kind of the value of a tree."""
         match tree:
             case condition_tree.ConditionLiteral(value=value):
                 return self._literal(value, tree.span)
@@ -241,7 +241,7 @@ class _Checker:
         *,
         is_alike: bool = True,
     ) -> ValueKind:
-        """The kind wanted, which all operands must have; numbers that are alike have the same unit."""
+        """The required kind of all operands; numbers that are alike have the same unit."""
         good = True
         kinds = list[ValueKind]()
         for operand in operands:
@@ -291,7 +291,7 @@ class _Checker:
         other: condition_tree.ConditionExpr,
         replace: Callable[[condition_tree.ConditionLiteral], None],
     ) -> ValueKind:
-        """The kind of one side of a comparison, which may be a member of what the `other` may have."""
+        """The kind of one side of a comparison, which may be a possible member of the `other` side."""
         values = self._declared(other)
         match tree:
             case condition_tree.ConditionName(name=name) if name in values or (
@@ -350,7 +350,7 @@ class _Checker:
         return _NUMBER
 
     def _distance_to(self, tree: condition_tree.ConditionCall) -> ValueKind:
-        """From an offer to a place."""
+        """The kind of a distance from an offer to a place."""
         if lacking := [name for name in POSITION if name not in self._scope.names]:
             return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
         if len(tree.arguments) not in (2, 3):

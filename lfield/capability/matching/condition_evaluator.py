@@ -56,7 +56,7 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {"min": min, "max": max, "abs":
 
 @lru_cache(maxsize=4096)
 def conjuncts(expression: Expression) -> tuple[Expression, ...]:
-    """What its top-level `&&` join, in order: all of them must be true."""
+    """The operands of the top-level `&&`, in order: all of them must be true."""
     return tuple(Expression(tree.span.text, tree) for tree in _conjoined(expression.tree))
 
 
@@ -107,7 +107,7 @@ def fact_name(tree: condition_tree.ConditionExpr) -> str:
 
 
 def is_between_parts(tree: condition_tree.ConditionCall) -> bool:
-    """Whether it is `distance(part, part)`; else a `distance` is to a place, which is written in numbers."""
+    """Whether a call is `distance(part, part)`; any other `distance` is to a place, written in numbers."""
     return function(tree) == "distance" and all(
         isinstance(a, condition_tree.ConditionName) for a in tree.arguments
     )
@@ -125,7 +125,7 @@ def evaluator(expression: Expression) -> Judge:
 
 
 def value_of(tree: condition_tree.ConditionExpr) -> Judge:
-    """The same for a part of an expression."""
+    """The same function for a part of an expression."""
     match tree:
         case condition_tree.ConditionLiteral(value=value):
             return lambda facts: value
@@ -206,7 +206,7 @@ def _comparison(
 
 
 def _compared_with(compare: Callable[[Any, Any], bool], name: str, constant: object) -> Judge:
-    """The usual comparison: a thousand offers are judged by it."""
+    """A comparison, specialised because a thousand offers are evaluated by it."""
 
     def judge(facts: Facts) -> bool | None:
         value = facts.get(name)
@@ -259,7 +259,7 @@ def _distance(one: str, other: str) -> Judge:
 
 
 def _distance_to(place: list[Judge]) -> Judge:
-    """From an offer to a place: north, east and, where three are given, down."""
+    """The distance from an offer to a place: north, east and, if three are given, down."""
 
     def judge(facts: Facts) -> float | None:
         squares = 0.0
@@ -289,5 +289,5 @@ def distance_to(facts: Mapping[str, Any], place: Position) -> float | None:
 
 
 def _root(squares: float) -> float | None:
-    """Metres from their squares; None where no number can hold them."""
+    """Metres from their squares; None if the result is no finite number."""
     return math.sqrt(squares) if squares < math.inf else None

@@ -56,7 +56,7 @@ def _lines(refusals: Iterable[Rejection], indent: str) -> Iterator[str]:
 
 
 class _Node(Struct, frozen=True):
-    """Where an explanation is: at the end of a chain to a primitive, which is wanted on conditions.
+    """A position in an explanation: the end of a chain to a primitive, with conditions.
 
     `depth` is how many rules may be chained above the agents of `primitive`; `used` are the compositions
     above.
@@ -75,7 +75,7 @@ class _Node(Struct, frozen=True):
 
     @property
     def left(self) -> int:
-        """How many rules may still follow."""
+        """The number of rules that may still follow."""
         return self.depth - len(self.chain)
 
     @property
@@ -176,7 +176,7 @@ class Explanation:
                 yield _Node(need.primitive, conditions, place.left - 1, place.used | {rule.name})
 
     def _conflicting_combinations(self, assembly: Assembly, place: _Node) -> Iterator[Rejection]:
-        """The cheapest combinations of parts, and why they are not offered."""
+        """The cheapest combinations of parts, and the reasons why they are not offered."""
         combinations = self._search.combinations(assembly, place.left - 1, place.used)
         tried = list(islice(combinations, MAX_COMBINATIONS_TRIED))
         # A pair of an agent with itself is left out where other pairs exist.
@@ -197,7 +197,7 @@ def _conjuncts(conditions: Sequence[Expression]) -> tuple[Expression, ...]:
 
 
 def _failed_conditions(plan: Plan, conditions: Sequence[Expression]) -> tuple[str, ...]:
-    """Why a plan does not fulfil conditions; () when it does."""
+    """The reasons why a plan does not fulfil conditions; () when it does."""
     values, why, source = plan.values, plan.unknown_reason, plan.source
     found = (reason for condition in conditions for reason in failure_reasons(condition, values, why, source))
     return tuple(dict.fromkeys(found))

@@ -38,7 +38,7 @@ class _Explainer:
         self._facts, self._why, self._source = facts, why, source
 
     def reason(self, tree: condition_tree.ConditionExpr, expected: bool) -> str:
-        """Why this is not `expected`: it is the other, or unknown."""
+        """The reason why a tree is not `expected`: it has the other value, or is unknown."""
         return " and ".join(dict.fromkeys(self._reasons(tree, expected)))
 
     def _reasons(self, tree: condition_tree.ConditionExpr, expected: bool) -> Iterator[str]:
@@ -87,12 +87,12 @@ class _Explainer:
         )
 
     def _value_text(self, tree: condition_tree.ConditionExpr) -> str:
-        """A value, and where it is from if it is that of an attribute."""
+        """A value, with its source if it is that of an attribute."""
         source = self._source(tree.name) if isinstance(tree, condition_tree.ConditionName) else ""
         return f"{_format_value(self._value(tree))}{source}"
 
     def _equality(self, tree: condition_tree.ConditionBinary) -> str:
-        """Why `==` is false or `!=` is: what is there, and what was wanted if that is something else."""
+        """The reason why `==` or `!=` is false: the present value, and the required one if that differs."""
         left, right = tree.left, tree.right
         if isinstance(left, condition_tree.ConditionLiteral):
             left, right = right, left

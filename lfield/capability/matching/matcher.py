@@ -20,11 +20,11 @@ from lfield.capability.offer import AgentSource, Offer, Rejection
 
 
 class MatchResult(Struct, frozen=True):
-    """The best offers, best first; how many there are; and notes on what the search left out.
+    """The best offers, best first; the number of all offers; and notes on omissions of the search.
 
-    Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones. Of
-    `full` rules only the best `per_rule` are offered.
-    `unordered` are attributes of the `order by` that no agent has.
+    For `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones.
+    Of `full` rules only the best `per_rule` are offered. `unordered` are attributes of the `order by` that no
+    agent has.
     """
 
     offers: Sequence[Offer]
@@ -36,7 +36,7 @@ class MatchResult(Struct, frozen=True):
 
     @property
     def notes(self) -> list[str]:
-        """What was left out, a sentence each."""
+        """The omissions of the search, a sentence each."""
         found = [
             f"{rule}: {partial_search_note(self.per_rule)}" for rule in self.full if rule not in self.cut
         ]
@@ -46,7 +46,7 @@ class MatchResult(Struct, frozen=True):
         return found + self._caveats()
 
     def summary(self, agents: int) -> list[str]:
-        """The number of offers and agents, and what was left out."""
+        """The number of offers and agents, and the omissions."""
         if self.count == 0 or self.count > len(self.offers):
             return self.notes
         offers = "there is 1 offer" if self.count == 1 else f"there are {self.count} offers"
@@ -74,7 +74,7 @@ class TeamResult(Struct, frozen=True):
 
     @property
     def notes(self) -> list[str]:
-        """What was left out, a sentence each."""
+        """The omissions of the search, a sentence each."""
         found = [f"the best {len(self.teams)} of more teams are given"] if self.others else []
         found += [f"{rule}: {TOO_MANY}" for rule in self.cut]
         found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
@@ -153,7 +153,7 @@ class Matcher:
         return TeamResult(found[:most], agents, cut, more, full, len(found) > most)
 
     def agents(self, primitive: str, query: OfferQuery = ANY_OFFER) -> int:
-        """How many agents take part in any offer."""
+        """The number of agents that take part in any offer."""
         return len(_agents(self._search(primitive, query).plans()))
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
@@ -193,7 +193,7 @@ class Matcher:
 
 
 def _by_agents(plans: Iterable[Plan]) -> Iterator[Plan]:
-    """Of the plans with the same agents the first."""
+    """The first of the plans with the same agents, for each set of agents."""
     known: set[frozenset[str]] = set()
     for plan in plans:
         if plan.agents not in known:

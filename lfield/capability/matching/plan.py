@@ -1,4 +1,4 @@
-"""A way to do it: an offer together with what conditions are judged on."""
+"""A plan: an offer together with the facts for its conditions."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lfield.capability.matching.ranking import ONE_TO_ONE, Ranking
 from lfield.capability.model import Equivalence
 from lfield.capability.offer import Offer
 
-#: The cost, how many rules lead to the agent or the whole, their names, and the end of the chain: the
-#: number of the agent in the deployment, or the ranks of the parts, one by one.
+#: The cost, the number of rules that lead to the agent or the whole, their names, and the end of the chain:
+#: the number of the agent in the deployment, or the ranks of the parts, one by one.
 Rank = tuple[float, int, tuple[str, ...], tuple[Any, ...]]
 
 
@@ -23,7 +23,7 @@ class Plan(Struct, eq=False):
     """A candidate offer: its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
 
     Plans are offered in the order of their ranks. For a plan with several agents the three are sets.
-    `unknown` has the reasons why attributes have no value. `composition` is the rule that combines several
+    `unknown` has the reasons for attributes without a value. `composition` is the rule that combines several
     parts, '' for a single agent. `make` creates the offer from the plan and `given` on demand, because most
     plans are not offered.
     """
@@ -38,7 +38,7 @@ class Plan(Struct, eq=False):
 
     @property
     def cost(self) -> float:
-        """The less, the better."""
+        """The cost: the less, the better."""
         return self.rank[0]
 
     @property
@@ -48,23 +48,23 @@ class Plan(Struct, eq=False):
 
     @property
     def offer(self) -> Offer:
-        """What the matcher gives, made once."""
+        """The offer of the plan, made once."""
         if self._offer is None:
             self._offer = self.make(self)
         return self._offer
 
     def unknown_reason(self, name: str) -> str:
-        """Why an attribute has no value."""
+        """The reason why an attribute has no value."""
         return self.unknown.get(name) or f"{name} is not stated"
 
     def source(self, name: str) -> str:
-        """Where the value of an attribute is from, where that is not simply stated: ` (nominal)`."""
+        """The source of the value of an attribute, if it is not simply stated: ` (nominal)`."""
         fact = self.offer.facts.get(name)
         return "" if fact is None or fact.of == "stated" else f" ({fact.source})"
 
 
 def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
-    """Those of which all conditions are true, one by one; one that is unknown is not."""
+    """The plans of which all conditions are true, one by one; an unknown condition is not true."""
     # Written out, because a thousand plans go through here in a query.
     for plan in plans:
         values = plan.values

@@ -34,7 +34,7 @@ from lfield.capability.offer import AgentSource, Candidate
 
 #: Conditions that must all be true of a plan.
 Conditions = tuple[Expression, ...]
-#: The compositions that something is part of.
+#: The compositions that contain a plan.
 Used = frozenset[str]
 
 NOTHING: Used = frozenset()
@@ -60,7 +60,7 @@ class SearchLimits(Struct, frozen=True):
 
 
 class _Way(Struct, frozen=True):
-    """A chain of one-to-one rules, at its end agents or a composition; it costs at least `bound`."""
+    """A chain of one-to-one rules with agents or a composition at its end; it costs at least `bound`."""
 
     chain: Chain
     assembly: Assembly | None
@@ -68,13 +68,13 @@ class _Way(Struct, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its rules, as they count in ties."""
+        """The rules of the way, in their order for ties."""
         whole = () if self.assembly is None else (self.assembly.rule.name,)
         return (*(rule.name for rule in self.chain), *whole)
 
 
 class Search:
-    """One query for a primitive, on what the team is now.
+    """One query for a primitive, for the present state of the team.
 
     Attributes that are `also_named` count for the age of an agent as those of the constraint do.
     """
@@ -91,7 +91,7 @@ class Search:
         self.rules, self.limits = rules, limits
         self.primitive, self.constraint = primitive, constraint
         self.conditions: Conditions = () if constraint is None else conjuncts(constraint)
-        #: What of the question counts for the cost of an agent.
+        #: The parts of the query that affect the cost of an agent.
         self.context = CostContext(attributes_of(constraint).union(also_named), team.here())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
@@ -140,7 +140,7 @@ class Search:
                 yield plan
 
     def count(self) -> int:
-        """How many there are of `plans`, without making those of single agents."""
+        """The number of `plans`, without making those of single agents."""
         wholes: dict[str, list[Iterator[Plan]]] = {}
         found = 0
         for way in self._ways(self.primitive, self.limits.depth, NOTHING):
@@ -176,14 +176,14 @@ class Search:
             self.full.add(assembly.rule.name)
 
     def has_plan(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Conditions) -> bool:
-        """Whether there is any plan by a chain that begins with this one."""
+        """Whether any plan uses a chain that begins with this one."""
         found = (way for way in self._ways(primitive, depth, used) if way.chain[: len(chain)] == chain)
         plans = (self._plans(way, primitive, depth, used, wishes) for way in found)
         return next(joined.from_iterable(plans), None) is not None
 
     def plan_stream(self, primitive: str, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
         """All plans for a primitive that fulfil the wishes; `used` are the compositions it is part of."""
-        # What cannot occur below makes no difference: without it the node is shared.
+        # Compositions that cannot occur below are removed, so that the node can be shared.
         used &= self.rules.inside(primitive)
         node = (primitive, depth, used, wishes)
         if node not in self._streams:
@@ -206,7 +206,7 @@ class Search:
         return self.plan_stream(need.primitive, depth, used | {assembly.rule.name}, wishes)
 
     def combinations(self, assembly: Assembly, depth: int, used: Used) -> Iterator[tuple[Plan, ...]]:
-        """Every choice of parts, the cheapest first, whether they fit together or not."""
+        """Every choice of parts, the cheapest first, also those that do not fit together."""
         streams = [self.plans_for_need(assembly, need, depth, used) for need in assembly.rule.needs.values()]
         return iter(
             BestFirstJoin(streams, assembly.cost, SearchBudget(self.limits.combinations, self.limits.steps))
@@ -260,13 +260,13 @@ class Search:
         return sorted(found, key=lambda way: (len(way.names), way.names))
 
     def _by_chain(self, chain: Chain, cost: float) -> float:
-        """What an offer by a chain costs, from the cost at its end."""
+        """The cost of an offer by a chain, from the cost at its end."""
         for rule in reversed(chain):
             cost = self.rules.ranking.by_rule(cost, rule.loss)
         return cost
 
     def _plans(self, way: _Way, primitive: str, depth: int, used: Used, wishes: Conditions) -> Iterator[Plan]:
-        """The plans of one way that fulfil what its rules ask and what is wished."""
+        """The plans of one way that fulfil the conditions of its rules and of the query."""
         asked = (*_asked(way.chain), *wishes)
         behind: Iterable[Plan]
         if way.assembly is None:

@@ -52,13 +52,13 @@ class ProviderPlans:
         self._costing: Costing
 
     def plans(self, candidates: Iterable[Candidate], context: CostContext) -> list[Plan]:
-        """Of the candidates that can do it now."""
+        """The plans of the candidates that can serve the primitive now."""
         able = (c for c in candidates if not c.refusal and self.primitive not in c.barred)
         found = [self.plan(candidate, context) for candidate in able]
         return list(satisfying(found, self._judges)) if self._judges else found
 
     def refusal(self, candidate: Candidate, context: CostContext) -> tuple[str, ...]:
-        """Why a candidate cannot serve it under any condition; () when it can."""
+        """The reasons why a candidate cannot serve the primitive under any condition; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
         if why := candidate.barred.get(self.primitive):
@@ -69,7 +69,7 @@ class ProviderPlans:
         return failure_reasons(self._when, plan.values, plan.unknown_reason, plan.source)
 
     def plan(self, candidate: Candidate, context: CostContext) -> Plan:
-        """What a candidate would be, made anew only when something about it changed."""
+        """The plan of a candidate, made anew only when the candidate or the context has changed."""
         if context is not self._context:
             self._set_context(context)
         kept = self._cached.get(candidate.agent)
@@ -117,7 +117,7 @@ class ProviderPlans:
     def _counting(self, facts: Mapping[str, Fact]) -> Mapping[str, Fact]:
         """The attributes of a candidate, without reported ones that this primitive overrides.
 
-        A copter goes 10 m/s, and what hangs on its winch does not.
+        For example, a copter flies 10 m/s, but not with a load on its winch.
         """
         if not self._own:
             return facts
@@ -140,7 +140,7 @@ class ProviderPlans:
         )
 
     def _useless_reason(self, name: str, fact: Fact) -> str:
-        """Why a fact has no usable value."""
+        """The reason why a fact has no usable value."""
         limit = self._live.get(name, math.inf)
         if fact.age > limit:
             return f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"

@@ -8,7 +8,7 @@
     fork.payload + cart.payload >= 3    a check of combinations, cheapest first
 
 The rule's attributes are substituted into the condition, which is split into conjuncts, each assigned to the
-parts that it names. The result is equivalent in three-valued logic; only what is true counts.
+parts that it names. The result is equivalent in three-valued logic; only true results count.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class PushedDown(Struct, frozen=True):
 
 
 class _Collected(Struct):
-    """What was found while conditions were taken apart.
+    """The conditions found while others were split.
 
     An alternative is a condition for each part, of a choice at least one side is true.
     """
@@ -92,7 +92,7 @@ class _PushDown:
         self._rule = rule
         self._needs = list(rule.needs)
         self._found = _Collected([[*_conjuncts(need.when)] for need in rule.needs.values()])
-        #: How many searches there will be.
+        #: The number of searches.
         self._searches = 1
 
     def run(self, asked: Sequence[Expression]) -> list[PushedDown]:
@@ -119,7 +119,7 @@ class _PushDown:
         joins, checks = (*branch.joins, *found.joins), (*branch.checks, *found.checks)
         branches = [PushedDown(parts, joins, checks, (*branch.whole, *found.whole))]
         for one, other in found.choices:
-            # What both sides are true of is found by the first.
+            # Results for which both sides are true are found by the first.
             first, second = self._collect(one), self._collect(other)
             second.checks.append(self._check(one, lambda judge, facts: judge(facts) is not True))
             branches = [more for b in branches for side in (first, second) for more in self._grown(b, side)]
@@ -141,7 +141,7 @@ class _PushDown:
         return True
 
     def _of_whole(self, conjunct: Expression) -> None:
-        """A condition on the whole, or on parts by name."""
+        """Splits a condition on the whole, or on parts by name."""
         if (who := _identity(conjunct.tree)) is not None:
             self._on_identity(conjunct, *who)
             return
@@ -177,7 +177,7 @@ class _PushDown:
         sign: str,
         literal: condition_tree.ConditionLiteral,
     ) -> None:
-        """`agent == "f39"`: one of the parts is; `agent != "f39"`: none is."""
+        """Splits `agent == "f39"` (one part is the agent) or `agent != "f39"` (no part is)."""
         is_it, is_not = (_expression(_compared(conjunct, name, s, literal)) for s in ("==", "!="))
         if sign == "!=":
             for asked in self._found.parts:
@@ -188,7 +188,7 @@ class _PushDown:
             self._found.whole.append(conjunct)
 
     def _on_part_condition(self, tree: condition_tree.ConditionExpr) -> None:
-        """A condition over parts, given to those that it names."""
+        """Assigns a condition over parts to the parts that it names."""
         parts = self._parts_of(tree)
         if len(parts) == 1:
             (part,) = parts
@@ -229,13 +229,13 @@ class _PushDown:
         return frozenset(self._place(name)[0] for name in facts_of(tree))
 
     def _place(self, name: str) -> tuple[int, str]:
-        """Which part, and which of its attributes, `need.attribute` is."""
+        """The part, by number, and the attribute of `need.attribute`."""
         need, _, attribute = name.partition(".")
         return self._needs.index(need), attribute
 
 
 def _with(branch: PushedDown, asked: Sequence[Expression]) -> PushedDown:
-    """The same with one more condition on each of the first parts."""
+    """The result with one more condition on each of the first parts."""
     more = [(one,) for one in asked] + [()] * (len(branch.parts) - len(asked))
     parts = tuple((*had, *new) for had, new in zip(branch.parts, more, strict=True))
     return replace(branch, parts=parts)
@@ -249,7 +249,7 @@ def _conjuncts(when: Expression | None) -> Iterator[Expression]:
 def _identity(
     tree: condition_tree.ConditionExpr,
 ) -> tuple[condition_tree.ConditionName, str, condition_tree.ConditionLiteral] | None:
-    """The sides of `agent == "f39"` and the like."""
+    """The sides of `agent == "f39"` and similar comparisons."""
     match tree:
         case condition_tree.ConditionBinary(
             operator="==" | "!=" as sign,
@@ -279,7 +279,7 @@ def _compared(
 def _alone(
     tree: condition_tree.ConditionName | condition_tree.ConditionMember,
 ) -> condition_tree.ConditionExpr:
-    """`fork.payload` from the view of the fork: `payload`."""
+    """The name of an attribute for its part alone: `payload` for `fork.payload`."""
     return condition_tree.ConditionName(tree.span, 1, tree.name)
 
 
@@ -289,7 +289,7 @@ def _replaced(
         [condition_tree.ConditionName | condition_tree.ConditionMember], condition_tree.ConditionExpr
     ],
 ) -> condition_tree.ConditionExpr:
-    """A tree with other names at its ends; parts between which a distance is are none of them."""
+    """A tree with replaced names at its leaves; the parts of a distance between parts are kept."""
     match tree:
         case condition_tree.ConditionName() | condition_tree.ConditionMember():
             return leaf(tree)
@@ -303,7 +303,9 @@ def _replaced(
 
 
 def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.ConditionExpr]:
-    """What must all be true so that the tree is: `min(a, b) >= 2` is `a >= 2` and `b >= 2`."""
+    """The conditions that must all be true for the tree to be true: `min(a, b) >= 2` is `a >= 2` and `b >=
+    2`.
+    """
     match tree:
         case condition_tree.ConditionUnary(operator="!", operand=operand) if (
             inner := _negated(operand)
@@ -326,7 +328,9 @@ def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.Condi
 
 
 def _negated(tree: condition_tree.ConditionExpr) -> condition_tree.ConditionExpr | None:
-    """What is true where the tree is false, and unknown where it is; None where that is only its negation."""
+    """The condition that is true where the tree is false, and unknown where it is unknown; None if it
+    would be only the negation.
+    """
     match tree:
         case condition_tree.ConditionUnary(operator="!", operand=operand):
             return operand

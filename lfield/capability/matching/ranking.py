@@ -11,11 +11,9 @@
   for the typical value up to 1. An unknown value counts as typical, so not reporting is no advantage.
 - H is the number of hops: 0 on this host, else 1.
 - N is d / (nearby + d) for an agent at d metres from the position of the query, 0.5 if its position is
-unknown; it is
-  0 for all if the position of the query is unknown.
+  unknown; it is 0 for all if the position of the query is unknown.
 - A is the largest age / max_age of the live attributes that are rated or named in the query, at most 1; an
-outdated
-  one counts 1.
+  outdated one counts 1.
 
 Costs are monotonic in the costs of the parts, so the cheapest parts make the cheapest composition, and a
 search may stop early. Costs are rounded to nine decimals: equal ones are equal however they were added up.
@@ -41,7 +39,7 @@ TYPICAL_PENALTY = 0.5
 #: A cost of 1 in the steps that are counted: nine decimals.
 STEPS = 1e9
 
-#: The terms of each kind of offer: the weight of the mission, and what it is multiplied with.
+#: The terms of each kind of offer: the weight of the mission, and its factor.
 AGENT: Mapping[str, str] = {"fitness": "F", "hop": "H", "near": "N", "age": "A"}
 ONE_TO_ONE: Mapping[str, str] = {"loss": "its loss"}
 ONE_TO_MANY: Mapping[str, str] = {"loss": "its loss", "part": "(parts - 1)"}
@@ -57,13 +55,13 @@ class RatedAttribute(NamedTuple):
     more: bool
 
 
-#: From what is known of an agent, its hops, and A of the formula before it is cut off at 1: its cost, and the
+#: From the facts of an agent, its hops, and A of the formula before it is cut off at 1: its cost, and the
 #: amounts of its terms.
 Costing = Callable[[Facts, int, float], tuple[float, tuple[float, ...]]]
 
 
 class Ranking:
-    """The costs of one registry, with its weights, for a team: `agents` gives those of a resource type."""
+    """The costs of one registry, with its weights, for a team: `agents` returns those of a resource type."""
 
     def __init__(self, registry: Registry, agents: Callable[[str], Sequence[Candidate]]) -> None:
         self._registry, self._agents = registry, agents
@@ -72,7 +70,7 @@ class Ranking:
         self._rated: dict[str, tuple[RatedAttribute, ...]] = {}
 
     def rated(self, primitive: str) -> tuple[RatedAttribute, ...]:
-        """What counts in the fitness for a primitive, in the order of the names."""
+        """The rated attributes of a primitive, in the order of their names."""
         if primitive not in self._rated:
             self._rated[primitive] = self._shares(sorted(set(self._stated(primitive))))
         return self._rated[primitive]
@@ -167,7 +165,7 @@ class Ranking:
         )
 
     def penalties(self, primitive: str, values: Facts) -> tuple[Penalty, ...]:
-        """What the fitness of an agent is made of, for people."""
+        """The penalties in the fitness of an agent, for people."""
         return tuple(
             Penalty(r.name, values.get(r.name), r.share, _penalty(r.typical, r.more, values.get(r.name)))
             for r in self.rated(primitive)
@@ -194,7 +192,7 @@ def _rounded(cost: float) -> float:
 
 
 def _penalty(typical: float, more: bool, value: Any) -> float:
-    """That of a number; None: it is not known."""
+    """The penalty of a number; None: an unknown one."""
     if value is None:
         return TYPICAL_PENALTY
     amount = value if value > 0.0 else 0.0

@@ -1,7 +1,7 @@
-"""Which ways lead to a primitive: providers, chains of one-to-one rules, and compositions at their ends.
+"""The ways to a primitive: providers, chains of one-to-one rules, and compositions at their ends.
 
-A chain passes no primitive twice: what is behind is offered there anyhow. One subsumption does not follow
-another either, because a third one makes the same step at once.
+A chain passes no primitive twice: its continuation is already offered at the first. A subsumption does not
+follow another one, because a third one makes the same step at once.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MAX_CHAINS = 256
 class RuleIndex:
     """The rules of a registry by the primitive they serve, always in the order of their names.
 
-    `agents` gives those of a resource type. `open_ways` are the fields a program was compiled with by
+    `agents` returns the agents of a resource type. `open_ways` are the fields a program was compiled with by
     primitive; None leaves all ways open.
     """
 
@@ -125,7 +125,7 @@ class RuleIndex:
         return self._reached[primitive]
 
     def _below(self, primitive: str) -> dict[str, None]:
-        """What the rules that serve a primitive ask for, each once."""
+        """The primitives that the rules for a primitive require, each once."""
         found = dict.fromkeys(rule.by for rule in self._equivalences.get(primitive, []))
         for assembly in self.compositions(primitive):
             found |= dict.fromkeys(need.primitive for need in assembly.rule.needs.values())
@@ -169,7 +169,7 @@ def least_costs(rules: RuleIndex, goal: str, agents: Callable[[str], float | Non
 
 
 def _following(rules: RuleIndex, primitive: str, settled: Mapping[str, float]) -> Iterator[tuple[float, str]]:
-    """What can be served now that a primitive is settled, at which cost."""
+    """The primitives that can be served once a primitive is settled, with their costs."""
     for rule in rules.equivalences_by(primitive):
         yield rules.ranking.by_rule(settled[primitive], rule.loss), rule.serves
     for assembly in rules.compositions_with(primitive):

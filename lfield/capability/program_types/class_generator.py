@@ -87,15 +87,15 @@ class UsableWays:
         self._usable = self._all_usable()
 
     def providers(self, primitive: str) -> list[Provider]:
-        """The resource types that serve it themselves."""
+        """The resource types that serve a primitive themselves."""
         return self._providers.get(primitive, [])
 
     def equivalences(self, primitive: str) -> list[Equivalence]:
-        """The one-to-one rules by which others do."""
+        """The one-to-one rules that serve a primitive."""
         return [r for r in self._equivalences if r.serves == primitive and r.by in self._usable]
 
     def compositions(self, primitive: str) -> list[Composition]:
-        """The one-to-many rules by which others do together."""
+        """The one-to-many rules that serve a primitive."""
         return [r for r in self._compositions if r.serves == primitive and self._has_all(r)]
 
     def all_ways(self) -> dict[str, frozenset[str]]:
@@ -121,7 +121,7 @@ class UsableWays:
         return sorted(found)
 
     def _all_usable(self) -> set[str]:
-        """The primitives that anything in the program can serve, however indirectly."""
+        """The primitives that any resource of the program can serve, however indirectly."""
         usable = set(self._providers).intersection(self.primitives)
         before = -1
         while before != len(usable):
@@ -187,7 +187,7 @@ def _portal(served: UsableWays, primitive: Primitive, portal: Portal) -> Iterato
 
 
 def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
-    """One way: the mapped call, and what the caller gets."""
+    """The code of one way: the mapped call, and the result for the caller."""
     given = ", ".join(map(_argument_text, mapped.arguments))
     call = f"{field}.{mapped.target}({given})"
     result = mapped.result
@@ -205,7 +205,7 @@ def _branch(field: str, portal: Portal, mapped: PortalMap) -> Iterator[str]:
 
 
 def _composed(rule: Composition, portal: Portal) -> Iterator[str]:
-    """A composition has the very portals of the primitive, so nothing is mapped."""
+    """The call of a composition, which has the portals of the primitive itself, so no mapping is needed."""
     first = ways.part(rule.name, next(iter(rule.needs)))
     call = f"{_maker_name(rule)}().{portal.name}({', '.join(p.name for p in portal.parameters)})"
     steps = [f"{call};", "return;"] if portal.result == "void" else [f"return {call};"]
@@ -215,7 +215,7 @@ def _composed(rule: Composition, portal: Portal) -> Iterator[str]:
 
 
 def _maker(rule: Composition) -> Iterator[str]:
-    """What puts the parts together, at the first call."""
+    """The method that combines the parts, at the first call."""
     field = ways.composed(rule.name)
     parts = ", ".join(ways.part(rule.name, need) for need in rule.needs)
     yield f"private {rule.through} {_maker_name(rule)}() {{"

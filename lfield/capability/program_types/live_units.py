@@ -32,7 +32,7 @@ def convert_live_units(
     """The registry with every live attribute converted from the unit of its telemetry.
 
     `devices` are the device fields of the program's resource types with their device types, `manifests` the
-    device types by name. What does not fit is reported, and left out of the registry that is returned;
+    device types by name. An attribute that does not fit is reported, and left out of the returned registry;
     providers that are no type of the program stay as they are.
     """
     providers = {
@@ -104,7 +104,7 @@ def _from_device(
 
 
 def element(type: str, index: int | None) -> str:
-    """The type of what is read: an element of an array where an index is given."""
+    """The type of a reading: an element of an array if an index is given."""
     if index is None:
         return type
     return type.removesuffix("[]") if type.endswith("[]") else "no array"

@@ -1,4 +1,4 @@
-"""Whether a registry fits a program: what providers promise of resources, and rules of their classes.
+"""Checks of a registry against a program: the resources behind providers, and the classes of rules.
 
 Only resource types of the program are checked; others are unknown. Findings refer to the YAML,
 where the promise is made.
@@ -57,7 +57,7 @@ def _report(mistakes: Sequence[Diagnostic], found: Diagnostics) -> None:
 
 
 def satisfied(registry: Registry, signatures: Mapping[str, Signature]) -> Registry:
-    """The registry without what its providers promise of resources of a program that these cannot do."""
+    """The registry without the promises of its providers that the resources of a program cannot keep."""
     fitting = {
         provider.type: replace(
             provider,
@@ -88,7 +88,9 @@ def _providers_in_program(
 
 
 def _feed_problems(registry: Registry, live: LiveAttribute, resource: Signature) -> list[Diagnostic]:
-    """A portal that feeds an attribute takes nothing, and gives what the attribute can be."""
+    """The problems of a portal that feeds an attribute: it must take no parameters and return a valid
+    value.
+    """
     if not live.portal:
         return []
     attribute = registry.attributes[live.attribute]
@@ -131,7 +133,7 @@ def check_types(
 ) -> None:
     """Report providers in the file of a mission that are types neither of its program nor of a library.
 
-    What a provider includes must be there in any case.
+    The included file of a provider must always exist.
     `own` are the resource types of the program, `find_source` maps the path of an include to its file.
     """
     extended = [p for p in registry.providers.values() if p.span.source.name == str(mission)]
@@ -177,7 +179,7 @@ def _missing(span: Span, targets: Sequence[str], resource: Signature) -> Diagnos
 
 
 def _signature_problems(primitive: Primitive, mapped: PortalMap, resource: Signature) -> list[Diagnostic]:
-    """How a portal that is there does not do for what is mapped onto it."""
+    """The reasons why an existing portal does not fit its mapping."""
     portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
     given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
     results = [

@@ -47,7 +47,7 @@ def resources_of(program: Program) -> dict[str, Signature]:
 
 
 def _overload(program: Program, method: MethodRecord) -> Overload:
-    """What a portal takes and gives; its first slot is the object."""
+    """The parameter types and the result of a portal; its first slot is the object."""
     parameters = method.slots[1 : 1 + method.parameters]
     return tuple(type_name(program, kind) for kind in parameters), type_name(program, method.result)
 
@@ -55,7 +55,7 @@ def _overload(program: Program, method: MethodRecord) -> Overload:
 def check_mission_registry(
     registry: Registry, own: Path, program: Program, plugins: Plugins, hollow: Collection[str] = ()
 ) -> list[Diagnostic]:
-    """Where a mission's `own` file does not fit its program. `hollow` types have no devices."""
+    """The mistakes of a mission's `own` file in relation to its program. `hollow` types have no devices."""
     resources, found = resources_of(program), Diagnostics()
     check_types(registry, own, resources, plugins.find_source, found)
     check_against(registry, resources, found)
@@ -70,7 +70,7 @@ def restrict_to_program(
 ) -> Registry:
     """The registry as far as a program fulfils it, its live attributes in their own units.
 
-    What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
+    A shipped provider may not fit a resource of the program with the same name: then it does not count.
     `hollow` types have no devices. The queries among the constants of the program are compiled.
     Raises ProgramError.
     """

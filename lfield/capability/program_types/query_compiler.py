@@ -1,4 +1,4 @@
-"""Queries of a program with parameters: found, checked, and written as the program has them.
+"""Queries of a program with parameters: found, checked, and translated to their compiled form.
 
 payload >= $mass[g] && agent != $name      in L
 payload >= $n0 && agent != $t1             compiled, with the values mass * 0.001 and name
@@ -57,7 +57,7 @@ def read_placeholders(text: str) -> QueryPlaceholders:
 def numbered_query(
     text: str, sorts: Mapping[str, PlaceholderSort], attributes: Mapping[str, Attribute]
 ) -> CompiledQuery:
-    """The query with numbered parameters, and the values that they need; or what is wrong with it."""
+    """The query with numbered parameters, and the values that they need; or the mistakes."""
     parsed, mistakes = parse_query(text, parameters=True)
     if parsed is None:
         return CompiledQuery(mistakes=tuple(mistakes))

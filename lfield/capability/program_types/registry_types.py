@@ -1,4 +1,4 @@
-"""The registry as the compiler's front end sees it: capabilities are types of L (lang.capabilities)."""
+"""The registry for the front end of the compiler: capabilities are types of L (lang.capability_port)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from lfield.text.source_text import Diagnostic, Diagnostics, Source
 class RegistryTypes:
     """The capabilities of a registry that is read at the first look-up.
 
-    Reading raises what `read` raises, ProgramError for one. `own` is the file with what a mission adds.
+    Reading raises the exceptions of `read`, such as ProgramError. `own` is the file with the additions of a
+    mission.
     """
 
     def __init__(self, read: Callable[[], Registry], *, own: Path | None = None) -> None:
@@ -52,7 +53,9 @@ class RegistryTypes:
     def registry_problems(
         self, used: Collection[str], files: Sequence[syntax.ParsedFile]
     ) -> Sequence[Diagnostic]:
-        """Where a mission's registry does not fit the units of its program, or the classes of rules."""
+        """The mistakes of a mission's registry in relation to the units of its program, or the classes of
+        rules.
+        """
         units, found = signatures_of(files), Diagnostics()
         served = _served(self.registry, units)
         rules = {rule.name: rule for name in used for rule in served.compositions(name)}
@@ -63,7 +66,7 @@ class RegistryTypes:
         return [*promised, *of_rules.found]
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
-        """What is wrong with the text of a condition over attributes."""
+        """The mistakes in the text of a condition over attributes."""
         return read_query(constraint, self.registry.attributes)[1]
 
     def placeholders(self, text: str) -> QueryPlaceholders:

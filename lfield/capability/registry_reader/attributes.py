@@ -1,4 +1,4 @@
-"""The sections `attributes` and `ranking`: what offers differ in, and what makes a good one.
+"""The sections `attributes` and `ranking`: the attributes of offers, and the weights of their ranking.
 
 ```yaml
 attributes:
@@ -22,7 +22,7 @@ from lfield.capability.registry_reader.registry_builder import NAME, RegistryBui
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry
 
-#: What conditions call something of their own.
+#: Names with a fixed meaning in conditions.
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
 
 #: The terms of the cost that have a weight, besides those of single attributes.

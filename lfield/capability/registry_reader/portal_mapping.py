@@ -1,9 +1,9 @@
-"""How canonical portals are served by others: the `portals` of a provider's `serves` and of one-to-one rules.
+"""The mapping of canonical portals to others: the `portals` of a provider's `serves` and of one-to-one rules.
 
 ```yaml
 portals:
   lift: {portal: reel, arguments: [{parameter: height, unit: mm}, 0.2], emit: {unit: mm}}
-  stop: halt                         # the same with the same parameters, under another name
+  stop: halt                         # the same parameters, under another name
 ```
 An argument is the name of a canonical parameter, a number, true or false, `{parameter: height, unit: mm}`
 with the unit that the target needs, or `{constant: "text"}`. `emit` is the unit in which the target emits,
@@ -26,7 +26,7 @@ from lfield.text.yaml_source import YamlEntry, YamlMapping, YamlNode, YamlScalar
 def read_portals(
     draft: RegistryBuilder, fields: YamlFields, primitive: Primitive, span: Span
 ) -> dict[str, PortalMap]:
-    """How all portals of a primitive are served; those that are left out, too, at the place `span`.
+    """The mappings of all portals of a primitive; those that are left out, too, at the place `span`.
 
     `fields` has the key `portals`.
     """
@@ -101,7 +101,7 @@ def _long_argument(
 def _result(
     draft: RegistryBuilder, fields: YamlFields, primitive: Primitive, portal: Portal
 ) -> Argument | None:
-    """What the caller gets for what the target emits."""
+    """The result for the caller, from the value that the target emits."""
     emit = fields.section("emit")
     if portal.result == "void":
         place = fields.key_span("emit")

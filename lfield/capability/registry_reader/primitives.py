@@ -1,4 +1,4 @@
-"""The section `primitives`: what can be called, with its canonical portals.
+"""The section `primitives`: capabilities that can be called, with their canonical portals.
 
 ```yaml
 primitives:

@@ -1,4 +1,4 @@
-"""The sections `providers` and `agents`: what resource types serve and state, and single agents besides.
+"""The sections `providers` and `agents`: attributes and primitives of resource types, and of single agents.
 
 ```yaml
 providers:
@@ -40,7 +40,7 @@ _NAME = r"[a-z][A-Za-z0-9_]*"
 _SOURCE = re.compile(
     rf"((?P<device>{_NAME})\.(?P<quantity>{_NAME})|(?P<portal>{_NAME})\(\))(\[(?P<index>[0-9]{{1,4}})\])?"
 )
-#: Seconds between two questions to a portal.
+#: Seconds between two calls of a portal.
 _EVERY, _RAREST = 1.0, 3600.0
 
 
@@ -79,7 +79,7 @@ def _provider(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, scop
 
 
 def _values(draft: RegistryBuilder, fields: YamlFields) -> tuple[dict[str, Value], frozenset[str]]:
-    """What `attributes` states and `nominal` holds to be usual, and which of all these values are so."""
+    """The values in `attributes` and `nominal`, and the names of the nominal ones."""
     stated, usual = fields.section("attributes"), fields.section("nominal")
     values, nominal = read_values(draft, stated), read_values(draft, usual)
     for name in values.keys() & nominal.keys():

@@ -1,4 +1,4 @@
-"""A registry while it is read: what has been found so far, and what every section's reader needs."""
+"""A registry while it is read: the parts so far, and the functions that the reader of every section needs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from lfield.text.yaml_source import YamlEntry
 #: Most entries that one section of a registry may have, all files together.
 MAX_ENTRIES = 5000
 
-#: Longest name of anything in a registry, in characters.
+#: Longest name in a registry, in characters.
 MAX_NAME = 80
 
 #: Dotted, as in the taxonomy; a name in L that begins small, one as L has it; a type in L; a rule, a need, an
@@ -63,9 +63,9 @@ class RegistryFile(Struct, frozen=True):
 
 
 class RegistryBuilder(Struct):
-    """What is read so far, section by section: a section may refer to those that were read before it.
+    """The parts read so far, section by section: a section may refer to those that were read before it.
 
-    `aliases` are the other ids of terms, and the ids out of use, with the id that counts.
+    `aliases` are the other ids of terms, and the ids out of use, each with the present id.
     """
 
     files: tuple[RegistryFile, ...]
@@ -113,7 +113,7 @@ class RegistryBuilder(Struct):
             self.report(messages.KEYWORD, span, name=name, what=what)
 
     def report_duplicate(self, what: str, name: str, span: Span, first: Span) -> None:
-        """Report a second definition of something that has one already."""
+        """Report a second definition of the same name."""
         self.report(messages.DUPLICATE, span, what=what, name=name, file=first.source.name, line=first.line)
 
     def report_redefinition(self, what: str, name: str, span: Span, first: Span) -> None:
@@ -143,7 +143,7 @@ class RegistryBuilder(Struct):
         )
 
     def similar_name(self, name: str, known: Collection[str]) -> str | None:
-        """`did you mean 'x'?`, or None when nothing is like it."""
+        """`did you mean 'x'?`, or None when no name is similar."""
         return did_you_mean(name[:MAX_NAME], known)
 
     def term(self, id: str, span: Span) -> str:

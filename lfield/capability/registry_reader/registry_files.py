@@ -1,6 +1,6 @@
 """Reads a registry: files in, one checked `Registry` or every mistake in any of them out.
 
-A file of a registry is YAML with any of these sections, each described where it is read:
+A file of a registry is YAML with any of these sections, each described in the module that reads it:
 
     registry: 1         the version of the format; every file has it
     taxonomy            taxonomy.py             terms as a tree, and its version
@@ -45,7 +45,7 @@ DRIVER_FILE = "capabilities.yaml"
 #: The version of the format.
 VERSION = 1
 
-#: What makes no difference to any answer.
+#: Fields that do not affect any answer.
 _IGNORED = frozenset({"span", "meaning", "digest", "constraints"})
 #: Not part of the digest: names and meanings of terms, and the paths of class sources, which differ between
 #: hosts.
@@ -77,7 +77,7 @@ def check_files(
     agents: Collection[str] | None = None,
     libraries: Sequence[Path] = (),
 ) -> tuple[Registry | None, list[Diagnostic]]:
-    """As `read_registry`, with everything found, warnings too; the registry is None when there are errors."""
+    """The registry, None when there are errors, and all findings with warnings; as `read_registry`."""
     found = Diagnostics()
     paths = [(path, False) for path in (*(shipped() if files is None else files), *libraries)]
     if mission is not None:
@@ -135,7 +135,7 @@ def _registry(draft: RegistryBuilder) -> Registry:
 
 
 def shipped_folder() -> Path:
-    """Where the files of the registry are; their classes in L are in the folder `L` there."""
+    """The folder of the registry files; their classes in L are in its folder `L`."""
     package = Path(lfield.__file__).resolve().parent
     installed = package / "registry"
     return installed if installed.is_dir() else package.parent / "capabilities"
@@ -156,7 +156,7 @@ def shipped() -> list[Path]:
 
 
 def digest(registry: Registry) -> bytes:
-    """SHA-256 over what was read: the same on every host whose registry gives the same answers.
+    """SHA-256 over the registry: the same on every host whose registry gives the same answers.
 
     Comments, meanings, places, paths and the order of files do not count.
     """

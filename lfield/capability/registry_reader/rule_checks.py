@@ -1,4 +1,4 @@
-"""Whether rules fit: the calls of one-to-one rules, the names of all, and circles through needs."""
+"""Checks of rules: the calls of one-to-one rules, the names of all, and cycles through needs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def check_calls(draft: RegistryBuilder, rule: Equivalence, serves: Primitive, by
 def _check_result(
     draft: RegistryBuilder, served: PortalMap, primitive: str, portal: Portal, target: Portal
 ) -> None:
-    """Report a portal that would not give the caller what the canonical one emits, in its unit."""
+    """Report a portal whose result for the caller is not that of the canonical one, in its unit."""
     if portal.result == "void":
         return
     given, result = result_type(served.result, portal, target.result), served.result
@@ -54,7 +54,7 @@ def _check_result(
 
 
 def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diagnostic:
-    """The finding that a portal gives something else than the canonical one emits."""
+    """The finding that a portal returns another result than the canonical one emits."""
     return messages.WRONG_RESULT.at(
         span,
         primitive=primitive,
@@ -65,7 +65,9 @@ def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diag
 
 
 def result_type(result: Argument | None, portal: Portal, emitted: str) -> str:
-    """The L type of what the caller gets, when the target emits `emitted`; '?' when that is not known."""
+    """The L type of the result for the caller, when the target emits `emitted`; '?' when that is not
+    known.
+    """
     if result is None:
         return emitted
     if result.parameter:
@@ -109,7 +111,7 @@ def _check_argument(
 def _check_unit(
     draft: RegistryBuilder, span: Span, given: Argument, unit: str, expected: str, what: str
 ) -> None:
-    """Report a number in `unit` that is given, converted or not, where another one is wanted."""
+    """Report a number in `unit` that is passed, converted or not, where another unit is required."""
     if units.conversion(unit, expected) != (given.factor, given.offset):
         draft.report(messages.WRONG_UNIT, span, what=what, expected=expected or "1", given=unit or "1")
 
@@ -139,7 +141,7 @@ def _ways(draft: RegistryBuilder) -> Iterator[tuple[str, str, str, Span]]:
 
 # --- circles -------------------------------------------------------------------------------------------
 
-#: What serves each primitive, and by which rule.
+#: The primitives that serve each primitive, with the rules.
 Graph = Mapping[str, Sequence[tuple[str, str]]]
 
 
@@ -161,7 +163,7 @@ def check_cycles(draft: RegistryBuilder) -> None:
 
 
 def _blamed_span(draft: RegistryBuilder, need: Span, rules: Sequence[str]) -> Span:
-    """Where a circle was closed: at a rule of the mission, where one of ours leads through it."""
+    """The place where a cycle was closed: at a rule of the mission, if it leads through a shipped one."""
     mission = {str(file.path) for file in draft.files if file.mission}
     known: Mapping[str, Equivalence | Composition] = {**draft.equivalences, **draft.compositions}
     spans = [need, *(known[rule].span for rule in rules)]

@@ -1,4 +1,4 @@
-"""The section `equivalences`: which primitives substitute for others, one for one or several together.
+"""The section `equivalences`: substitutions of primitives by one other or by several together.
 
 ```yaml
 equivalences:
@@ -41,7 +41,7 @@ from lfield.text.suggestions import listed
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlScalar
 
-#: Most parts that a composition can have: what can be put together grows with each of them.
+#: Most parts that a composition can have: the number of combinations grows with each of them.
 MAX_NEEDS = 8
 
 
@@ -65,7 +65,7 @@ def _read_rule(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, fol
     if ("by" in fields) == ("needs" in fields):
         draft.report(messages.NEITHER_NOR, entry.key_span, name=entry.key)
     elif serves is None:
-        pass  # nothing of the rule could be judged
+        pass  # no part of the rule could be checked
     elif "by" in fields:
         _one_to_one(draft, entry, fields, serves)
     else:
@@ -162,7 +162,7 @@ def _through(draft: RegistryBuilder, fields: YamlFields) -> str:
 
 
 def _source(draft: RegistryBuilder, fields: YamlFields, folder: Path) -> Path:
-    """The file with the class in L, seen from the folder of the registry file."""
+    """The file with the class in L, relative to the folder of the registry file."""
     text = fields.text("source", required=True)
     path = folder / text
     if text and not os.path.isfile(path):
@@ -176,7 +176,7 @@ def _conditions(draft: RegistryBuilder, fields: YamlFields, scope: NameScope) ->
 
 
 def _whole_attributes(draft: RegistryBuilder, section: YamlFields, scope: NameScope) -> dict[str, Expression]:
-    """What the whole is worth: an expression over the parts for each attribute."""
+    """The attributes of the whole: an expression over the parts for each."""
     worth = {}
     for entry in section.named():
         attribute = draft.attribute(entry.key, entry.key_span)
@@ -211,7 +211,7 @@ def subsumptions(primitives: Mapping[str, Primitive]) -> dict[str, Equivalence]:
 
 
 def _lacking(specific: Primitive, general: Primitive) -> tuple[str, ...]:
-    """The portals of the general primitive that the specific one has not, or has with another signature."""
+    """The portals of the general primitive that the specific one lacks, or has with another signature."""
     return tuple(
         name
         for name, portal in general.portals.items()

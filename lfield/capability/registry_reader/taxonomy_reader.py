@@ -46,7 +46,7 @@ def read_taxonomy(draft: RegistryBuilder) -> None:
 
 
 def _read_version(draft: RegistryBuilder) -> None:
-    """The shipped files have the version; a mission's file names the version it was written for."""
+    """Read the version of the taxonomy: a mission's file names the version it was written for."""
     for file in sorted(draft.files, key=lambda file: file.mission):
         required = file.top.integer("taxonomy_version", minimum=1, maximum=1_000_000)
         if not file.mission:
@@ -73,7 +73,7 @@ def _term(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Taxon
 
 
 def _joined(ours: TaxonomyTerm, mission: TaxonomyTerm) -> TaxonomyTerm:
-    """A term with what a mission adds to it."""
+    """A term with the additions of a mission."""
     return replace(
         ours,
         name=mission.name or ours.name,
@@ -102,7 +102,7 @@ def _resolve_aliases(draft: RegistryBuilder, spans: dict[tuple[str, str], Span])
 
 
 def _resolve_replacements(draft: RegistryBuilder, spans: dict[str, Span]) -> None:
-    """Resolve what terms out of use are replaced by; an id out of use leads there from now on."""
+    """Resolve the replacements of terms out of use; an id out of use leads there from now on."""
     for id, span in spans.items():
         term = draft.terms[id]
         instead = draft.aliases.get(term.deprecated, term.deprecated)

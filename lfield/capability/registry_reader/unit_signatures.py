@@ -1,6 +1,6 @@
-"""What portals take and emit, as types: of the primitives, of a program's resources and classes.
+"""Parameter and result types of portals: of the primitives, of a program's resources and classes.
 
-Types are names of L here (`real`, `int[]`), as manifests and the registry write them.
+Types are names of L (`real`, `int[]`), as in manifests and the registry.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lfield.manifest import DEVICE_VALUE_TYPES
 PORTAL_TYPES = (*DEVICE_VALUE_TYPES, "string[]")
 
 
-#: Types of L that no primitive can be named like.
+#: Types of L whose names no primitive can have.
 RESERVED_TYPES = frozenset({"Exception", "Offer", *BUILTIN_EXCEPTIONS})
 
 #: Parameter types and the type of the result, 'void' for none.
@@ -28,7 +28,7 @@ Overload = tuple[tuple[str, ...], str]
 
 
 class Signature(Struct, frozen=True):
-    """A resource, class or coordinator of a program as others see it.
+    """The public interface of a resource, class or coordinator of a program.
 
     `portals` are the overloads by name: portals of a resource, public methods of a class. `constructors`
     are their parameter types; `devices` are the fields of a resource with their types.

@@ -15,7 +15,7 @@ from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.value_tree import Variable
 from lfield.text.suggestions import choice
 
-#: What `help` prints: for each command its arguments and purpose.
+#: The output of `help`: for each command its arguments and purpose.
 HELP = """\
 step, next, out      one statement of the thread; over calls to another line; out of the method or portal
 line                 to another line, into calls
@@ -101,7 +101,7 @@ class DebuggerCommands:
 
     @property
     def frame_number(self) -> int:
-        """Its number, 0 for the innermost one."""
+        """The number of the chosen frame, 0 for the innermost one."""
         return self._frame
 
     def execute(self, text: str) -> list[str]:

@@ -26,7 +26,7 @@ PROMPT = "(lfield) "
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "paths",
         metavar="PATH",
@@ -155,7 +155,7 @@ def _read_commands(commands: DebuggerCommands) -> int:
         except LfieldError as error:
             print(f"lfield: {error}", file=sys.stderr)
         except (SearchCancelled, KeyboardInterrupt):
-            # A search may last long. It has moved nothing yet.
+            # A search may last long. The position is still unchanged.
             print("interrupted", file=sys.stderr)
     return exit_status.DONE
 

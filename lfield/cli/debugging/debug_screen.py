@@ -48,7 +48,7 @@ SOURCE_LINES = 60
 
 
 class DebugScreen:
-    """Shows a debugger in windows and executes what is typed, until `quit`."""
+    """Shows a debugger in windows and executes typed commands, until `quit`."""
 
     def __init__(self, commands: DebuggerCommands, output: Output | None = None) -> None:
         self._commands = commands
@@ -72,7 +72,7 @@ class DebugScreen:
         except LfieldError as error:
             lines = [str(error)]
         except (SearchCancelled, KeyboardInterrupt):
-            # It has moved nothing until it has found something.
+            # The position is unchanged until a match is found.
             lines = ["interrupted"]
         self._output = [*self._output, f"> {text}", *lines][-KEPT_LINES:]
         self._refresh()
@@ -80,7 +80,7 @@ class DebugScreen:
             self.application.exit()
 
     def lines(self, window: str) -> list[str]:
-        """What a window shows: 'source', 'stack', 'variables', 'threads', 'output' or 'timeline'."""
+        """The lines of a window: 'source', 'stack', 'variables', 'threads', 'output' or 'timeline'."""
         return self._texts[window]
 
     def _accept(self, buffer: Buffer) -> bool:

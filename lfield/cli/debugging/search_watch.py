@@ -17,7 +17,7 @@ SHOWN_AFTER, SHOWN_EVERY = 0.5, 0.2
 
 @contextmanager
 def interruptible(team: TeamTimeline, show: Callable[[str], None] = lambda text: None) -> Iterator[None]:
-    """In the block Ctrl-C raises SearchCancelled where a replay can end; a second one KeyboardInterrupt.
+    """In the block, Ctrl-C raises SearchCancelled where a replay can end; a second one KeyboardInterrupt.
 
     `show` is called with the progress from time to time, and with '' at the end.
     """

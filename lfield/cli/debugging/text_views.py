@@ -1,4 +1,4 @@
-"""What the terminal shows of a debugger: position, source, stack, variables, threads. Plain lines."""
+"""Views of a debugger for the terminal: position, source, stack, variables, threads. Plain lines."""
 
 from __future__ import annotations
 

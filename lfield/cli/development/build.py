@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "file",
         metavar="FILE",
@@ -39,14 +39,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="registry of the mission (default: MISSION.capabilities.yaml)",
     )
     parser.add_argument("--sim", action="store_true", help="bind simulated devices in place of the real ones")
-    # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was
-    # made is written down; an error is also a JSON object (lfield/cli/main.py).
+    # For `lfield up`, which caches the bundle: names of files are unchanged, and the inputs are written to a
+    # file; an error is also a JSON object (lfield/cli/main.py).
     parser.add_argument("--inputs", metavar="FILE", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--json", action="store_true", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file and say where it is and what its identity is."""
+    """Write the file and print its path and identity."""
     if args.file.suffix in (".dL", ".lfm"):
         return _build_bundle(args)
     if args.program or args.devices or args.capabilities or args.sim:
@@ -127,7 +127,7 @@ def _input_recorder() -> InputRecorder:
 
 
 def _write_inputs(args: argparse.Namespace, watch: InputRecorder) -> None:
-    """What the bundle was made of, and what would count if it were there."""
+    """Write the inputs of the bundle, and the missing files that would be inputs."""
     import msgspec
 
     from lfield.capability.registry_reader.registry_files import shipped_folder

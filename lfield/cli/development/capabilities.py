@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     tree = actions.add_parser("tree", **action_help("print the taxonomy with its L types"))
     tree.add_argument("id", metavar="ID", nargs="?", default="", help="print only the terms below this one")
@@ -43,7 +43,7 @@ def _add_mission(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; `check` gives 65 when there are mistakes."""
+    """Returns 0; `check` returns 65 when there are mistakes."""
     match args.action:
         case "tree":
             return _tree(args)
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _registry(args: argparse.Namespace) -> Registry:
-    """The registry with what installed drivers, and a mission where one is given, add to it."""
+    """The registry with the parts of installed drivers, and of a mission if one is given."""
     from lfield.capability.registry_reader.registry_files import read_registry
     from lfield.driver.plugins import discover
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "files",
         metavar="FILE",
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when there are no errors, else 65."""
+    """Returns 0 when there are no errors, else 65."""
     from lfield.text.message_tables import render_findings, tally
 
     found = _without_duplicates(finding for path in args.files for finding in _findings(path))
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[ReportableFinding]:
-    """Each finding once: a program may be named itself and by its deployment."""
+    """The findings, each once: a program may be named itself and by its deployment."""
     found: dict[str, ReportableFinding] = {}
     for finding in findings:
         data = finding.as_data()
@@ -55,7 +55,7 @@ def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[Reportabl
 
 
 def _findings(path: Path) -> list[ReportableFinding]:
-    """What is found in a file.
+    """The findings about a file.
 
     A bundle has the warnings with which it was built. Raises BundleError for one that is not sound, and
     UsageError for a YAML file.
@@ -81,7 +81,9 @@ def _findings(path: Path) -> list[ReportableFinding]:
 
 
 def _broken_drivers() -> Iterator[ReportableFinding]:
-    """A warning for each installed driver that cannot be used: a type that the program lacks may be its."""
+    """A warning for each installed driver that cannot be used: it may provide a type that the program
+    lacks.
+    """
     from lfield.driver.plugins import discover
     from lfield.text.source_text import PlainFinding
 
@@ -99,7 +101,7 @@ def _hosts_with_keys() -> frozenset[str]:
         return frozenset()
     if not folder.is_dir():
         return frozenset()
-    # It loads cryptography.
+    # This import loads cryptography.
     from lfield.authority.ledger import issued_hosts
 
     return issued_hosts(folder)

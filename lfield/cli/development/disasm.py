@@ -1,6 +1,6 @@
 """`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle.
 
-With `--wasm` it is what the engine in WebAssembly is given, set in, with the instructions above their text.
+With `--wasm` the listing is the WebAssembly text for the engine, indented, with the instructions above it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "file",
         metavar="FILE",

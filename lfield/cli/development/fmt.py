@@ -20,7 +20,7 @@ _STDIN = Path("-")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "files",
         metavar="FILE",
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _format(path: Path, *, check: bool) -> bool:
-    """Format a file; whether it changes. Raises ProgramError, InputFileError, OutputFileError."""
+    """Format a file; returns whether it changes. Raises ProgramError, InputFileError, OutputFileError."""
     from lfield.text.input_files import MAX_TEXT, read_bytes, read_up_to
 
     data = read_up_to(sys.stdin.buffer, MAX_TEXT) if path == _STDIN else read_bytes(path, MAX_TEXT)

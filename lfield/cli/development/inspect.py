@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "file",
         metavar="FILE",
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
 
     if os.path.isdir(args.file) and args.file.name != FILE_NAME:
         return _show_folder(args.file, as_json=args.json)
-    # What was moved aside is called after it.
+    # Files that were moved aside are named after the journal.
     if FILE_NAME in args.file.name:
         return _show_journal(args.file, as_json=args.json)
     if args.file.suffix in (bundle.SUFFIX, ".dL"):
@@ -127,7 +127,7 @@ def _show_journal(file: Path, *, as_json: bool) -> int:
 
 
 def _show_mission(file: Path, *, as_json: bool) -> int:
-    """What is in a bundle, or would be in that of a deployment."""
+    """Print the parts of a bundle, or of the bundle that a deployment would give."""
     from lfield.mission import bundle
     from lfield.mission.loader import load_mission
     from lfield.text.suggestions import listed

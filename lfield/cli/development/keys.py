@@ -26,7 +26,7 @@ _MAX_PAGE_DAYS = 398
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     _add_init(actions.add_parser("init", **action_help("create the certificate authority of a team")))
     host = actions.add_parser(
@@ -105,7 +105,7 @@ def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MAX_DA
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; `show` gives 69 when some of the keys cannot be used."""
+    """Returns 0; `show` returns 69 when some of the keys cannot be used."""
     match args.action:
         case "init":
             return _init(args)
@@ -211,7 +211,7 @@ def _rights(names: str) -> tuple[Right, ...]:
 
 
 def _print_made(made: LedgerKeys) -> None:
-    """What was made, and where it goes."""
+    """Print the keys that were made, and their destinations."""
     from lfield.authority.identity import sorted_rights
     from lfield.authority.keystore import OWN
     from lfield.authority.peer_verification import format_time

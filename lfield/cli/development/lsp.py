@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield.editor.installed import DiskFiles, InstalledEnvironment
     from lfield.editor.workspace import Workspace
 
-    # Its messages about lost connections are for developers of pygls.
+    # The messages of pygls about lost connections are for its developers.
     logging.getLogger("pygls").setLevel(logging.CRITICAL)
     server = LfieldServer(Workspace(DiskFiles(), InstalledEnvironment())).server
     # The streams of Python escape characters.

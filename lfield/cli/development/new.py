@@ -11,7 +11,7 @@ from lfield.errors import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "name", metavar="NAME", help="name of the mission: lower-case letters, digits and hyphens"
     )

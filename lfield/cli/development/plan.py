@@ -16,7 +16,7 @@ from lfield.text.number_arguments import real_above_0
 if TYPE_CHECKING:
     from lfield.geodata.mission_files import PlanReport, PlanRequest
 
-#: Vehicles of the option --kind; what a driver does not know it refuses.
+#: Vehicles of the option --kind; a driver refuses an unknown one.
 KINDS = ("copter", "plane", "vtol", "rover", "submarine")
 _LIMITS = ("altitude", "radius", "speed")
 #: Settings of the autopilot, by the names of the options of a binding.
@@ -24,7 +24,7 @@ _SETTINGS = ("return_height", "circle_radius")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     check = actions.add_parser("check", **action_help("report every fault of a mission or area file"))
     _add_file(check)
@@ -83,7 +83,7 @@ def _add_file(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; `check` gives 65 when the file has faults."""
+    """Returns 0; `check` returns 65 when the file has faults."""
     from lfield.geodata.area_file import is_area_file
     from lfield.text.input_files import MAX_TEXT, read_bytes
 

@@ -1,4 +1,4 @@
-"""Runs pytest with the surrounding project's configuration, or without what pytest refuses of it.
+"""Runs pytest with the surrounding project's configuration, or without the parts that pytest refuses.
 
 That project may need plugins that are not installed here.
 """
@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-#: What pytest is tried without, with the options for that, from nothing to all of the configuration.
+#: The parts without which pytest is tried, with their options, from none to all of the configuration.
 _ATTEMPTS = {
     "": (),
     "addopts and required_plugins of the pytest configuration": (
@@ -25,15 +25,15 @@ _VARIABLES = ("PYTEST_ADDOPTS", "PYTEST_PLUGINS")
 
 
 class _RefusedError(Exception):
-    """pytest has refused its configuration, its command line or a plugin, and has printed nothing."""
+    """Pytest has refused its configuration, its command line or a plugin, and has printed no message."""
 
 
 class _Startup:
     """A pytest plugin that reports a refusal as an exception, before pytest prints it.
 
-    It also declares settings of plugins that are not installed: pytest would warn about each, and fail where
-    the configuration is strict or makes warnings errors. `notice` is printed when pytest has
-    accepted everything.
+    The plugin also declares settings of plugins that are not installed: pytest would warn about each, and
+    fail if the configuration is strict or makes warnings errors. `notice` is printed when pytest has accepted
+    all settings.
     """
 
     def __init__(self, notice: str) -> None:

@@ -12,7 +12,7 @@ from lfield.errors import KeysError, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("file", metavar="BUNDLE", type=Path, help="bundle (.lfm), signed in place")
     parser.add_argument(
         "--keys",
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Sign it; the signature that it has is replaced, its digest stays."""
+    """Sign the bundle; an existing signature is replaced, the digest is unchanged."""
     from lfield.authority.bundle_signature import sign_bundle, verify_bundle
     from lfield.authority.keystore import OWN, find_keys, read_keys
     from lfield.cli.output_files import write_bytes

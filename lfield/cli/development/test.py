@@ -12,7 +12,7 @@ from lfield import exit_status
 from lfield.errors import PluginError, UsageError
 from lfield.text.terminal_escape import unescaped_stream
 
-#: What pytest ends with, as our statuses: passed, failed, interrupted, broken, misused, nothing found.
+#: The exit statuses of pytest as our statuses: passed, failed, interrupted, broken, misused, no tests found.
 _STATUSES = (
     exit_status.DONE, exit_status.FAILED, exit_status.INTERRUPTED, exit_status.SOFTWARE, exit_status.USAGE,
     exit_status.NO_INPUT,
@@ -20,7 +20,7 @@ _STATUSES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to test, and where pictures go."""
+    """Declare the tests to run, and the folder of pictures."""
     parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or directories (default: .)")
     parser.add_argument(
         "--from",
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     options = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
     options += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
     options += ["-k", args.k] if args.k else []
-    # It has colours of its own.
+    # Pytest has colours of its own.
     sys.stdout, sys.stderr = unescaped_stream(sys.stdout), unescaped_stream(sys.stderr)
     return _STATUSES[run_pytest([*options, *args.paths])]
 

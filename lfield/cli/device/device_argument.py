@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def add_devices(parser: argparse.ArgumentParser) -> None:
-    """Declare them."""
+    """Declare the arguments that name devices."""
     parser.add_argument(
         "--endpoint", metavar="E", default="", help="endpoint of the device, as in a devices file"
     )
@@ -45,7 +45,7 @@ def named_driver(name: str, plugins: Plugins) -> InstalledPlugin:
 def named_devices(
     args: argparse.Namespace, installed: InstalledPlugin, plugins: Plugins
 ) -> list[DeviceBinding]:
-    """The devices that are meant. Raises UsageError, BindingError, InputFileError."""
+    """The named devices. Raises UsageError, BindingError, InputFileError."""
     from lfield.mission.device_selection import devices_in_file, one_device
 
     if args.devices is not None:
@@ -58,7 +58,7 @@ def named_devices(
 
 
 def setup_command(args: argparse.Namespace) -> str:
-    """The command that sets up the devices that are meant."""
+    """The command that sets up the named devices."""
     command = ["lfield", "setup", args.driver]
     for option, value in (("--endpoint", args.endpoint), ("--devices", args.devices), ("--type", args.type)):
         command += [option, str(value)] if value else []

@@ -21,7 +21,7 @@ _MARKS = {"ok": "ok      ", "note": "note    ", "warning": "warning ", "problem"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "--deploy",
         metavar="MISSION",
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when nothing is a problem (notes and warnings are none), 69 otherwise."""
+    """Returns 0 when there is no problem (notes and warnings are none), 69 otherwise."""
     from lfield import event_loop
     from lfield.driver.plugins import discover
     from lfield.operator.diagnostics import system
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     plugins = discover()
     for finding in (*system(plugins), *local_keys_health(os.environ, time.time())):
         report(finding)
-    # On the loop of a host: it is its lateness that is measured.
+    # On the loop of a host, whose lateness is measured.
     event_loop.run(
         _check_system(plugins, report) if args.deploy is None else _check_devices(args, plugins, report)
     )
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 async def _check_system(plugins: Plugins, on_finding: Callable[[DiagnosticFinding], None]) -> None:
-    """Measure against what bindings say by default."""
+    """Measure against the default silence of bindings."""
     from lfield.clock import SystemClock
     from lfield.mission.bindings import Bindings
     from lfield.operator.diagnostics import drivers, scheduling_lateness

@@ -1,4 +1,4 @@
-"""`lfield driver`: what is installed, and the skeleton of a new driver."""
+"""`lfield driver`: lists installed drivers, and makes the skeleton of a new one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lfield.errors import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     installed = actions.add_parser("list", **action_help("list the installed drivers and their device types"))
     installed.add_argument("--json", action="store_true", help="print the list as JSON")

@@ -23,7 +23,7 @@ _MARKS = {"passed": "ok     ", "failed": "FAILED ", "not run": "not run"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("driver", metavar="DRIVER", help="driver: mavlink, can, dynamixel, ...")
     add_devices(parser)
     parser.add_argument(
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when nothing failed, 1 when a check did, 3 when a device was not left safe and at rest."""
+    """Returns 0 when no check failed, 1 when one did, 3 when a device was not left safe and at rest."""
     from lfield.clock import SystemClock
     from lfield.devices.conformance_run import END_CHECK, conformance_checks, run_conformance
     from lfield.driver.plugins import discover
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _confirmed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:
-    """Ask for confirmation before anything is opened, except for sensors; without a terminal the answer is
+    """Ask for confirmation before a device is opened, except for sensors; without a terminal the answer is
     no.
     """
     names = ", ".join(device.name for device in devices if not device.is_sensor)

@@ -1,7 +1,7 @@
 """`lfield setup`: writes the settings that bindings need to their devices, after a confirmation.
 
-It commands no motion. The old values are in a file before anything is written; `--apply FILE` restores them.
-With a parameter file of a ground station, `--apply` writes its values instead.
+The command causes no motion. The old values are in a file before new ones are written; `--apply FILE`
+restores them. With a parameter file of a ground station, `--apply` writes its values instead.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "driver",
         metavar="DRIVER",
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the parameters are as required, 1 without confirmation."""
+    """Returns 0 when the parameters are as required, 1 without confirmation."""
     from lfield import event_loop
     from lfield.devices.parameter_backup import backup_folder, newest_backup, read_backup
     from lfield.driver.plugins import discover
@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _selected(args: argparse.Namespace, plugins: Plugins) -> tuple[DriverLookup, list[DeviceBinding]]:
-    """The devices that were named, and the drivers to reach them by."""
+    """The named devices, and the drivers to reach them by."""
     from lfield.driver.driver_index import installed_drivers
     from lfield.mission.loader import open_mission
 
@@ -162,7 +162,7 @@ async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[Bac
 
 
 def _is_parameter_file(file: Path) -> bool:
-    """Whether it is none of the JSON files that `lfield setup` writes."""
+    """Whether a file is none of the JSON files that `lfield setup` writes."""
     from lfield.text.input_files import read_head
 
     try:

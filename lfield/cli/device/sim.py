@@ -76,7 +76,7 @@ def _running() -> dict[Path, dict[str, Any]]:
         try:
             running[path] = send_fault_command(path, [])
         except AddressError:
-            # One that is only slow keeps its door.
+            # The socket of a device that is only slow is kept.
             if is_stale_socket(path):
                 path.unlink(missing_ok=True)
     return running
@@ -103,7 +103,7 @@ def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tupl
 
 
 def _setting_for(setting: str, device: str) -> str:
-    """The setting for a device, unless it names one itself."""
+    """The setting for a device, unless it already names one."""
     name, equals, value = setting.partition("=")
     return f"{name}@{device}{equals}{value}" if device and "@" not in name else setting
 

@@ -32,7 +32,7 @@ class PushReport:
         self._deferred: set[str] = set()
 
     def start(self, text: str) -> None:
-        """Print what is pushed, and start the progress bars in a terminal."""
+        """Print the bundle that is pushed, and start the progress bars in a terminal."""
         self._print(text)
         if not self._as_json and sys.stderr.isatty():
             from rich.progress import BarColumn, Progress, TextColumn
@@ -46,7 +46,7 @@ class PushReport:
             self._bars.start()
 
     def on_progress(self, host: str, progress: UploadProgress) -> None:
-        """More pieces are stored on a host, or it stores other bundles first."""
+        """Show that more pieces are stored on a host, or that it stores other bundles first."""
         if progress.is_deferred and host not in self._deferred:
             self._deferred.add(host)
             self._print(f"{host}: waits: {progress.refusal}", error=True)
@@ -56,7 +56,7 @@ class PushReport:
             self._bars.update(self._tasks[host], completed=progress.stored)
 
     def on_sent(self, sent: Mapping[str, UploadProgress], size: int) -> None:
-        """All transfers have ended."""
+        """Called when all transfers have ended."""
         if self._bars is not None:
             self._bars.stop()
         self._data["sent"] = {
@@ -73,7 +73,9 @@ class PushReport:
                 self._print(f"{host}: stored, already there")
 
     def on_refusals(self, reasons: Mapping[str, str], silent: Mapping[str, LfieldError]) -> int:
-        """Hosts would vote no, or do not answer, so that there was no vote; returns the exit status."""
+        """Print the hosts that would vote no, or do not answer, so that there was no vote; returns the
+        status.
+        """
         self._data |= {"votes": {}, "reasons": dict(reasons)}
         for host, reason in reasons.items():
             self._print(f"{host}: refuses: {reason}", error=True)

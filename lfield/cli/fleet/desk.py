@@ -1,4 +1,4 @@
-"""The parts that the commands of a desk share: inventory, keys of the user, requests to all services."""
+"""The common parts of the commands of a desk: inventory, keys of the user, requests to all services."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lfield.authority.key_material import Keys
     from lfield.inventory.inventory import Inventory
 
-#: What robots go on with after Ctrl-C during a push or a rollback.
+#: The activity that robots continue after Ctrl-C during a push or a rollback.
 VOTE_GOES_ON = "the robots keep what was sent, and complete a vote that has begun within 40 s"
 
 
@@ -52,7 +52,7 @@ def open_inventory(args: argparse.Namespace) -> Inventory:
 
 
 def report_missing_files(inventory: Inventory) -> None:
-    """A line on stderr for each file of the inventory that does not exist; on a robot only its own do."""
+    """A line on stderr for each file of the inventory that does not exist; on a robot only for its own."""
     from lfield.inventory.location import SYSTEM
 
     if inventory.path == SYSTEM:
@@ -77,7 +77,7 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
 
 @contextmanager
 def explained_interrupt(text: str) -> Iterator[None]:
-    """After Ctrl-C print what the robots go on with."""
+    """After Ctrl-C, print the activity that the robots continue."""
     try:
         yield
     except KeyboardInterrupt:

@@ -35,7 +35,7 @@ States = Mapping["Endpoint", "EndpointState"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     check = actions.add_parser(
         "check", **action_help("check which addresses answer, and which host answers there")
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; `check` gives 69 if a host answers at none of its addresses, or another host at one."""
+    """Returns 0; `check` returns 69 if a host answers at none of its addresses, or another host at one."""
     inventory = open_inventory(args)
     require_hosts(inventory, args.hosts)
     report_missing_files(inventory)
@@ -144,7 +144,7 @@ def _state_data(endpoint: Endpoint, state: EndpointState) -> dict[str, object]:
 
 
 def _print_states(states: States, *, has_keys: bool) -> None:
-    """A row for each address, then a line for each that is not as it should be."""
+    """A row for each address, then a line for each that is not in its expected state."""
     from lfield.cli.views.team_state_view import add_row, new_table
     from lfield.cli.views.trees import plain_console
 
@@ -166,7 +166,7 @@ def _print_states(states: States, *, has_keys: bool) -> None:
 
 
 def _summary(hosts: Mapping[str, Sequence[EndpointState]]) -> Iterator[str]:
-    """Sentences about the hosts that do not answer: another one does, they refuse, or nothing answers."""
+    """Sentences about the hosts that do not answer: another one does, they refuse, or there is no answer."""
     refused, missing = [], []
     for host, states in hosts.items():
         others = dict.fromkeys(state.name for state in states if state.outcome == "other-host")
@@ -183,7 +183,7 @@ def _summary(hosts: Mapping[str, Sequence[EndpointState]]) -> Iterator[str]:
 
 
 def _finding(endpoint: Endpoint, state: EndpointState) -> str:
-    """The line about an address that is not as it should be; one for all ports that cannot be reached."""
+    """The line about an address that is not in its expected state; one for all unreachable ports."""
     if state.outcome == "other-host":
         return f"{endpoint.host}: {endpoint.address} is an address of {state.name}: correct the inventory"
     if state.outcome == "closed" and "%" in endpoint.address:

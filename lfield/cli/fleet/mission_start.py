@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 def start_on_robots(args: argparse.Namespace) -> int | None:
     """Start the mission whose bundle is active on the robots of the inventory; None without an inventory.
 
-    0 when it runs on all hosts of its deployment; 1 when a host refuses or ends, or no coordinator runs; 69
-    when one was not reached: then nothing was started, unless it is left out.
+    Returns 0 when it runs on all hosts of its deployment; 1 when a host refuses or ends, or no coordinator
+    runs; 69 when one was not reached: then no host was started, unless the missing one is left out.
     """
     from lfield.inventory.location import find_inventory
 

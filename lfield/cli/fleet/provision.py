@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "hosts", metavar="HOST", nargs="*", help="hosts of the inventory (default: all of them)"
     )
@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all hosts are provisioned and doctor has found no problem there, 69 otherwise."""
+    """Returns 0 when all hosts are provisioned and doctor has found no problem there, 69 otherwise."""
     from lfield import event_loop
     from lfield.cli.views.provision_view import ProvisionView, print_summary
     from lfield.provision.wheel_cache import WheelCache
@@ -98,7 +98,7 @@ async def _provision_all(
     view: ProvisionView,
     inventory: str,
 ) -> list[bool]:
-    """All hosts in parallel; whether each is provisioned."""
+    """Provision all hosts in parallel; returns whether each is provisioned."""
     from lfield.provision.host_provisioning import HostProvisioning, ProvisionRun, UpdateGate
 
     with tempfile.TemporaryDirectory(dir=_socket_parent()) as sockets:

@@ -37,7 +37,7 @@ PATIENCE, FIRST_CONTACT, FIRST_LISTENER = 60.0, 15.0, 1.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "mission", metavar="MISSION", type=Path, help="bundle (.lfm), or deployment (.dL) to build and sign"
     )
@@ -58,9 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the bundle is active on all hosts; 1 when one refuses, 69 when one was not reached.
+    """Returns 0 when the bundle is active on all hosts; 1 when one refuses, 69 when one was not reached.
 
-    4 when the result of the vote is not known yet.
+    Returns 4 when the result of the vote is not known yet.
     """
     from lfield.cli.fleet.ballot_report import PushReport
     from lfield.mission import bundle
@@ -90,7 +90,7 @@ async def _push(
     """Send the bundle, then have the hosts vote, over one link to each."""
     links = desk.links(hosts)
     try:
-        # A host that is off is not waited for, but named.
+        # A host that is off is named, and not waited for.
         statuses, silent = split_answers(await service_states(links))
         sent, failed = split_answers(await _upload_all(links, what, list(statuses), args.patience, report))
         failed |= silent
@@ -100,7 +100,7 @@ async def _push(
             report_unreached(failed, "")
             out = [*failed, *refused]
             hint = "".join(f" --without {host}" for host in out)
-            # Without all of them there is no mission.
+            # Without all hosts there is no mission.
             rest = f", or activate without them:{hint}" if len(out) < len(hosts) else ""
             why = f"this push has activated nothing; repeat it{rest}"
             report.finish("staged", failed, why)
@@ -116,9 +116,10 @@ async def _push(
 async def service_states(
     links: ServiceLinks, hosts: list[str] | None = None, *, is_known: bool = False
 ) -> dict[str, ServiceStatus | LfieldError]:
-    """The states of services. One that is known to run may be restarting, and is asked again for some time.
+    """The states of services. A service known to run may be restarting: its request is repeated for some
+    time.
 
-    In a Zenoh fabric it may also have lost its router.
+    In a Zenoh fabric the service may also have lost its router.
     """
     from lfield.net.transport import has_zenoh
     from lfield.operator.fleet.service_link import RESTART_TIME

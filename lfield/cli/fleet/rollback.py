@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_without(parser, "leave out this host, which cannot join until it has the bundle")
     parser.add_argument(
         "--lost",
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the previous bundle is active on all hosts; else as `lfield push`."""
+    """Returns 0 when the previous bundle is active on all hosts; else as `lfield push`."""
     desk = open_desk(args)
     desk.addresses([*args.without, *([args.lost] if args.lost else [])])
     if args.lost:
@@ -86,7 +86,7 @@ def _hosts_of_mission(
 ) -> list[str]:
     """The hosts of the active mission that are not left out and in the inventory.
 
-    All hosts with a bundle, and those that do not answer, where it is not known which mission that is.
+    If the active mission is unknown: all hosts with a bundle, and those that do not answer.
     """
     from lfield.operator.fleet.active_missions import active_missions
 
@@ -99,7 +99,7 @@ def _hosts_of_mission(
 def _common_previous(
     statuses: Mapping[str, ServiceStatus], hosts: Sequence[str], without: Sequence[str]
 ) -> bytes:
-    """The previous bundle of all these hosts. Raises UsageError where they differ."""
+    """The previous bundle of all these hosts. Raises UsageError if they differ."""
     found = {host: statuses[host].previous for host in hosts}
     if len(set(found.values())) > 1:
         each = [_way_back(digest, found, statuses, without) for digest in dict.fromkeys(found.values())]
@@ -113,7 +113,7 @@ def _common_previous(
 def _way_back(
     digest: bytes, found: Mapping[str, bytes], statuses: Mapping[str, ServiceStatus], without: Sequence[str]
 ) -> str:
-    """To which of the previous bundles some hosts would return, and by which command."""
+    """The previous bundles to which some hosts would return, and the commands for that."""
     from lfield.operator.fleet.active_missions import bundle_info
 
     own = [host for host, previous in found.items() if previous == digest]
@@ -124,7 +124,7 @@ def _way_back(
     options = "".join(f" --without {host}" for host in (*without, *others))
     command = f"'lfield rollback{options}'"
     if info is not None and (left := [host for host in others if host in info.hosts]):
-        # Without them the mission would not be complete.
+        # Without these hosts the mission would not be complete.
         command = f"'lfield push' activates it there and on {listed(left)}"
     return f"{listed(own)}: {name}bundle {short_digest(digest)}: {command}"
 

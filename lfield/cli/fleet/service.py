@@ -21,7 +21,7 @@ UP_OPTIONS = ("--until-done", "--lost-after", "300")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("--host", metavar="NAME", required=True, help="name of this robot in the inventory")
     parser.add_argument(
         "--inventory",
@@ -49,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until it is stopped; 0, or 69 when it cannot listen. With --check 1 when an update is forbidden."""
+    """Run until stopped; returns 0, or 69 when it cannot listen. With --check 1 when an update is
+    forbidden.
+    """
     from lfield import event_loop
     from lfield.authority import keystore
     from lfield.host.process.credentials import HostCredentials
@@ -74,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     NETWORK.select(args.host)
     if NETWORK.config is not None:
         os.environ[SECTION_VARIABLE] = NETWORK.config.encode()
-    # The next service finds a host that runs by the path in its command line.
+    # The next service finds a running host by the path in the command line of the host.
     state = versioned_state(args.state or state_dir(), __version__).absolute()
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
@@ -86,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> int:
-    """Print what forbids an update of lfield; returns the exit status."""
+    """Print the reasons against an update of lfield; returns the exit status."""
     import asyncio
 
     from lfield.clock import SystemClock
@@ -116,7 +118,7 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
 
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
-    """The options of the mission's host: where the others are, its keys, and its own devices file."""
+    """The options of the mission's host: the addresses of the others, its keys, and its own devices file."""
     found = [*UP_OPTIONS, f"--state={state}", f"--files={inventory.path.absolute().parent}"]
     # A host does not read YAML.
     found += [f"--address={name}={host.address}" for name, host in inventory.hosts.items()]

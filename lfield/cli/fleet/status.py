@@ -1,4 +1,4 @@
-"""`lfield status`: bundle, signer, version and mission of each robot, and why it refuses or waits."""
+"""`lfield status`: bundle, signer, version and mission of each robot, and its refusals and waits."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("hosts", metavar="HOST", nargs="*", help="hosts (default: all of the inventory)")
     add_desk(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all services answer; 1 when one refuses, 69 when one was not reached."""
+    """Returns 0 when all services answer; 1 when one refuses, 69 when one was not reached."""
     desk = open_desk(args)
     reached, failed = split_answers(desk.statuses(args.hosts or desk.hosts))
     if args.json:

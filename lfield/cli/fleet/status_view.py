@@ -55,7 +55,9 @@ def differing_versions(statuses: Mapping[str, ServiceStatus]) -> str:
 
 
 def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
-    """Sentences about what is not as usual: why a host waits, an open ballot, unfinished coordinators."""
+    """Sentences about unusual states: the reason why a host waits, an open ballot, unfinished
+    coordinators.
+    """
     if divided := divided_hosts(statuses):
         yield escape_line(
             f"the active bundles of {listed(divided)} differ, and hosts with different bundles do not link: "
@@ -93,7 +95,7 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
 
 
 def _idle(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[IdleCoordinator]:
-    """The coordinators that do not run. One of a host that was not reached may run there."""
+    """The coordinators that do not run. One of an unreached host may run there."""
     return [one for one in idle_coordinators(mission, statuses) if one.host in statuses]
 
 

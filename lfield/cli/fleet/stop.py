@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_without(parser, "do not stop this host")
     parser.add_argument(
         "--discard",
@@ -38,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all hosts have stopped; 3 when vehicles of one may not be at rest.
+    """Returns 0 when all hosts have stopped; 3 when vehicles of one may not be at rest.
 
-    1 when one refuses, 69 when one was not reached.
+    Returns 1 when one refuses, 69 when one was not reached.
     """
     from lfield.client import mission_stop
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lfield.wire.observer_messages import EmergencyStopResult
 
     Stopped = Mapping[HostRef, EmergencyStopResult | LfieldError]
-    #: Why devices are not known to be at rest, by host and device.
+    #: The reasons why devices are not known to be at rest, by host and device.
     InMotion = Mapping[tuple[HostRef, str], str]
 
 #: Time to come to rest, in seconds, for devices of hosts without a run here: as most bindings say.
@@ -32,7 +32,7 @@ _MAX_LINE = 4000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument(
         "--reason", metavar="TEXT", default="", help="reason, which the hosts write to their logs"
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every device has confirmed and is at rest, else 3; 69 when nothing is running.
+    """Returns 0 when every device has confirmed and is at rest, else 3; 69 when no mission is running.
 
     A host where no mission runs has nothing to lift.
     """
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def nonblocking_command_output() -> AbstractContextManager[None]:
-    """Output that is not read (Ctrl-S, a full pipe) does not delay the orders that are sent to hosts.
+    """In the block, unread output (Ctrl-S, a full pipe) does not delay the orders that are sent to hosts.
 
     The command still ends only when its output has been read: the output names the devices that are not safe.
     """
@@ -130,7 +130,7 @@ def ask_and_print(
     *,
     needs_all: bool = True,
 ) -> StopReport:
-    """Send the order and print each answer as it comes; devices are then in the `state`.
+    """Send the order and print each answer as it arrives; devices are then in the `state`.
 
     Without `needs_all` the report is complete also without the hosts where no program listens. Raises
     KeyboardInterrupt after it has named the hosts whose answers were not printed.

@@ -23,7 +23,7 @@ RATE, MAX_RATE = 1.0, 20.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print one JSON object per line")
@@ -91,8 +91,9 @@ def _rate(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """The status of the mission with --until-done; 130 after a Ctrl-C; else 0, or 69 when a host did not
-    answer."""
+    """Returns the status of the mission with --until-done; 130 after a Ctrl-C; else 0, or 69 when a host
+    did not answer.
+    """
     from lfield.cli.views import event_view
     from lfield.client.event_json import event_json
     from lfield.operator.dashboard.event_feed import FeedNotice
@@ -135,7 +136,7 @@ def run(args: argparse.Namespace) -> int:
     return run_session(args, lines, plan)
 
 
-#: The end event that is missing too when its begin event was skipped.
+#: The end event that is also missing when its begin event was skipped.
 _END_EVENTS = {"left": "hopped", "began": "ended", "asked": "answered"}
 
 

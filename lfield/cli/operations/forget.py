@@ -10,13 +10,14 @@ from lfield.errors import CoordinatorAlive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("agent", metavar="AGENT", help="id of the coordinator")
     add_running_mission(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every host has answered; raises CoordinatorAlive when it is alive or nothing was given up.
+    """Returns 0 when every host has answered; raises CoordinatorAlive when it is alive or no copy was
+    given up.
 
     69 when a host did not answer.
     """
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _nothing_released(agent: str, *, answers: bool) -> str:
-    """Why no host has given anything up: the state may have changed since the snapshot."""
+    """The reason why no host has given up a copy: the state may have changed since the snapshot."""
     if not answers:
         return f"no host has answered: it is unknown whether a copy of {agent} was given up"
     return (

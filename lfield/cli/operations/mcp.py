@@ -17,7 +17,7 @@ from lfield.text.terminal_escape import escape_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument(
         "--log",
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _own_name(folder: Path | None) -> str:
-    """The person whose keys these are, else the user of this computer. Raises KeysError."""
+    """The owner of the keys, else the user of this computer. Raises KeysError."""
     from lfield.authority.certificate_reader import verify_keys
     from lfield.client.service_desk import find_person_keys
     from lfield.net.peer_credentials import own_process_identity

@@ -9,7 +9,7 @@ from lfield.cli.operations.estop import ask_and_print, exit_status_of, nonblocki
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument(
         "--no-wait",
@@ -19,7 +19,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every host is paused and every device is at rest, else 3; 69 when nothing is running."""
+    """Returns 0 when every host is paused and every device is at rest, else 3; 69 when no mission is
+    running.
+    """
     from lfield.operator.client import pause
     from lfield.operator.targets import display_names
 

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument("--json", action="store_true", help="print the answers of the hosts as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every host answered, 69 when one or more did not. Raises NoMissionRunning."""
+    """Returns 0 when every host answered, 69 when one or more did not. Raises NoMissionRunning."""
     # First: without a running mission the rest is not imported.
     runs = selected_runs(args)
     from lfield.cli.views import run_table, team_status_view

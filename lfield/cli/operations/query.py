@@ -1,4 +1,6 @@
-"""`lfield query "Lift where payload >= 2.0"`: the agents that provide a capability, and why others do not."""
+"""`lfield query "Lift where payload >= 2.0"`: the agents that provide a capability, and the reasons
+against others.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from lfield.text.number_arguments import whole_between
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument(
         "query",
         metavar="QUERY",
@@ -46,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when there are offers, 1 when there are none."""
+    """Returns 0 when there are offers, 1 when there are none."""
     from lfield.cli.views import query_view
     from lfield.client.capability_query import TeamQueries
     from lfield.client.query_json import query_data

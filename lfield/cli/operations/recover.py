@@ -19,14 +19,16 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     parser.add_argument("agent", metavar="AGENT", help="id of the coordinator")
     add_running_mission(parser)
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when it continues, 1 without confirmation, 69 when it is alive or its host refuses."""
+    """Returns 0 when the coordinator continues, 1 without confirmation, 69 when it is alive or its host
+    refuses.
+    """
     from lfield.operator.client import SNAPSHOT, ask_teams, print_unanswered, unanswered
     from lfield.operator.recovery_candidates import best_candidate
     from lfield.operator.targets import display_names, trusted_targets

@@ -11,12 +11,12 @@ from lfield.text.terminal_escape import escape_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every host has resumed, 69 when one did not answer or refused."""
+    """Returns 0 when every host has resumed, 69 when one did not answer or refused."""
     from lfield.operator.client import ask_teams, pause, print_unanswered, unanswered_by_name
     from lfield.operator.targets import display_names
 

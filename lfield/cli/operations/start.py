@@ -1,8 +1,8 @@
 """`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
 
-Without a mission it is for the services of the robots of the inventory, if no mission runs on this computer
-or --inventory names a file. On a desk with both it refuses: a person who starts robots would get an answer of
-simulated hosts with the same names, or the other way round.
+Without a mission the command is for the services of the robots of the inventory, if no mission runs on this
+computer or --inventory names a file. On a desk with both the command refuses: a person who starts robots
+would get an answer of simulated hosts with the same names, or the other way round.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object, for robots with services")
     parser.add_argument(
@@ -37,9 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when no coordinator waits on the hosts that answer, 1 when one does.
+    """Returns 0 when no coordinator waits on the hosts that answer, 1 when one does.
 
-    69 when a host did not answer that is not left out: coordinators may still wait there.
+    Returns 69 when a host that is not left out did not answer: coordinators may still wait there.
     """
     from lfield.operator.runs import runs_here
 
@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _require_one_target() -> None:
-    """Raises UsageError if the robots of an inventory on a desk may be meant."""
+    """Raises UsageError if the robots of an inventory on a desk may be intended."""
     from lfield.inventory.location import SYSTEM, inventory_path
 
     path = inventory_path(None, os.environ)
@@ -93,7 +93,9 @@ def _check_hosts(without: list[str], parties: list[TargetTeam]) -> None:
 
 
 def _print_start(host: str, answer: StartResponse | LfieldError) -> bool:
-    """Print what a host has started, and to stderr what still waits there; returns whether any waits."""
+    """Print the coordinators that a host has started, and to stderr those that wait; returns whether any
+    waits.
+    """
     if isinstance(answer, LfieldError):
         return False
     if answer.started:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_running_mission(parser)
     parser.add_argument(
         "--port",
@@ -95,7 +95,7 @@ def _address(text: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """130, after a Ctrl-C."""
+    """Returns 130, after a Ctrl-C."""
     from lfield.text.nonblocking_output import nonblocking_output
 
     # The process that prints also sends the STOP of the page.
@@ -218,7 +218,7 @@ def _need_nicegui() -> None:
 def _cancel_on_ctrl_c() -> None:
     """Ctrl-C cancels the running task once: a second one would interrupt the shutdown."""
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
-    # A shell ignores it for background processes.
+    # A shell ignores the signal for background processes.
     if task is None or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
 

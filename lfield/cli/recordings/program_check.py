@@ -1,4 +1,4 @@
-"""What `lfield replay --program` and `lfield test --from` have in common: a program on a recorded world."""
+"""Common parts of `lfield replay --program` and `lfield test --from`: a program on a recorded world."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def check_program(
     recording: TeamRecording, path: Path, engines: Engines, *, as_json: bool, quiet: bool = False
 ) -> int:
-    """Run the program of a mission on a recording and report where its calls differ.
+    """Run the program of a mission on a recording and report the differences of its calls.
 
     Returns 0 for the same calls, 1 for others, 65 if the recording cannot tell. Raises ProgramError,
     RecordingError.
@@ -51,7 +51,7 @@ def check_program(
 
 
 def _unknown_reason(recording: TeamRecording, recorded: CallLog) -> str:
-    """Why equal calls prove nothing, '' if they do."""
+    """The reason why equal calls prove nothing, '' if they do prove it."""
     if recording.missing:
         return f"no recording of {listed(recording.missing)}"
     if recording.losses:
@@ -70,7 +70,7 @@ def utc_time(at: float, digits: int) -> str:
 
 
 def gap_lines(recording: TeamRecording) -> list[str]:
-    """What is missing of a recording, a line each."""
+    """The missing parts of a recording, a line each."""
     lines = [f"incomplete: {problem}" for problem in recording.problems]
     if recording.missing:
         lines.append(f"no recording of: {', '.join(recording.missing)}")
@@ -80,7 +80,7 @@ def gap_lines(recording: TeamRecording) -> list[str]:
 
 
 def named_mission_file(recording: TeamRecording, paths: list[str]) -> Path:
-    """The mission to test: the one that is named, or that of the recording in the working directory.
+    """The mission to test: the named one, or that of the recording in the working directory.
 
     Raises UsageError, InputFileError.
     """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_recordings(parser)
     parser.add_argument(
         "--engine",
@@ -57,7 +57,7 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay and report; returns 0 if everything is equal, 1 at a difference."""
+    """Replay and report; returns 0 if all turns are equal, 1 at a difference."""
     from lfield.replay.recording_files import load_team
     from lfield.replay.team_check import ReplaySummary, check_guards, check_team
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         result = check_team(recording, named_engine(args.engine), on_progress)
     guards, problems = check_guards(recording)
     result = ReplaySummary([*result.parts, *guards])
-    # Reading a guard's ring finds what loading it has found, and more.
+    # Reading a guard's ring finds the problems that loading it has found, and more.
     recording = replace(recording, problems=tuple(dict.fromkeys((*recording.problems, *problems))))
     if args.json:
         print(json.dumps(_as_data(recording, result)))

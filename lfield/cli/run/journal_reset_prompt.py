@@ -1,4 +1,4 @@
-"""`lfield up --fresh`: prints what would be discarded, asks for confirmation, and closes the previous run."""
+"""`lfield up --fresh`: prints the copies to discard, asks for confirmation, and closes the previous run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def reset_journal(
             raise CoordinatorAlive(_live_elsewhere(found.departed))
         if found.discarded and not _confirmed(owner.host, found, yes=yes):
             return False
-        # First: nothing is discarded here before it is given up there.
+        # First: a copy is given up there before it is discarded here.
         for page, where in found.parked.items():
             request = ask_all(observer_transport(keys), {where: others[where]}, forget(page.agent))
             _require_answer(page.agent, asyncio.run(request))
@@ -80,7 +80,7 @@ def _live_elsewhere(away: Sequence[CoordinatorRecord]) -> str:
 
 
 def _confirmed(host: str, found: ResetPlan, *, yes: bool) -> bool:
-    """Print what is discarded and ask for confirmation. Raises UsageError without a terminal."""
+    """Print the copies to discard and ask for confirmation. Raises UsageError without a terminal."""
     print(f"--fresh discards these coordinators of {host}, which could continue:")
     for page in found.discarded:
         where = f", parked at {found.parked[page]}" if page in found.parked else ""

@@ -1,4 +1,4 @@
-"""Options of `lfield up` for the flight recorder: where, how much, or not at all."""
+"""Options of `lfield up` for the flight recorder: its folder and limit, or no recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def add_record_options(parser: argparse.ArgumentParser) -> None:
 
 
 def recording_target(mission: Mission, args: argparse.Namespace) -> RecordingDirectory | None:
-    """Where a host records; None if it does not. Raises NoHomeFolder."""
+    """The folder and limit of a host's recording; None without a recording. Raises NoHomeFolder."""
     from lfield.host.recording.recording_target import RecordingDirectory
     from lfield.text.user_dirs import state_dir
 

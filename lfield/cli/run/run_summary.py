@@ -1,4 +1,4 @@
-"""The last line of `lfield up --all`: mission completed, or what failed and where."""
+"""The last line of `lfield up --all`: mission completed, or the failure and its host."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lfield.host.process.run_result import RunResult
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
-#: The most hosts with reasons in the line; it must stay readable in a team of many.
+#: The most hosts with reasons in the line, which must be readable for a large team.
 MAX_REASONS = 2
 
 
@@ -33,7 +33,7 @@ def summary(
 
 
 def _failure(statuses: Mapping[str, int], status: int, results: Mapping[str, RunResult]) -> tuple[str, str]:
-    """Where a mission failed, and why."""
+    """The hosts where a mission failed, and the reasons."""
     failed = [host for host, each in statuses.items() if each == status]
     others = [host for host, each in statuses.items() if each not in (exit_status.DONE, status)]
     reasons: dict[str, str] = {}
@@ -52,7 +52,9 @@ def _failure(statuses: Mapping[str, int], status: int, results: Mapping[str, Run
 
 
 def total_hops(results: Mapping[str, RunResult]) -> int:
-    """The hops of coordinators: the most that a host knows of each start, as a killed one reports none."""
+    """The hops of coordinators: for each start the largest number of any host, as a killed host reports
+    none.
+    """
     most: dict[str, int] = defaultdict(int)
     for result in results.values():
         for start, hops in result.hops.items():

@@ -1,6 +1,6 @@
 """`lfield up`: runs one host of a mission here, or all of them as processes of this machine.
 
-It always runs a bundle: the one that is named, or one that is built for it in a process of its own.
+A host always runs a bundle: the named one, or one that is built in a process of its own.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare its options."""
+    """Declare the options."""
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -172,7 +172,7 @@ def _run_mission(path: Path, args: argparse.Namespace) -> int:
 
 
 def _run_built(path: Path, args: argparse.Namespace) -> int:
-    """Run a mission that is built from files, or taken from the build cache."""
+    """Run a mission from files: its bundle is built, or taken from the build cache."""
     from lfield.mission.build_cache import BuildFailed, BuildRequest, cached_bundle
 
     try:
@@ -221,7 +221,7 @@ def _stated_addresses(args: argparse.Namespace) -> Mapping[str, str]:
 
 
 def _check_dump_folder(folder: Path) -> None:
-    """Check that the directory for dumps is writable, before anything moves. Raises OutputFileError."""
+    """Check that the directory for dumps is writable, before any device moves. Raises OutputFileError."""
     from lfield.text.secure_files import private_folder
 
     if not os.access(private_folder(folder), os.W_OK | os.X_OK):
@@ -278,7 +278,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
 
 @contextmanager
 def _refusal_reported(args: argparse.Namespace) -> Iterator[None]:
-    """Reports to `--all`, or to the service, why this host cannot start."""
+    """Reports to `--all`, or to the service, the reason why this host cannot start."""
     from lfield.host.process.run_result import RunResult, refusal_reason
 
     try:
@@ -303,7 +303,7 @@ def _setup_named(args: argparse.Namespace, host: str) -> Iterator[None]:
 def _control_socket(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str]:
     """The control socket of the host: in its own run, or in that of `--all`.
 
-    Raises OutputFileError where they would not.
+    Raises OutputFileError if no command would find the run.
     """
     from lfield.operator.runs import publish_run, run_manifest
 
@@ -344,8 +344,8 @@ def _check_start(
 ) -> None:
     """Check that a host may start before its journal is created or discarded.
 
-    And that no host runs here whose folder was moved away: in its place no new journal may be put. One that
-    has its folder keeps others out by its lock. Raises LfieldError.
+    Also check that no host runs here whose folder was moved away: no new journal may replace it. The lock of
+    a host with its folder keeps others out. Raises LfieldError.
     """
     from lfield.clock import SystemClock
     from lfield.host.process.credentials import validate_startup

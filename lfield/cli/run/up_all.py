@@ -1,6 +1,6 @@
-"""`lfield up --all`: every host of a mission as a process, on free ports or as --map says.
+"""`lfield up --all`: every host of a mission as a process, on free ports or at the addresses of --map.
 
-All run the same bundle; no host compiles.
+All hosts run the same bundle; no host compiles.
 
 Each child inherits its listening socket, so that no other process takes the port. Its stdin is a supervision
 pipe: a line reports a sibling that has exited, and at EOF the child stops in order, its devices in their safe
@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from lfield.mission.mission import Mission
     from lfield.text.log_messages import LogLine
 
-#: Time-out of a silent host under --all, in seconds: it hangs, so less than in the field.
+#: Time-out of a silent host under --all, in seconds: such a host hangs, so the time is shorter than in the
+#: field.
 DEFAULT_LOST_AFTER = 3.0
 #: The address of a host without --map.
 ANY_FREE_PORT = "127.0.0.1:0"
@@ -67,7 +68,7 @@ HOST_STATUSES = (exit_status.DONE, exit_status.FAILED, exit_status.UNSAFE, exit_
 def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Callable[[str], None]) -> int:
     """Run every host of a mission until all have ended; returns the exit status.
 
-    `report` prints which commands would not find the run. Raises OutputFileError when none would.
+    `report` prints the commands that would not find the run. Raises OutputFileError when none would.
     """
     mapped = parse_maps(args.map, mission.team)
     reserved = {host: open_listening_socket(mapped.get(host, ANY_FREE_PORT)) for host in mission.team.hosts}
@@ -122,7 +123,7 @@ class _HostProcesses:
         self.confirmed: dict[str, dict[str, str]] = {host: {} for host in addresses}
         #: Set by each report of a guard whose host has ended.
         self.guard_reported = asyncio.Event()
-        #: Why hosts were killed.
+        #: The reasons why hosts were killed.
         self.killed: dict[str, str] = {}
         self.width = max(len(host) for host in addresses)
         self.stop_signals = ShutdownSignals(SystemClock(), self.stop_again)
@@ -137,7 +138,7 @@ class _HostProcesses:
     async def run(self) -> int:
         started = asyncio.get_running_loop().time()
         install_signal_handlers(self.stop_signals)
-        # The table would disable the echo of a line that is typed.
+        # The table would disable the echo of a typed line.
         if sys.stderr.isatty() and not self.args.json and not self.readers:
             from lfield.cli.views.live_view import LiveView
 
@@ -250,7 +251,7 @@ class _HostProcesses:
                 self.show(host, text, target)
 
     def on_guard_report(self, host: str, text: str, report: dict[str, Any]) -> None:
-        """Forward a log line of a guard whose host has ended; note a confirmed safe state."""
+        """Forward a log line of a guard whose host has ended; record a confirmed safe state."""
         if self.args.json:
             sys.stdout.write(text + "\n")
         else:
@@ -261,14 +262,14 @@ class _HostProcesses:
             self.guard_reported.set()
 
     def note(self, host: str, line: LogLine) -> None:
-        """A log line about a host that has ended."""
+        """Print a log line about a host that has ended."""
         if self.args.json:
             sys.stdout.write(json_line(SystemClock().time(), host, line))
         else:
             self.show(host, line, sys.stderr)
 
     def print(self, line: LogLine) -> None:
-        """A log line about the run."""
+        """Print a log line about the run."""
         if self.args.json:
             sys.stdout.write(json_line(SystemClock().time(), "", line))
         else:
@@ -309,13 +310,13 @@ class _HostProcesses:
         return status
 
     def on_exit(self, exited: str) -> None:
-        """Report a host that has exited to the others: unlike silence it is proof of its end."""
+        """Report the exit of a host to the others: unlike silence it is proof of its end."""
         for host, child in self.children.items():
             if host != exited and child.returncode is None and child.stdin and not child.stdin.is_closing():
                 child.stdin.write(parent_pipe.exit_line(exited))
 
     def on_typed(self, line: str) -> None:
-        """A line of the operator's input: `HOST: TEXT`, or for the only host that reads."""
+        """Handle a line of the operator's input: `HOST: TEXT`, or for the only host that reads."""
         name, colon, text = line.partition(":")
         host = name.strip() if colon else ""
         if host in self.children:
@@ -332,7 +333,7 @@ class _HostProcesses:
     async def signal_status(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended.
 
-        Unsafe if it has a device that acts: a confirmed safe state is not yet rest.
+        The status is unsafe if the host has a device that acts: a confirmed safe state does not prove rest.
         """
         killed = log_messages.HOST_KILLED.line(host=host, signal=number.name)
         self.note(host, killed)
@@ -374,7 +375,7 @@ class _HostProcesses:
     def stop_again(self) -> None:
         """Send the second stop signal to every host; the first was EOF on its supervision pipe.
 
-        It is repeated, since a host that saw EOF late takes the first one for an echo.
+        The signal is repeated, since a host that saw EOF late takes the first one for an echo.
         """
         self.terminate()
         asyncio.get_running_loop().call_later(REPEAT_WINDOW, self.terminate)

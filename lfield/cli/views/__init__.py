@@ -1,1 +1,1 @@
-"""What commands show in a terminal."""
+"""Views of commands in a terminal."""

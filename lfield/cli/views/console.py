@@ -1,4 +1,4 @@
-"""A console of rich whose texts order no terminal anything: the control sequences are those of rich alone."""
+"""A console of rich without control sequences of its texts: only those of rich itself reach the terminal."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lfield.text.terminal_escape import escape
 
 
 class PlainConsole(Console):
-    """Texts of hosts and devices stand in its tables; rich leaves most control characters in them."""
+    """A console for tables with texts of hosts and devices; rich leaves most control characters in them."""
 
     def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
-        """The segments of what is drawn, their texts as they are shown."""
+        """The segments of a drawing, with their texts made printable."""
         for segment in super().render(*args, **options):
             text = segment.text if segment.control else escape(segment.text)
             yield segment if text == segment.text else Segment(text, segment.style)

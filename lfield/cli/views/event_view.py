@@ -157,7 +157,7 @@ def _cell(value: object) -> object:
     return escape_line(value) if isinstance(value, str) else value
 
 
-#: The levels of lines; one of a later version is taken for information.
+#: The levels of lines; a level of a later version counts as information.
 _LEVELS: dict[str, Level] = {"warning": "warning", "error": "error"}
 
 

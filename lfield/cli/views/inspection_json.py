@@ -58,7 +58,7 @@ def thread_data(threads: Iterable[ThreadView]) -> list[dict[str, Any]]:
 
 
 def journal_data(view: ReadOnlyView) -> dict[str, Any]:
-    """The readable records of a journal, and what is damaged."""
+    """The readable records of a journal, and the damaged parts."""
     programs = {record.digest: record for _, record in view.records if isinstance(record, ProgramRecord)}
     header = view.header
     return {

@@ -41,7 +41,7 @@ _OUTCOMES = {
 
 
 def journal_lines(view: ReadOnlyView) -> Iterator[str]:
-    """What `lfield inspect` prints of a journal."""
+    """The output of `lfield inspect` for a journal."""
     if view.header is None:
         yield "journal   header damaged: host and deployment unknown"
     else:

@@ -89,14 +89,14 @@ class _TerminalEcho:
         self._is_disabled = False
 
     def disable(self) -> None:
-        """Disable it, unless this process is in the background: the kernel would stop it."""
-        # No controlling terminal, or none that can be set.
+        """Disable the echo, unless this process is in the background: the kernel would stop it."""
+        # The process has no controlling terminal, or it cannot be set.
         with suppress(OSError, termios.error):
             if os.tcgetpgrp(self._stream.fileno()) == os.getpgrp():
                 self._is_disabled = self._set(is_on=False)
 
     def restore(self) -> None:
-        """Enable it again."""
+        """Enable the echo again."""
         if self._is_disabled:
             # The process may have been moved to the background.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
@@ -107,7 +107,7 @@ class _TerminalEcho:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def _set(self, *, is_on: bool) -> bool:
-        """Returns whether it was different before."""
+        """Set the echo; returns whether it was different before."""
         settings = termios.tcgetattr(self._stream.fileno())
         flags = settings[3] | termios.ECHO if is_on else settings[3] & ~termios.ECHO
         has_changed = flags != settings[3]

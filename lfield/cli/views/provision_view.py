@@ -48,13 +48,13 @@ class ProvisionView:
             self._live.stop()
 
     def on_report(self, report: StepReport) -> None:
-        """A step of a host has another state."""
+        """Print the new state of a step of a host."""
         before = self._last.get(report.host)
         self._last[report.host] = report
         if self._as_json:
             print(json.dumps(report.as_data()), flush=True)
             return
-        # Of a step that takes long, each further line would only repeat the first.
+        # For a long step, each further line would only repeat the first.
         is_progress = report.state == "running" and before is not None and before.step == report.step
         if self._live:
             if report.state != "running":
@@ -88,7 +88,7 @@ class ProvisionView:
 
 
 def print_summary(hosts: Sequence[str], provisioned: Sequence[str], seconds: float, *, is_dry: bool) -> None:
-    """The last line: how many hosts are done, and which are not."""
+    """Print the last line: the number of finished hosts, and the others."""
     missing = [host for host in hosts if host not in provisioned]
     what = "could be planned" if is_dry else "done"
     tail = f"; not done: {', '.join(missing)}" if missing else ""

@@ -72,7 +72,7 @@ class _Attributes:
         self._named = attributes_of(question.constraint)
 
     def describe(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
-        """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and how many more."""
+        """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and the number of others."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
         alike = groupby(first[:most], key=lambda name: facts[name].source)
         parts = [
@@ -119,7 +119,7 @@ def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
 
 
 def how(offer: Offer) -> str:
-    """By which rules: `direct`, `by climb-lifts`, `by climb-lifts, composed by grip-and-climb`."""
+    """The rules of an offer: `direct`, `by climb-lifts`, `by climb-lifts, composed by grip-and-climb`."""
     if offer.kind == "direct":
         return "direct"
     if offer.kind == "composed":

@@ -16,7 +16,7 @@ _CELL, _CELL_OF_OTHERS = 4000, 200
 
 
 def show(runs: Sequence[Run]) -> None:
-    """Print the table: what each run is called, whose it is, and which hosts of its mission it runs here."""
+    """Print the table: the name and owner of each run, and the hosts of its mission that it runs here."""
     shown = Table(box=None, pad_edge=False)
     for column in ("RUN", "HOSTS", "USER", "UP SINCE", "MISSION"):
         shown.add_column(column, overflow="fold")

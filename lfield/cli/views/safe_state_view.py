@@ -1,4 +1,6 @@
-"""The way down of devices after an emergency stop: a table that is redrawn in a terminal, else lines."""
+"""The progress of devices to rest after an emergency stop: a table that is redrawn in a terminal, else
+lines.
+"""
 
 from __future__ import annotations
 

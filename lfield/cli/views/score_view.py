@@ -14,7 +14,7 @@ from lfield.capability.offer import Offer
 
 
 def score_lines(offers: Sequence[Offer]) -> Iterator[str]:
-    """The scores of some offers by their ranks, with everything they are made of."""
+    """The scores of some offers by their ranks, with all their terms."""
     for rank, offer in enumerate(offers, 1):
         yield f"{rank}: score {offer.score:.3f} = 1 / (1 + cost)"
         yield from _cost_lines(offer, "  ", "")

@@ -57,7 +57,7 @@ def _agent_state(agent: AgentState) -> str:
 
 
 def _place(agent: AgentState) -> str:
-    """Its position in the program, and what it waits for."""
+    """The position of an agent in the program, and the portal or instruction that it waits for."""
     line = f"{agent.file}:{agent.line}" if agent.line and not agent.finished else ""
     return ", ".join(filter(None, (line, agent.waits and f"waits for {agent.waits}")))
 

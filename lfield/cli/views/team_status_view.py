@@ -23,7 +23,7 @@ from lfield.wire.observer_messages import (
     StartStatus,
 )
 
-#: The most rows of the table of links. In a larger team it has so many of the worst links.
+#: The most rows of the table of links. For a larger team it has only the worst links.
 MAX_LINK_ROWS, WORST_LINKS = 72, 12
 #: Maximum number of missing hosts in the suggested command.
 MAX_NAMED = 8

@@ -58,7 +58,7 @@ class AssistantServer:
             on_list_tools=self._list_tools,
             on_call_tool=self._call_tool,
         )
-        # Nothing but answers leaves this process.
+        # Only answers leave this process.
         self._server.middleware[:] = [self._log_refusals]
         self._calls: set[asyncio.Task[CallToolResult]] = set()
 

@@ -31,7 +31,7 @@ Hosts = Annotated[list[str], Meta(description="names of hosts")]
 
 
 class ToolArguments(Struct, frozen=True, forbid_unknown_fields=True):
-    """The arguments of a tool; of some tools there are none."""
+    """The arguments of a tool; some tools have none."""
 
 
 class QueryArguments(ToolArguments, frozen=True):
@@ -49,7 +49,7 @@ class ExplainArguments(ToolArguments, frozen=True):
 
 
 class EventArguments(ToolArguments, frozen=True):
-    """Which of the stored events."""
+    """A selection of the stored events."""
 
     since: Annotated[int, Meta(description="events after this number of each host; 0 for all")] = 0
     kinds: Annotated[list[str], Meta(description="kinds of events, such as hopped; none for all")] = []
@@ -74,7 +74,7 @@ class CallArguments(ToolArguments, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class AssistantTool:
-    """One tool; `may_move` says that hardware may move."""
+    """One tool; `may_move`: hardware may move."""
 
     description: str
     arguments: type[ToolArguments]
@@ -83,7 +83,7 @@ class AssistantTool:
 
     @property
     def schema(self) -> dict[str, Any]:
-        """The JSON schema of its arguments."""
+        """The JSON schema of the tool's arguments."""
         (_,), parts = msgspec.json.schema_components([self.arguments])
         return dict(parts[self.arguments.__name__])
 

@@ -1,2 +1,3 @@
-"""Analyses of `together` for the first pass: which calls can start asynchronously, and before which
-statements."""
+"""Analyses of `together` for the first pass: calls that can start asynchronously, and the statements
+before which they start.
+"""

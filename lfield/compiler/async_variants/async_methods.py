@@ -11,7 +11,7 @@
         ...
 
 A realisation that is one call runs concurrently, whether of the resource itself or of an equivalent offer.
-Any other realisation has several steps (a composition), or computes something from the result: it is executed
+Any other realisation has several steps (a composition), or computes a value from the result: it is executed
 synchronously when the block reaches it, and its result is stored with those of the others.
 """
 
@@ -98,8 +98,9 @@ def _future_methods(methods: Iterable[Method]) -> list[Method]:
 
 
 def async_variant_of(method: Method) -> AsyncVariant:
-    """The variant: its last parameters are the ticket and, where there is a result, an array (or null) and an
-    index in it."""
+    """The variant: its last parameters are the ticket and, if there is a result, an array (or null) and an
+    index in it.
+    """
     ticket = Local("", types.TICKET, method.span)
     place: Element | None = None
     added = [ticket]
@@ -143,7 +144,7 @@ def _step(one: Stmt, place: Element | None) -> list[Stmt]:
 
 
 def _starts_call(call: PortalCall | Call) -> bool:
-    """Whether it is the call of a portal, or of a method of an offer."""
+    """Whether a call is that of a portal, or of a method of an offer."""
     if isinstance(call, PortalCall):
         return True
     return call.method.unit.capability and call.method.name not in OFFER_METHODS

@@ -1,4 +1,4 @@
-"""The columns of comments behind code: those that are below each other in the source stay so."""
+"""The columns of comments after code: those that are below each other in the source stay so."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from lfield.editor.layout.line_layout import Row
 
 @dataclass(frozen=True, slots=True)
 class _Aligned:
-    """A comment with its row; `end` is where the code before it ends, 0 without code.
+    """A comment with its row; `end` is the end of the code before it, 0 without code.
 
-    `column` and `pad`, the spaces before it, are those of the source; `shift` is how far its row has moved.
+    `column` and `pad`, the spaces before it, are those of the source; `shift` is the movement of its row.
     """
 
     row: int
@@ -23,7 +23,7 @@ class _Aligned:
 
 
 def comment_columns(rows: Sequence[Row]) -> dict[int, int]:
-    """The column of the comment of each row that has one behind code, or below such a one."""
+    """The column of the comment of each row that has one after code, or below such a one."""
     found: dict[int, int] = {}
     for group in _groups(rows):
         column = max(one.end + 1 for one in group)
@@ -50,7 +50,7 @@ def _groups(rows: Sequence[Row]) -> Iterator[list[_Aligned]]:
 
 
 def _aligned(number: int, row: Row) -> _Aligned | None:
-    """The comment of a row that may be aligned: behind code, or alone in the row."""
+    """The comment of a row that may be aligned: after code, or alone in the row."""
     last = row.pieces[-1].item
     if not last.ends_line:
         return None

@@ -1,7 +1,7 @@
 """The formatted text of a program and of a deployment: `lfield fmt`.
 
 The tokens and comments stay, with the line breaks within statements. So the formatted program is compiled to
-the same code. The layout depends on nothing that it changes, so a second time changes nothing.
+the same code. The layout does not depend on its own changes, so a second formatting has no effect.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def format_deployment(source: Source) -> str:
 
 
 def _entries(source: Source, found: Diagnostics) -> list[tuple[object, ...]]:
-    """What the lines say, without their positions."""
+    """The contents of the lines, without their positions."""
     entries = (read_line(line, found) for line in source_lines(source))
     return [_content(entry) for entry in entries if entry is not None]
 

@@ -26,7 +26,7 @@ def further_breaks(rows: Sequence[Row]) -> set[int]:
 
 
 def _further_break(row: Row) -> int | None:
-    """A block in one line gets several lines, a body its own one; else the statement is broken."""
+    """The next break: a block in one line gets several lines, a body its own one; else in the statement."""
     pieces = row.code
     for at, placed in enumerate(pieces[:-1]):
         if placed.is_block and pieces[at + 1].role is not TokenRole.CLOSE:

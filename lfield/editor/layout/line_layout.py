@@ -1,4 +1,4 @@
-"""Tokens and comments to lines: where a line begins, and how far it is indented.
+"""Converts tokens and comments to lines, with their starts and indentation.
 
 Line breaks within a statement are those of the source. A statement begins a line, unless it is in a block
 that the source has on one line.
@@ -34,7 +34,7 @@ class Row:
 
     @property
     def trailing(self) -> Placed | None:
-        """The comment behind code that ends the line."""
+        """The comment after code that ends the line."""
         last = self.pieces[-1]
         return last if len(self.pieces) > 1 and last.item.ends_line else None
 
@@ -49,7 +49,7 @@ class Row:
         return made
 
     def width(self, count: int | None = None) -> int:
-        """Where that text ends; of a comment with several lines the last one counts."""
+        """The end of that text in columns; of a comment with several lines the last one counts."""
         return len(self.text(count).rpartition("\n")[2])
 
 
@@ -134,7 +134,7 @@ class LineLayout:
         return False
 
     def _is_clause_first(self, index: int, placed: Placed) -> bool:
-        """Whether `else`, `catch` or `finally` begins a line: not behind a brace that begins one."""
+        """Whether `else`, `catch` or `finally` begins a line: not after a brace that begins one."""
         before = self._placed[index - 1]
         if (
             before.role is TokenRole.CLOSE
@@ -150,7 +150,7 @@ class LineLayout:
         return self._breaks[closing + 1] > self._breaks[opening + 1]
 
     def _is_behind_leading_comment(self, placed: Placed) -> bool:
-        """Whether `/* ... */` begins the line and the token is behind it."""
+        """Whether `/* ... */` begins the line and the token is after it."""
         last = self.rows[-1].pieces[-1].item if self.rows else None
         is_leading = last is not None and len(self.rows[-1].pieces) == 1 and last.is_comment
         return is_leading and last is not None and not last.ends_line and placed.item.breaks == 0

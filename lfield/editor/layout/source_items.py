@@ -12,7 +12,7 @@ from lfield.text.source_text import Diagnostics, Source
 
 #: The width of a tab in the source, and of one level of indentation.
 INDENT = 4
-#: What is between two tokens is white space and these.
+#: The text between two tokens is white space and these.
 _COMMENT = re.compile(r"//[^\n]*|/\*(?s:.*?)\*/")
 _SPACE = re.compile(r"\s+")
 
@@ -21,8 +21,8 @@ _SPACE = re.compile(r"\s+")
 class SourceItem:
     """A token or a comment (kind None).
 
-    `breaks` are the line breaks before it. `column` is where it begins in its line, `indent` where the text
-    of that line begins, both counted from 0. `pad` are the spaces between it and the item before it.
+    `breaks` are the line breaks before it. `column` is its first column, `indent` the first column of the
+    text of its line, both counted from 0. `pad` are the spaces between it and the item before it.
     """
 
     text: str
@@ -34,7 +34,7 @@ class SourceItem:
 
     @property
     def is_comment(self) -> bool:
-        """Whether it is a comment."""
+        """Whether the item is a comment."""
         return self.kind is None
 
     @property
@@ -43,7 +43,7 @@ class SourceItem:
         return self.kind is None and self.text.startswith("//")
 
     def is_symbol(self, *texts: str) -> bool:
-        """Whether it is one of these symbols or keywords."""
+        """Whether the item is one of these symbols or keywords."""
         return self.kind in (TokenKind.SYMBOL, TokenKind.KEYWORD) and self.text in texts
 
 

@@ -1,7 +1,7 @@
 """Whether a space is between two tokens of a line.
 
-Operators have one on both sides, brackets none inside. A parenthesis has one before it in `if (a)`, none in
-`f(a)`.
+Operators have a space on both sides, brackets none inside. A parenthesis has a space before it in `if (a)`,
+none in `f(a)`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from lfield.editor.layout.statement_structure import Placed, TokenRole
 from lfield.lang.scanner import TokenKind
 
-#: Keywords before a parenthesis of an expression; behind all other ones and behind names are arguments.
+#: Keywords before a parenthesis of an expression; after all other ones and after names are arguments.
 _BEFORE_GROUP = ("return", "throw", "if", "while", "for", "catch", "else", "emit", "new", "try", "include")
 _TIGHT = (",", ";", ".")
 
@@ -46,14 +46,14 @@ def _symbol(placed: Placed) -> str:
 
 
 def _is_called(left: Placed) -> bool:
-    """Whether a parenthesis behind it has arguments or parameters."""
+    """Whether a parenthesis after a token has arguments or parameters."""
     if left.item.kind is TokenKind.KEYWORD:
         return left.item.text not in _BEFORE_GROUP
     return _ends_operand(left)
 
 
 def _ends_operand(left: Placed) -> bool:
-    """Whether it may be the end of a name, a type or an operand."""
+    """Whether a token may be the end of a name, a type or an operand."""
     if left.role is TokenRole.CLOSE_BRACKET:
         return True
     if left.item.kind is TokenKind.SYMBOL:

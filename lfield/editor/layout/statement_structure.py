@@ -1,7 +1,7 @@
-"""Where statements, blocks and clauses begin and end, found from the tokens alone.
+"""The starts and ends of statements, blocks and clauses, found from the tokens alone.
 
-It knows the statements whose body may have no braces, and no other ones. So a new statement of L that has
-braces needs no change.
+Only statements whose body may have no braces are known here. So a new statement of L with braces needs no
+change.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from lfield.lang.scanner import TokenKind
 
 #: Statements with parentheses, and a body that may be a single statement.
 _HEADS = ("if", "while", "for", "catch")
-#: What continues a statement behind its body, and of which statements.
+#: The words that continue a statement after its body, with the statements.
 _CLAUSES = {"else": ("if",), "catch": ("try", "catch"), "finally": ("try", "catch")}
 #: The last tokens of an operand, besides names and literals.
 _OPERAND_ENDS = (")", "]", "this", "true", "false", "null")
 _OPERANDS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
-#: What is before the brace of the elements of an array.
+#: The tokens before the brace of the elements of an array.
 _BEFORE_ELEMENTS = ("=", "(", "[", ",", "return", ":")
 
 
 class TokenRole(Enum):
-    """What a token is for the layout."""
+    """The role of a token in the layout."""
 
     #: The first token of a statement, a member or a unit.
     STATEMENT = auto()
     #: The first token of a body without braces.
     BODY = auto()
-    #: `else`, `catch` or `finally` behind a body.
+    #: `else`, `catch` or `finally` after a body.
     CLAUSE = auto()
     #: The brace that opens a block.
     OPEN = auto()
     #: The brace that closes a block.
     CLOSE = auto()
-    #: What closes a bracket of an expression or of parameters.
+    #: The token that closes a bracket of an expression or of parameters.
     CLOSE_BRACKET = auto()
     #: Any other token.
     INNER = auto()
@@ -63,12 +63,12 @@ class Placed:
     is_unary: bool = False
     is_head: bool = False
     is_block: bool = False
-    #: Of a BODY or CLAUSE: whether it begins a line because of the source.
+    #: For a BODY or CLAUSE: whether it begins a line because of the source.
     must_break: bool = False
 
     @property
     def opens_bracket(self) -> bool:
-        """Whether it opens a bracket of an expression or of parameters."""
+        """Whether the token opens a bracket of an expression or of parameters."""
         return self.item.is_symbol("(", "[", "{") and not self.is_block
 
 

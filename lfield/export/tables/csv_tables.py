@@ -54,7 +54,9 @@ _AGENT_COLUMNS = ("time", "host", "agent", "state", "file", "line", "waits")
 def export_csv(
     stream: Iterable[StreamItem], info: MissionInfo = NO_INFO, *, open_table: OpenTable
 ) -> list[str]:
-    """Write a whole stream as tables; returns their names. Raises what the stream and `open_table` raise."""
+    """Write a whole stream as tables; returns their names. Raises the errors of the stream and of
+    `open_table`.
+    """
     tables = CsvTables(info, open_table)
     try:
         for item in stream:
@@ -77,7 +79,7 @@ class CsvTables:
         self._hops = HopRows()
 
     def add(self, item: StreamItem) -> None:
-        """The next item of the stream."""
+        """Add the next item of the stream."""
         sample = telemetry_of(item)
         if sample is not None:
             self._device_table(sample.device).add(sample)
@@ -87,7 +89,7 @@ class CsvTables:
             self._add_event(item)
 
     def finish(self) -> list[str]:
-        """Write what is incomplete; returns the names of all tables."""
+        """Write incomplete rows; returns the names of all tables."""
         for row in self._hops.remaining():
             self._table("hops.csv", HOP_COLUMNS).add(*row)
         names = _unique_names(self._devices)
@@ -167,7 +169,7 @@ class _Table:
         self._writer.writerow(columns)
 
     def add(self, *row: object) -> None:
-        """A row."""
+        """Add a row."""
         self._writer.writerow(map(_cell, row))
 
     def close(self) -> None:
@@ -189,7 +191,7 @@ class _DeviceTable:
                 self._column(name)
 
     def add(self, sample: TelemetrySample) -> None:
-        """The values of a moment."""
+        """Add the values of a moment."""
         row: dict[int, object] = {0: _time(sample.time), 1: sample.host, 2: sample.silent}
         for name, value in _numbers(sample.values):
             row[self._column(name)] = value

@@ -1,4 +1,4 @@
-"""Hops of coordinators as rows: what both hosts have recorded of a hop becomes one row. Pure."""
+"""Hops of coordinators as rows: the records of both hosts about a hop become one row. Pure."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Hop:
 
     @property
     def is_complete(self) -> bool:
-        """Whether no event of it is missing."""
+        """Whether no event of the hop is missing."""
         return self.failed is not None or None not in (self.left, self.arrived, self.confirmed)
 
 

@@ -1,7 +1,7 @@
 """Checks the arguments of a deployment against the constant indexes with which `init` reads them.
 
-Only what every start executes counts: bodies under a condition, in a loop or in a `try` are left out, and so
-is an `init` that reads the number of its arguments.
+Only statements that every start executes count: bodies under a condition, in a loop or in a `try` are left
+out, and so is an `init` that reads the number of its arguments.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _complete(agent: DeployedAgent, needed: int) -> list[str]:
 
 
 def argument_uses(unit: tree.Unit) -> ArgumentUses:
-    """How the `init` of a unit reads its arguments."""
+    """The reads of arguments in the `init` of a unit."""
     uses = ArgumentUses()
     init = next((method for method in unit.methods if method.kind == "init"), None)
     if init is None or not init.parameters:

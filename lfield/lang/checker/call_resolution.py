@@ -216,7 +216,7 @@ def _operation(
         return sequencing_call(body, raw, function.name, arguments)
     everything = arguments if receiver is None else [receiver, *arguments]
     if function.operation in (AREA, STRIPS):
-        # The compiler replaces it by the values in the file.
+        # The compiler replaces the call by the values in the file.
         call = tree.LibraryCall(raw.span, REAL, function.operation, arguments)
         return tree.Elements(raw.span, function.result, [call])
     if function.operation in GROWTH:
@@ -300,7 +300,7 @@ def _function_hint(body: BodyContext, called: str) -> str | None:
 
 
 def _foreign_method(kind: Type, name: str) -> str | None:
-    """What to write instead of a method that text and arrays have in other languages."""
+    """The correct form of a method that text and arrays have in other languages."""
     if kind == STRING:
         return foreign_words.STRING_METHODS.get(name)
     if isinstance(kind, MapType):
@@ -309,7 +309,7 @@ def _foreign_method(kind: Type, name: str) -> str | None:
 
 
 def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:
-    """Report a call of something the receiver does not have."""
+    """Report a call of a member that the receiver does not have."""
     name, place = function.name, function.place
     if unit is not None and isinstance(kind, ResourceType):
         if unit.overloads(name, "method"):
@@ -359,7 +359,7 @@ def find_resource(
 
 
 def find_names(body: BodyContext) -> list[str]:
-    """The names of all methods that find something in this program, for hints."""
+    """The names of all find methods in this program, for hints."""
     capabilities = body.symbols.capability_names()
     found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
     return [*found, *(f"{verb}{name}" for name in capabilities for verb in ("explain", "teams"))]

@@ -1,4 +1,4 @@
-"""Where control can go: warnings for statements and catches that are never reached, and missing returns."""
+"""Control flow: warnings for statements and catches that are never reached, and missing returns."""
 
 from __future__ import annotations
 
@@ -70,17 +70,17 @@ class _Flow:
 
     def __init__(self, symbols: Symbols) -> None:
         self.symbols = symbols
-        #: Every `try` whose `finally` never comes to its end: what leaves it goes no further.
+        #: Every `try` whose `finally` never reaches its end: no jump out of it continues.
         self.swallowing: set[Try] = set()
         #: The number of enclosing `within` without a `finally` between.
         self.limits = 0
 
     def completes(self, body: Sequence[Stmt]) -> bool:
-        """Whether control can come to the end of these statements."""
+        """Whether control can reach the end of these statements."""
         return self.terminator(body) is None
 
     def terminator(self, body: Sequence[Stmt]) -> Stmt | None:
-        """The first of these statements that control never comes past; the one behind it is reported."""
+        """The first of these statements that control never passes; the statement after it is reported."""
         terminator: Stmt | None = None
         reported = False
         for one in body:
@@ -94,7 +94,7 @@ class _Flow:
         return terminator
 
     def statement_completes(self, one: Stmt) -> bool:
-        """Whether control can come to the end of a statement."""
+        """Whether control can reach the end of a statement."""
         match one:
             case Return() | Break() | Continue() | Throw():
                 return False
@@ -117,14 +117,14 @@ class _Flow:
         return True
 
     def within(self, one: Within) -> bool:
-        """Whether control can come to the end of a `within`."""
+        """Whether control can reach the end of a `within`."""
         self.limits += 1
         passes = self.completes(one.body)
         self.limits -= 1
         return passes
 
     def finally_completes(self, one: Try) -> bool:
-        """Whether control can come to the end of the `finally`; without one it is there already."""
+        """Whether control can reach the end of the `finally`; without one, True."""
         limits, self.limits = self.limits, 0
         leaving = self.terminator(one.last or [])
         self.limits = limits
@@ -135,7 +135,9 @@ class _Flow:
         return False
 
     def check_catches(self, attempt: Try) -> None:
-        """Report a catch that an earlier one leaves nothing for, or that the `within` around it passes by."""
+        """Report a catch with no exceptions left by earlier ones, or that the exception of a `within`
+        around it skips.
+        """
         earlier: list[Type] = []
         for clause in attempt.catches:
             kind = clause.local.type

@@ -1,7 +1,7 @@
-"""Which type fits where: the one conversion L makes by itself (int to real), and the choice among methods.
+"""Conversion of types: the one implicit conversion of L (int to real), and the choice among methods.
 
-Of the methods of one name an exact match is best, then the candidate with the fewest widenings. One candidate
-alone gets the more precise messages: which argument is wrong, and how many are wanted.
+Of the methods of one name an exact match is best, then the candidate with the fewest widenings. A single
+candidate gets more precise messages: which argument is wrong, and how many are required.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ _FUNCTIONS = {
 
 
 def conversion_cost(given: Type, expected: Type) -> int | None:
-    """0 when a value fits as it is, more when it is widened (int to real, a class to its kind), else None."""
+    """0 when a value fits unchanged, more when it is widened (int to real, a class to its base class),
+    else None.
+    """
     if UNKNOWN in (given, expected) or given == expected:
         return 0
     if given == NULL:
@@ -78,7 +80,7 @@ def require_type(
 
 
 def _note_exception_use(symbols: Symbols, value: Expr, expected: Type) -> None:
-    """An object that becomes an Exception may be thrown; one with a device is reported: that would travel."""
+    """Marks an object that becomes an Exception as thrown; one with a device is reported: it would travel."""
     if expected != EXCEPTION:
         return
     unit = symbols.unit_of(value.type)
@@ -89,12 +91,12 @@ def _note_exception_use(symbols: Symbols, value: Expr, expected: Type) -> None:
 
 
 def unknown(span: Span) -> Expr:
-    """An expression with an error that is reported already."""
+    """An expression with an error that is already reported."""
     return Literal_(span, UNKNOWN, None)
 
 
 def conversion_hint(given: Type, expected: Type) -> str:
-    """How to convert explicitly, or '' if there is no conversion."""
+    """The explicit conversion, or '' if there is none."""
     function = _FUNCTIONS.get((given, expected))
     if function is not None:
         return f"convert it: {function}(...)"
@@ -108,7 +110,7 @@ def conversion_hint(given: Type, expected: Type) -> str:
 
 
 def with_article(kind: Type) -> str:
-    """A type as messages write it: with its article."""
+    """A type with its article, for messages."""
     name = str(kind)
     if name in ("null", "void"):
         return name
@@ -120,7 +122,7 @@ Chosen = TypeVar("Chosen")
 
 @dataclass(frozen=True, slots=True)
 class OverloadCandidate(Generic[Chosen]):
-    """Something that can be called: its name, the types of its parameters, and what it is."""
+    """A callable: its name, the types of its parameters, and its declaration."""
 
     name: str
     types: tuple[Type, ...]
@@ -130,7 +132,7 @@ class OverloadCandidate(Generic[Chosen]):
         return f"{self.name}({', '.join(map(str, self.types))})"
 
     def cost(self, given: Sequence[Expr]) -> int | None:
-        """How many widenings a call needs; None when the arguments do not fit."""
+        """The number of widenings that a call needs; None when the arguments do not fit."""
         if len(given) != len(self.types):
             return None
         costs = [

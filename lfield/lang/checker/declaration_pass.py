@@ -18,7 +18,7 @@ from lfield.text.source_text import Span
 
 
 class DeclaredUnit(Struct):
-    """A unit with what the second pass checks: bodies (None: nothing was written) and initialisers."""
+    """A unit with the input of the second pass: bodies (None: not written) and initialisers."""
 
     unit: Unit
     bodies: list[tuple[Method, syntax.Method | None]] = field(default_factory=list)
@@ -66,7 +66,7 @@ def is_new_name(symbols: Symbols, name: str, span: Span, what: str) -> bool:
 
 
 def _existing_meaning(symbols: Symbols, name: str) -> str | None:
-    """What a name means before the program begins, or None."""
+    """The meaning of a name before the program begins, or None."""
     if name in BUILTIN_TYPES:
         return "a built-in class"
     if name in LIBRARY_NAMES - YIELDING:
@@ -110,7 +110,7 @@ class _Methods:
         self.signatures: dict[str, Method] = {}
 
     def declare(self) -> None:
-        """Every method that has its place here, and a constructor for a class without one."""
+        """Every method that is allowed here, and a constructor for a class without one."""
         for written in self.raw.methods:
             if self.has_place(written):
                 self.add(self.head(written), written)
@@ -158,7 +158,7 @@ class _Methods:
         return method
 
     def type(self, written: syntax.Method, name: syntax.TypeName) -> Type:
-        """The type of a parameter or result; what passes through a portal has rules of its own."""
+        """The type of a parameter or result; types that pass through a portal have rules of their own."""
         if written.kind != "portal":
             place: Place = "constructor" if written.kind == "constructor" else "elsewhere"
             return visible_type(self.symbols, self.unit, name, place)
@@ -204,12 +204,12 @@ class _Methods:
         return True
 
     def check_name(self, method: Method) -> None:
-        """A method is called by its bare name, which must not mean something else."""
+        """Report a method whose bare name has another meaning."""
         check_callable_name(self.symbols, method.name, method.span)
 
 
 def check_callable_name(symbols: Symbols, name: str, span: Span) -> None:
-    """Report a name of a method or function that means something else where it is called."""
+    """Report a name of a method or function that has another meaning where it is called."""
     what = None
     if name in LIBRARY_NAMES - YIELDING:
         what = "a library function"

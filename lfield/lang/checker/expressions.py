@@ -1,4 +1,4 @@
-"""Second pass: expressions. Every one gets its type, its conversions and the thing its names mean."""
+"""Second pass: expressions. Every one gets its type, its conversions and the meanings of its names."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
 
 
 def _constructor_argument(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
-    """What a new object is given: a value, or a device."""
+    """An argument of a constructor: a value, or a device."""
     found = evaluated(body, raw)
     if isinstance(found.type, DeviceType):
         return found
@@ -138,7 +138,7 @@ def assigned(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
 
 
 def elements(body: BodyContext, raw: syntax.Elements, expected: Type) -> tree.Expr:
-    """An array of the elements written, of the type written with them or else of the one wanted."""
+    """An array of these elements, of the written type or else of the expected one."""
     kind = expected if raw.type is None else visible_type(body.symbols, body.unit, raw.type)
     if not isinstance(kind, ArrayType) and kind is not UNKNOWN:
         body.report(messages.ELEMENTS, raw.span, expected=with_article(kind))
@@ -182,13 +182,13 @@ def target(body: BodyContext, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet
 
 
 def _may_hold_device(body: BodyContext, found: tree.Expr) -> bool:
-    """Whether it is an own field for a device, in the constructor that is given the device."""
+    """Whether an expression is an own field for a device, in the constructor that is given the device."""
     own = isinstance(found, tree.FieldGet) and isinstance(found.object, tree.This)
     return own and isinstance(found.type, DeviceType) and body.method.kind == "constructor"
 
 
 def _called(raw: syntax.Expr) -> str:
-    """A call without a value, as the message names it."""
+    """A call without a value, for a message."""
     function = raw.function if isinstance(raw, syntax.Call) else None
     return f"{function.name}()" if function is not None else "this"
 

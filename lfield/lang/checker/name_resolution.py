@@ -1,4 +1,4 @@
-"""Variables and fields: what a name without parentheses means."""
+"""Variables and fields: the meaning of a name without parentheses."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
 
 
 def _object_hint(body: BodyContext, name: str, member: str) -> str:
-    """How to declare a variable whose member is used."""
+    """The declaration of a variable whose member is used."""
     offering = (unit.name for unit in body.symbols.units.values() if unit.overloads(member, "portal"))
     if body.unit.usage == "coordinator" and (resource := next(offering, None)):
         return f'find a resource first: write {resource} {name} = find{resource}("id");'

@@ -24,7 +24,7 @@ from lfield.lang.types import (
 
 _ORDER = ("<", "<=", ">", ">=")
 _EQUALITY = ("==", "!=")
-#: What to write instead of an operator that does not work on text.
+#: The correct form instead of an operator that does not work on text.
 _NOT_JOINING = {
     "*": "repeat text in a loop: for (int i = 0; i < n; i += 1) s = s + t;",
     "%": 'join text with +, as in "n is " + i2s(n)',

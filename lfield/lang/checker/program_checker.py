@@ -60,7 +60,7 @@ def check_program(
 
 
 def check_library(symbols: Symbols) -> None:
-    """Check and fill the bodies of what the program uses of the library in L."""
+    """Check and fill the bodies of the methods of the library in L that the program uses."""
     # A function is reported where it is declared, not where it is used.
     silent = replace(symbols, found=Diagnostics(), _reported=set())
     for body in symbols.library.unchecked():
@@ -94,7 +94,9 @@ def _check_body(
     *,
     function: bool = False,
 ) -> None:
-    """Fill the body of a method: the field initialisers (for init and constructors), then what is written."""
+    """Fill the body of a method: the field initialisers (for init and constructors), then the written
+    body.
+    """
     before = len(symbols.found.found)
     body = BodyContext(symbols, method.unit, method, Scope(), function=function)
     method.body.extend(_initialise(body, field, raw) for field, raw in initialisers)
@@ -111,7 +113,7 @@ def _check_body(
 
 
 def _initialise(body: BodyContext, field: tree.Field, raw: syntax.Expr) -> tree.Stmt:
-    """`field = value;`: the values of fields are set before anything else happens."""
+    """`field = value;`: the values of fields are set before any other statement."""
     given = assigned(body, raw, field.type)
     target = tree.FieldGet(field.span, field.type, body.this(field.span), field)
     return tree.Evaluate(raw.span, tree.Assign(raw.span, field.type, target, given))

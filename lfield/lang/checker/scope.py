@@ -1,4 +1,4 @@
-"""Local names, and the place a body is checked in."""
+"""Local names, and the context in which a body is checked."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Scope(Struct):
     uncertain: bool = False
 
     def chain(self) -> Iterator[Scope]:
-        """This scope and those around it, from the inside."""
+        """The scope and those around it, from the inside."""
         scope: Scope | None = self
         while scope is not None:
             yield scope
             scope = scope.outer
 
     def mark_uncertain(self) -> None:
-        """A statement of this block could not be read."""
+        """Record that a statement of this block could not be read."""
         self.uncertain = True
 
     def find(self, name: str) -> Local | None:
@@ -58,9 +58,9 @@ class BodyContext(Struct):
     method: Method
     scope: Scope
     loops: int = 0
-    #: Whether it is the body of a function of the top level, which sees no member of the unit.
+    #: Whether the body is that of a function of the top level, which sees no member of the unit.
     function: bool = False
-    #: How many of the loops enclose the innermost `finally`; None without a `finally`.
+    #: The number of loops that enclose the innermost `finally`; None without a `finally`.
     last: int | None = None
     #: Expressions that are checked already, before those which begin with them (tree_traversal.py).
     checked: dict[syntax.Expr, Expr] = field(default_factory=dict)
@@ -79,15 +79,15 @@ class BodyContext(Struct):
         return None if self.function else self.unit.field(name)
 
     def methods(self, name: str) -> Sequence[Method]:
-        """The unit's own methods of that name; portals, constructors and init are none."""
+        """The unit's own methods of that name, without portals, constructors and init."""
         return () if self.function else self.unit.overloads(name, "method")
 
     def is_broken(self) -> bool:
-        """Whether the unit misses members that could not be read."""
+        """Whether the unit lacks members that could not be read."""
         return self.unit.name in self.symbols.broken_units
 
     def declare(self, name: str, kind: Type, span: Span) -> Local:
-        """A new local in the innermost scope; a name that is taken by a local is reported."""
+        """Declare a local in the innermost scope; a name that a local already has is reported."""
         local = Local(name, kind, span)
         earlier = self.scope.find(name)
         if earlier is not None and kind is not UNKNOWN:
@@ -129,7 +129,7 @@ def function_unit(name: str, span: Span) -> Unit:
 
 
 def constant_context(symbols: Symbols, name: str, span: Span) -> BodyContext:
-    """Where the value of a constant is checked: only other declarations of the top level are known."""
+    """The context for the value of a constant: only other declarations of the top level are known."""
     unit = function_unit(name, span)
     method = Method(name, "method", unit, [], UNKNOWN, False, False, span, span)
     return BodyContext(symbols, unit, method, Scope(), function=True)

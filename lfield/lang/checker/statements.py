@@ -41,7 +41,7 @@ _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
 
 
 def statements(body: BodyContext, raw: Iterable[syntax.Stmt]) -> list[tree.Stmt]:
-    """Statements as the compiler sees them; nothing for `;`."""
+    """Statements for the compiler; none for `;`."""
     made = [_statement(body, one) for one in raw]
     return [one for one in made if one is not None]
 
@@ -107,7 +107,7 @@ def _if(body: BodyContext, raw: syntax.If) -> tree.If:
 
 
 def _branch(body: BodyContext, raw: syntax.Stmt | None) -> list[tree.Stmt]:
-    """A statement in a scope of its own; a block gives its statements."""
+    """A statement in a scope of its own; of a block, its statements."""
     if raw is None:
         return []
     body.enter()
@@ -122,7 +122,7 @@ def _loop_body(body: BodyContext, raw: syntax.Stmt) -> list[tree.Stmt]:
 
 
 def _declare(body: BodyContext, raw: syntax.Declare) -> tree.Stmt:
-    """A local comes into scope after its value."""
+    """Declare a local, which is in scope after its value."""
     kind = visible_type(body.symbols, body.unit, raw.type)
     given = None if raw.value is None else assigned(body, raw.value, kind)
     local = body.declare(raw.name, kind, raw.place)
@@ -130,7 +130,7 @@ def _declare(body: BodyContext, raw: syntax.Declare) -> tree.Stmt:
 
 
 def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
-    """A call, an assignment or `new`; anything else does nothing."""
+    """A call, an assignment or `new`; any other expression has no effect."""
     if isinstance(raw.value, syntax.Assign) and raw.value.operator != "=":
         return _update(body, raw.value)
     if isinstance(raw.value, syntax.Assign):
@@ -188,7 +188,7 @@ def _reusable(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
 
 
 def _in_hidden_local(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
-    """The value of an expression in a local of its own, which no name of the program leads to."""
+    """The value of an expression in a local that has no name in L."""
     local = tree.Local("", expr.type, expr.span)
     before.append(tree.Declare(expr.span, local, expr))
     return tree.LocalGet(expr.span, expr.type, local)

@@ -1,4 +1,4 @@
-"""What a program declares, and the report of mistakes: shared by everything in the checker."""
+"""The declarations of a program, and the report of mistakes: shared by all modules of the checker."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _RETURN_LIKE = ("return", "throw", "else")
 
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A function of the top level: its head in a unit of its own, and what is written."""
+    """A function of the top level: its head in a unit of its own, and its written body."""
 
     head: tree.Method
     written: syntax.Method
@@ -59,7 +59,7 @@ class Function:
 
 @dataclass(slots=True)
 class Symbols:
-    """What a program declares at its top level, and the device types it may use.
+    """The declarations of a program at its top level, and the device types that it may use.
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
     `incomplete`: declarations may be missing (a syntax error, a missing include), so unknown types are not
@@ -78,7 +78,7 @@ class Symbols:
     missing: bool = False
     capabilities: CapabilityTypes | None = None
     generated: frozenset[str] = frozenset()
-    #: The types of arrays that the program makes longer or shorter, and what it uses of the library in L.
+    #: The types of arrays that the program makes longer or shorter, and its uses of the library in L.
     growing: set[Type] = field(default_factory=set)
     library: LibraryUses = field(default_factory=LibraryUses)
     has_futures: bool = False
@@ -92,14 +92,14 @@ class Symbols:
             self.found.add(message.at(span, hint=hint, **values))
 
     def declaration(self, name: str) -> Span | None:
-        """The place of the name of what is declared at the top level under it."""
+        """The place of the name that is declared at the top level."""
         if name in self.functions:
             return self.functions[name][0].head.span
         declared = self.units.get(name) or self.enums.get(name) or self.constants.get(name)
         return None if declared is None else declared.span
 
     def unit_of(self, kind: Type) -> tree.Unit | None:
-        """The class or resource a type is about; None for any other type."""
+        """The class or resource of a type; None for any other type."""
         return self.units.get(kind.name) if isinstance(kind, ClassType | ResourceType) else None
 
     def resource(self, name: str) -> tree.Unit | None:
@@ -209,7 +209,7 @@ class Symbols:
 
 
 def device_in(symbols: Symbols, kind: Type) -> str:
-    """A device that objects of the type have, in a field or in what a field leads to; '' without one."""
+    """A device of objects of the type, in a field or in an object that a field refers to; '' without one."""
     visited: set[str] = set()
     waiting = [(innermost(kind), "")]
     while waiting:
@@ -234,7 +234,7 @@ def describe(unit: tree.Unit) -> str:
 
 
 def innermost(kind: Type) -> Type:
-    """The type of the innermost elements of an array type; any other type itself."""
+    """The type of the innermost elements of an array type; any other type unchanged."""
     while isinstance(kind, ArrayType):
         kind = kind.element
     return kind

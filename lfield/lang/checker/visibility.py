@@ -15,8 +15,8 @@ from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, FutureType, Type
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Span
 
-#: Where a type is written. A device type fits a field, and the constructor of a resource specific class; a
-#: portal is stricter than anything else.
+#: The place of a type. A device type is valid for a field, and for the constructor of a resource specific
+#: class; the rules of a portal are the strictest.
 Place = Literal["field", "constructor", "portal", "elsewhere"]
 
 
@@ -103,7 +103,7 @@ def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
 
 
 def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bool:
-    """Whether values of the type may pass through a portal, copied as deep as they go."""
+    """Whether values of the type may pass through a portal, copied with all their parts."""
     element = innermost(kind)
     unit = symbols.unit_of(element)
     if unit is None:

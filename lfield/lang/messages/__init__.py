@@ -1,7 +1,7 @@
 """Diagnostics of the front end: code, sentence and hint of each.
 
-`FindingKind.at` creates them; the page of messages is generated from this table. The first digit of its code
-says in which module a message is: L1 and L2 in `syntax`, L3 and L4 in `names_and_types`, L5 in `scope`, L6
+`FindingKind.at` creates them; the page of messages is generated from this table. The first digit of a code
+shows the module of the message: L1 and L2 in `syntax`, L3 and L4 in `names_and_types`, L5 in `scope`, L6
 and L7 in `mission_files`, L8 and L9 in `coordination`.
 """
 

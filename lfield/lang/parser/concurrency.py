@@ -11,7 +11,7 @@ from lfield.lang.parser.token_stream import TokenStream
 from lfield.lang.scanner import TokenKind
 from lfield.lang.syntax import Async, Expr, Stmt, WaitUntil
 
-#: What follows the first name of a call.
+#: The tokens that follow the first name of a call.
 _BEHIND_NAME = (".", "[", "(")
 
 
@@ -23,7 +23,7 @@ def at_async(s: TokenStream) -> bool:
 
 
 def async_call(s: TokenStream, operand: Callable[[TokenStream], Expr]) -> Expr:
-    """`async` and the call behind it."""
+    """`async` and the call after it."""
     keyword = s.advance()
     with s.nested():
         call = operand(s)

@@ -152,7 +152,7 @@ def _modifiers(s: TokenStream) -> _Modifiers:
 
 
 def _respelt(s: TokenStream) -> str | None:
-    """Report `pubic` in `pubic int x;` and return the keyword meant; None where no member follows."""
+    """Report `pubic` in `pubic int x;` and return the intended keyword; None if no member follows."""
     following = s.ahead(2).text
     if not (
         s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")

@@ -68,7 +68,7 @@ PRECEDENCE = {
 
 INT_LIMIT = 2**63
 
-#: What to write instead of an operator that L does not have.
+#: The correct form instead of an operator that L does not have.
 INSTEAD = {
     "===": "write ==",
     "!==": "write !=",
@@ -78,7 +78,7 @@ INSTEAD = {
     "->": "members are reached with a dot: object.name",
     "::": "members are reached with a dot: object.name",
 }
-#: `=`, and what calculates with the old value.
+#: `=`, and the operators that calculate with the old value.
 ASSIGNMENTS = ("=", "+=", "-=", "*=", "/=", "%=")
 
 
@@ -172,7 +172,7 @@ def _binary(s: TokenStream, weakest: int) -> Expr:
 
 
 def _strength(s: TokenStream) -> int:
-    """The precedence of the operator here; 0 where none is."""
+    """The precedence of the operator here; 0 for none."""
     if (strength := PRECEDENCE.get(s.current.text, 0)) or not s.at_name() or not at_word_operator(s):
         return strength
     return PRECEDENCE.get(WORD_OPERATORS[s.current.text][0], PRECEDENCE["=="])
@@ -218,7 +218,7 @@ def _unary(s: TokenStream) -> Expr:
 
 
 def _lambda_arrow(s: TokenStream) -> int:
-    """How far ahead the arrow of `() -> 1`, `(x, y) => x` or `x -> 1` is; 0 without one."""
+    """The number of tokens before the arrow of `() -> 1`, `(x, y) => x` or `x -> 1`; 0 without one."""
     if s.at_name():
         is_pointer = s.ahead(2).kind is TokenKind.NAME  # `p->next`
         return 1 if s.ahead(1).text == "->" and not is_pointer else 0
@@ -233,7 +233,7 @@ def _lambda_arrow(s: TokenStream) -> int:
 
 
 def _lambda(s: TokenStream, arrow: int) -> SyntaxRecovery:
-    """Report a lambda expression and skip it up to its arrow, or its block; raise what this returns."""
+    """Report a lambda expression and skip it up to its arrow, or its block; raise the returned exception."""
     for _ in range(arrow):
         s.advance()
     sign = s.advance()

@@ -21,7 +21,7 @@ _IMPORTS = ("import", "package", "using", "from", "use", "typedef")
 
 
 def parse_file(source: Source, found: Diagnostics) -> ParsedFile:
-    """The syntax tree of a source. Mistakes go to `found`; what could be read is returned."""
+    """The syntax tree of a source, as far as it could be read. Mistakes go to `found`."""
     scanned = scan(source, found)
     file = ParsedFile(source, broken=scanned.cut)
     s = TokenStream(scanned, found)
@@ -54,7 +54,7 @@ def _top_level(s: TokenStream, file: ParsedFile) -> None:
 
 
 def _unknown_unit(s: TokenStream, file: ParsedFile) -> None:
-    """Something that begins no unit: a misspelt keyword, a habit, or garbage."""
+    """Handle tokens that begin no unit: a misspelt keyword, foreign syntax, or garbage."""
     token = s.current
     close = closest(token.text, (*UNIT_KEYWORDS, "include")) if s.at_name() else None
     if close in UNIT_KEYWORDS and s.ahead(1).kind is TokenKind.NAME:

@@ -25,7 +25,7 @@ def declaration(s: TokenStream) -> Stmt:
 
 
 def initial_value(s: TokenStream, declared: TypeName) -> Expr | None:
-    """`= value`, if it is there. That of a foreign type is skipped: the type is reported."""
+    """`= value`, if present. The value of a foreign type is skipped: the type is reported."""
     if not s.accept("="):
         return None
     if declared.name != BAD_TYPE:
@@ -43,7 +43,7 @@ def evaluated(s: TokenStream) -> Stmt:
 
 
 def counting_for(s: TokenStream, where: Span, start: Stmt | None) -> For:
-    """`start; condition; step`, behind the start."""
+    """`start; condition; step`, after the start."""
     s.expect(";")
     condition = None if s.at(";") else expression(s)
     s.expect(";")
@@ -51,7 +51,7 @@ def counting_for(s: TokenStream, where: Span, start: Stmt | None) -> For:
 
 
 def each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
-    """`T name : array`, behind the name."""
+    """`T name : array`, after the name."""
     if not s.at(":"):
         declared = (start.name, s.ahead(1).text, str(start.type)) if isinstance(start, Declare) else ()
         raise s.fail(messages.FOREIGN_KEYWORD, keyword=s.current.text, instead=each_hint(*declared))
@@ -62,7 +62,7 @@ def each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
 
 
 def for_start(s: TokenStream) -> Stmt | None:
-    """What precedes the first `;` or the `:` of a `for`; None for nothing."""
+    """The tokens before the first `;` or the `:` of a `for`; None without any."""
     if s.at(";"):
         return None
     if not at_declaration(s):

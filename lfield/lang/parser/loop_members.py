@@ -1,6 +1,6 @@
 """Loops of resources: `loop name at 10.0 priority 2 when (condition) { ... }`.
 
-The words are names everywhere else.
+Elsewhere these words are names.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Portals with the result type before the name or before `portal`, as other languages write it."""
+"""Portals with the result type before the name or before `portal`, as in other languages."""
 
 from __future__ import annotations
 

@@ -65,7 +65,9 @@ _HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "r
 
 
 def block(s: TokenStream) -> list[Stmt]:
-    """`{ ... }`: its statements. Ends at the matching brace, or where the next member shows it is missing."""
+    """`{ ... }`: its statements. Ends at the matching brace, or before a member, which shows that it is
+    missing.
+    """
     opening = s.expect("{")
     body: list[Stmt] = []
     while not s.at("}"):
@@ -104,7 +106,7 @@ def _unclosed(s: TokenStream, opening: Token) -> None:
 
 
 def _note_indentation(s: TokenStream, opening: Token) -> None:
-    """Remember the first brace whose closing brace is indented otherwise: probably its own is missing."""
+    """Record the first brace whose closing brace has another indentation: probably its own is missing."""
     if s.suspect is None and s.first_on_line() and s.current.span.line > opening.span.line:
         line = opening.span.source.line_text(opening.span.line)
         if len(line) - len(line.lstrip()) != s.current.span.column - 1:
@@ -152,7 +154,7 @@ def _at_further(s: TokenStream) -> bool:
 
 
 def _body(s: TokenStream, head: Span, condition: Expr | None = None) -> Stmt:
-    """The statement behind a head. A block of Python is skipped, and reported unless its condition was."""
+    """The statement after a head. A block of Python is skipped, and reported unless its condition was."""
     if not s.at(":"):
         return statement(s)
     if not isinstance(condition, Bad):
@@ -246,7 +248,7 @@ def _try(s: TokenStream) -> Stmt:
 
 
 def _catch_clause(s: TokenStream) -> list[Catch]:
-    """One catch; none when its head has a mistake, its body is skipped then."""
+    """One catch; None when its head has a mistake, then its body is skipped."""
     opening = s.advance()
     found: list[Catch] = []
 
@@ -297,7 +299,7 @@ def _at_finally(s: TokenStream) -> bool:
 
 
 def _braced(s: TokenStream, keyword: Token, head: Expr | None = None) -> Stmt:
-    """The block behind a word; a statement without braces is reported."""
+    """The block after a word; a statement without braces is reported."""
     if s.at(":"):
         return _body(s, keyword.span, head)
     if s.at("("):
@@ -309,7 +311,7 @@ def _braced(s: TokenStream, keyword: Token, head: Expr | None = None) -> Stmt:
 
 
 def _is_soft_keyword(s: TokenStream) -> bool:
-    """Whether the word here begins its block, or what no name can begin."""
+    """Whether the word here begins its block, or tokens follow that cannot follow a name."""
     following = s.ahead(1)
     if following.kind is TokenKind.NAME:
         return s.ahead(2).text in ("(", ".", "{")

@@ -1,7 +1,7 @@
 """The tokens of a file as the parser reads them, with recovery after a syntax error.
 
 `fail` reports and raises `SyntaxRecovery`, which a statement, a member or a unit catches to continue at its
-next boundary. `ParsingAborted` ends the file: what follows could only repeat the same mistake.
+next boundary. `ParsingAborted` ends the file: later tokens could only repeat the same mistake.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from lfield.lang.syntax import Expr
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import Diagnostic, Diagnostics, Span
 
-#: How deep statements and expressions may nest together; the checker and the compiler walk them recursively.
-#: Chains (tree_traversal.py) are no nesting.
+#: The maximum nesting of statements and expressions together; the checker and the compiler walk them
+#: recursively. Chains (tree_traversal.py) are no nesting.
 MAX_NESTING = 100
 
 PRIMITIVES = ("boolean", "int", "real", "string")
@@ -54,7 +54,7 @@ class TokenStream:
     def __init__(self, scanned: Scan, found: Diagnostics, end_words: Collection[str] = ()) -> None:
         self._tokens, self._bad_lines, self._found = scanned.tokens, scanned.bad_lines, found
         self._at, self.end_words = 0, end_words
-        #: The token that is next.
+        #: The next token.
         self.current = self._tokens[0]
         self.depth = 0
         self.broken = False
@@ -68,7 +68,7 @@ class TokenStream:
 
     @property
     def previous(self) -> Token:
-        """The token before it (the first token, at the start)."""
+        """The previous token (the first token, at the start)."""
         return self._tokens[max(self._at - 1, 0)]
 
     def ahead(self, count: int) -> Token:
@@ -114,7 +114,7 @@ class TokenStream:
         return token
 
     def accept(self, text: str) -> bool:
-        """Take the current token if it is this one."""
+        """Take the current token if it matches."""
         if not self.at(text):
             return False
         self.advance()
@@ -172,7 +172,7 @@ class TokenStream:
         self.advance()
 
     def after_previous(self) -> Span:
-        """The place right after the previous token, where something is missing."""
+        """The place right after the previous token, where a token is missing."""
         end = self.previous.span.end
         return Span(self.previous.span.source, end, end)
 
@@ -190,7 +190,7 @@ class TokenStream:
         return before
 
     def restore_broken(self, before: bool) -> None:
-        """End that part: its mistakes are those of the whole too."""
+        """End that part: its mistakes also count for the whole."""
         self.broken = self.broken or before
 
     def set_suspect(self, brace: Span | None) -> None:
@@ -203,20 +203,22 @@ class TokenStream:
         self._found.add(diagnostic)
 
     def fail(self, message: FindingKind, *, hint: str | None = None, **values: object) -> SyntaxRecovery:
-        """Report at the current token; raise what this returns."""
+        """Report at the current token; raise the returned exception."""
         self.report(message, self.current.span, hint=hint, **values)
         return SyntaxRecovery()
 
     # --- nesting --------------------------------------------------------------------------------------
 
     def nested(self) -> Self:
-        """One level deeper until its `with` ends, up to MAX_NESTING. No generator: every operator has one."""
+        """Enter a deeper level until its `with` ends, up to MAX_NESTING. No generator: every operator has
+        one.
+        """
         self.depth += 1
         self._limit(self.depth, self.current.span)
         return self
 
     def __enter__(self) -> None:
-        """The level is there already."""
+        """Has no effect: `nested` has already added the level."""
 
     def __exit__(self, *_: object) -> None:
         self.depth -= 1
@@ -231,10 +233,10 @@ class TokenStream:
             self.report(messages.TOO_DEEP, span, limit=MAX_NESTING)
             raise ParsingAborted
 
-    # --- going on after a mistake ---------------------------------------------------------------------
+    # --- recovery after a mistake ---------------------------------------------------------------------
 
     def attempt(self, parse: Callable[[], None], skip: Callable[[], None]) -> bool:
-        """Parse a piece; after a mistake in it, skip what is left of it. Whether it went well."""
+        """Parse a part; after a mistake, skip the rest of it. Returns whether it had no mistake."""
         try:
             parse()
         except SyntaxRecovery:
@@ -243,7 +245,7 @@ class TokenStream:
         return True
 
     def skip_statement(self) -> None:
-        """To the next statement: behind a `;`, or before a brace or a keyword that begins a line."""
+        """Skip to the next statement: after a `;`, or before a brace or a keyword that begins a line."""
         while not self.at_end() and not self.at("{", "}"):
             if self.accept(";"):
                 return
@@ -252,7 +254,9 @@ class TokenStream:
                 return
 
     def skip_member(self) -> None:
-        """To the next member: behind a `;` or a whole `{ ... }`, or before a word that begins a member."""
+        """Skip to the next member: after a `;` or a whole `{ ... }`, or before a word that begins a
+        member.
+        """
         while not self.at_end() and not self.at("}"):
             if self.accept(";"):
                 return
@@ -264,7 +268,7 @@ class TokenStream:
                 return
 
     def skip_unit(self) -> None:
-        """To the next unit."""
+        """Skip to the next unit."""
         while not self.at_end():
             if self.at("{"):
                 self.skip_braces()
@@ -275,7 +279,7 @@ class TokenStream:
                 return
 
     def skip_braces(self) -> None:
-        """Behind the `}` that closes the `{` here, or to the end."""
+        """Skip past the `}` that closes the `{` here, or to the end."""
         depth = 0
         while not self.at_end():
             depth += {"{": 1, "}": -1}.get(self.advance().text, 0)

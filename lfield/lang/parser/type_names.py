@@ -15,7 +15,7 @@ from lfield.lang.parser.foreign.foreign_words import FOREIGN_MODIFIERS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.syntax import BAD_TYPE, TypeName
 
-#: How many `[]` a type may have.
+#: The most `[]` of a type.
 MAX_DIMENSIONS = 8
 #: The words of types with arguments; before anything but `<` they are ordinary names.
 GENERIC_TYPES = {"map": "a map", "future": "a future"}
@@ -59,7 +59,7 @@ def at_generic(s: TokenStream, *, declared: bool = False) -> bool:
 
 
 def _arguments(s: TokenStream, named: TypeName) -> None:
-    """`<K, V>`. The result of a call that a future stands for may be void."""
+    """`<K, V>`. The result type of a future may be void."""
     what = GENERIC_TYPES[named.name]
     s.expect("<")
     with s.nested():

@@ -1,1 +1,1 @@
-"""The part of the library that is written in L, and what a program uses of it."""
+"""The part of the library that is written in L, and its use by a program."""

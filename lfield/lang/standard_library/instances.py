@@ -1,4 +1,4 @@
-"""Which parts of the library in L a program uses: methods for arrays, and classes of maps, each by types.
+"""The parts of the library in L that a program uses: methods for arrays, and classes of maps, each by types.
 
 The text of a method for arrays is parsed again for every instance, and its body is checked in the unit that
 uses it, after all bodies of the program. In the texts `T` is the type of elements, `K` that of keys, `V` that
@@ -27,7 +27,7 @@ MAP_CONSTRUCTOR = "Map"
 #: The name of the constructor of the classes of futures.
 FUTURE_CONSTRUCTOR = "Future"
 _FUTURE = Path(__file__).with_name("future.L")
-#: In the class of futures of calls without a result: what is left out, and what T stands for.
+#: In the class of futures of calls without a result: the omitted text, and the replacement of T.
 _ONLY_WITH_RESULT = re.compile(
     r"^.*(?:T\[\] result|result = place|return result).*\n|, T\[\] place", re.MULTILINE
 )
@@ -46,7 +46,7 @@ _NAME = re.compile(r"(\w+)\(")
 
 @cache
 def array_texts() -> dict[str, str]:
-    """For each method of arrays a class with it alone, by name."""
+    """For each method of arrays, by name, the text of a class with that method alone."""
     texts = (file.read_text(encoding="utf-8").removesuffix("}\n") for file in _METHODS)
     methods = [method for text in texts for method in text.split("    private ")[1:]]
     return {_NAME.findall(method)[0]: f"class Arrays {{\n    private {method}}}\n" for method in methods}
@@ -86,9 +86,9 @@ def _text_of(kind: MapType | FutureType) -> str:
 
 
 class LibraryBody(Struct, frozen=True):
-    """A method of the library whose body is not checked yet, and what the types in it mean.
+    """A method of the library whose body is not checked yet, and the meanings of the types in it.
 
-    `function`: it sees no members of its unit.
+    `function`: the method sees no members of its unit.
     """
 
     method: tree.Method
@@ -98,9 +98,9 @@ class LibraryBody(Struct, frozen=True):
 
 
 class LibraryUses(Struct):
-    """The methods of the library that a program uses, and the texts they are from."""
+    """The methods of the library that a program uses, and their texts."""
 
-    #: What the names of types mean while a method of the library is checked.
+    #: The meanings of the names of types while a method of the library is checked.
     parameters: Mapping[str, Type] = field(default_factory=dict)
     #: The texts, by text.
     sources: dict[str, Source] = field(default_factory=dict)

@@ -5,12 +5,12 @@ people:                            # restricts the rights in their certificates
   anna: [observe, stop, operate]
   others: [observe, stop]          # every other person of the team's authority
 coordinators:
-  survey:                          # this coordinator may call only what is listed
+  survey:                          # this coordinator may call only the listed portals
     Copter: [takeoff, fly, where]  # these portals of every Copter,
     copter3: [where]               # only where() of this one: the line of an agent takes precedence
     Lift: all                      # the portals of a resource that serve Lift
   Relay:                           # each coordinator of this type
-    others: all                    # everything without another line
+    others: all                    # every resource without another line
     winch: []
     patrol: [start, stop]          # a startable coordinator, which it may start and stop
   others: all                      # the default: all portals of the own deployment
@@ -42,9 +42,9 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlMapping, YamlNode, YamlScalar, describe, read
 from lfield.vm.agent import TeamMember
 
-#: What a coordinator may do with a startable one.
+#: The actions of a coordinator on a startable one.
 SEQUENCING_RIGHTS = ("start", "stop")
-#: The keyword for everything that could be listed.
+#: The keyword for all names that could be listed.
 ALL = "all"
 #: Rights that a mission can leave to a person. The right to sign missions is in the certificate alone.
 _RIGHTS = tuple(str(right) for right in Right if right is not Right.COMMAND)
@@ -90,7 +90,7 @@ class _Reader:
         self._coordinators = {m.id: m.type for m in team if m.kind == "coordinator"}
         self._resources = {m.id: m.type for m in team if m.kind == "resource"}
         self._portals: dict[str, list[str]] = {type: [] for type in self._resources.values()}
-        # What may be done with a coordinator is as a portal of it.
+        # An action on a coordinator counts as a portal of it.
         startable = {m.id: m.type for m in team if m.is_startable}
         self._resources |= startable
         self._portals |= {type: list(SEQUENCING_RIGHTS) for type in startable.values()}
@@ -118,7 +118,7 @@ class _Reader:
         return entry.key == "*"
 
     def _list_nodes(self, entry: YamlEntry, what: str) -> tuple[YamlNode, ...] | None:
-        """The nodes of a list, None for ALL; () and a finding for anything else."""
+        """The nodes of a list, None for ALL; () and a finding for any other node."""
         node = entry.value
         if isinstance(node, YamlList):
             return node.items
@@ -173,11 +173,11 @@ class _Reader:
     # --- coordinators ---------------------------------------------------------------------------------
 
     def _caller(self, entry: YamlEntry) -> CallerRule:
-        """A coordinator, and what it may call."""
+        """A coordinator, and the portals that it may call."""
         return self._lines_of(entry, self._caller_kind(entry))
 
     def _lines_of(self, entry: YamlEntry, kind: SubjectKind) -> CallerRule:
-        """A caller of that kind, and what it may call."""
+        """A caller of that kind, and the portals that it may call."""
         node, line = entry.value, entry.key_span.line
         if isinstance(node, YamlMapping):
             lines = [self._line(below) for below in node.entries.values()]

@@ -2,8 +2,8 @@
 
 For rights and coordinators an access file only restricts: persons have the rights of their certificates, less
 those that it removes; coordinators call the portals of their own deployment, less those that it removes.
-Without an entry nothing changes. Portals are closed to persons, and actions to their assistants, unless the
-file opens them. One line decides a call, the most specific: for callers the agent before its type before
+Without an entry rights are unchanged. Portals are closed to persons, and actions to their assistants, unless
+the file opens them. One line decides a call, the most specific: for callers the agent before its type before
 `others`, for resources the agent before its type before a capability before `others`.
 
 The reader (`access_file.py`) checks every name against program, deployment and registry, and resolves
@@ -67,7 +67,7 @@ class PortalRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
     serving: dict[str, tuple[str, ...]] = {}
 
     def is_about(self, resource: RuleSubject) -> bool:
-        """Whether it applies to a resource."""
+        """Whether the rule applies to a resource."""
         match self.kind:
             case "agent":
                 return self.name == resource.id
@@ -79,7 +79,7 @@ class PortalRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
                 return True
 
     def allows(self, resource: RuleSubject, portal: str) -> bool:
-        """Whether a portal of a resource that it applies to may be called."""
+        """Whether a portal of a resource to which the rule applies may be called."""
         allowed = self.portals_of(resource)
         return allowed is None or portal in allowed
 
@@ -97,7 +97,7 @@ class CallerRule(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fi
     lines: tuple[PortalRule, ...] | None = None
 
     def is_about(self, coordinator: RuleSubject) -> bool:
-        """Whether it applies to that coordinator."""
+        """Whether the rule applies to a coordinator."""
         subject = {"agent": coordinator.id, "type": coordinator.type}.get(self.kind, self.name)
         return self.name == subject
 
@@ -161,16 +161,19 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
     # --- portal calls ---------------------------------------------------------------------------------
 
     def refusal(self, coordinator: RuleSubject, resource: RuleSubject, portal: str) -> str:
-        """Why a coordinator may not call a portal, as a sentence that names the rule; '' when it may."""
+        """The reason why a coordinator may not call a portal, as a sentence that names the rule; '' when
+        it may.
+        """
         caller = self._caller(coordinator)
         if caller is None:
             return ""
         return self._line_refusal(coordinator.id, caller, resource, portal)
 
     def person_refusal(self, person: str, resource: RuleSubject, portal: str) -> str:
-        """Why a person may not call a portal, as `refusal`. '' is a user of the host's own computer.
+        """The reason why a person may not call a portal, as `refusal`. '' is a user of the host's own
+        computer.
 
-        Closed by default: without an entry for the person or OTHERS nothing may be called.
+        Closed by default: without an entry for the person or OTHERS no portal may be called.
         """
         rules = {rule.name: rule for rule in self.calls}
         caller = (rules.get(person) if person else None) or rules.get(OTHERS)
@@ -181,7 +184,7 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
         return self._line_refusal(person or "a user of this computer", caller, resource, portal)
 
     def assistant_refusal(self, person: str) -> str:
-        """Why an assistant of a person may not act, as a sentence; '' when it may."""
+        """The reason why an assistant of a person may not act, as a sentence; '' when it may."""
         if OTHERS in self.assistants or (person and person in self.assistants):
             return ""
         shown = person or "a user of this computer"
@@ -189,7 +192,7 @@ class Access(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
         return f"an assistant may not act for {shown}: {closed} {shown} in 'assistants'"
 
     def _line_refusal(self, who: str, caller: CallerRule, resource: RuleSubject, portal: str) -> str:
-        """Why the line of a caller does not allow a call."""
+        """The reason why the line of a caller does not allow a call."""
         if caller.lines is None:
             return ""
         lines = caller.deciding(resource)
@@ -237,7 +240,7 @@ class CallPermissions:
         self._refusals: dict[tuple[str, str, int], str] = {}
 
     def __call__(self, coordinator: str, resource: str, method: int) -> str:
-        """Why that call must not start, '' when it may."""
+        """The reason why a call must not start, '' when it may."""
         call = coordinator, resource, method
         reason = self._refusals.get(call)
         if reason is None:
@@ -248,9 +251,10 @@ class CallPermissions:
 
 
 class DeniedPrimitives:
-    """By primitive, why a coordinator may not call an agent for it: by all the portals that serve it.
+    """By primitive, the reason why a coordinator may not call an agent for it: by all the portals that
+    serve it.
 
-    Cached per pair, always as the same mapping. External callers (`''`) call nothing.
+    Cached per pair, always as the same mapping. External callers (`''`) call no portals.
     """
 
     def __init__(self, access: Access, team: Iterable[RuleSubject], registry: Registry) -> None:
@@ -259,7 +263,7 @@ class DeniedPrimitives:
         self._denials: dict[tuple[str, str], Mapping[str, str]] = {}
 
     def __call__(self, coordinator: str, resource: str) -> Mapping[str, str]:
-        """For an agent of a type in the registry."""
+        """The denied primitives of an agent of a type in the registry."""
         reason = self._denials.get((coordinator, resource))
         if reason is None:
             reason = self._denials[coordinator, resource] = dict(self._denied(coordinator, resource))

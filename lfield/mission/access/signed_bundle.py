@@ -1,4 +1,4 @@
-"""Acceptance of signed bundles: which bundle a mission is from, and who signed it.
+"""Acceptance of signed bundles: the bundle of a mission, and its signer.
 
 A bundle controls vehicles, so a host with keys accepts only a bundle that is signed by a person with the
 right `command`, with a certificate of its own authority. A host without keys has no other hosts, and accepts
@@ -17,7 +17,7 @@ from lfield.wire.fields import short_digest
 
 @dataclass(frozen=True, slots=True)
 class BundleId:
-    """A bundle as it was read: its `digest`, and its `signature` as received.
+    """A bundle that was read: its `digest`, and its `signature` as received.
 
     `by` is the verified signer, `at` the time of the signature in seconds since 1970 UTC; '' and 0.0 before
     the verification. A mission from files has no digest, unless a temporary bundle was built to run them here
@@ -32,12 +32,12 @@ class BundleId:
 
     @property
     def shared(self) -> bytes:
-        """The digest that all hosts of the team share; b"" where each builds its bundle from its files."""
+        """The digest that all hosts of the team share; b"" if each builds its bundle from its files."""
         return b"" if self.is_from_files else self.digest
 
     @property
     def short(self) -> str:
-        """The start of its digest, as shown to people; '' where there is no bundle."""
+        """The start of the digest, as shown to people; '' without a bundle."""
         return short_digest(self.digest)
 
     def __str__(self) -> str:
@@ -92,7 +92,7 @@ def accept_bundle(
 
 
 def signing_time(bundle: BundleId, authority: bytes) -> float:
-    """The verified time of its signature in seconds since 1970 UTC; 0.0 without a valid one."""
+    """The verified time of the signature in seconds since 1970 UTC; 0.0 without a valid one."""
     from lfield.authority.bundle_signature import verify_bundle
 
     try:

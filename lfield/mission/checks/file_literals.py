@@ -166,7 +166,7 @@ class _Embedding:
 
     @contextmanager
     def _reported(self, name: str, span: Span) -> Iterator[None]:
-        """Reports why a file cannot be read."""
+        """Reports the reason why a file cannot be read."""
         try:
             yield
         except (OSError, ValueError) as error:

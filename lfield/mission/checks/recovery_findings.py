@@ -42,7 +42,7 @@ def quorum_warnings(deployment: Deployment, mission: Mission) -> list[Diagnostic
 
 
 def _more_members(mission: Mission) -> str:
-    """How to add enough members to tolerate the loss of one."""
+    """The advice for enough members to tolerate the loss of one."""
     witness = "add a witness, a host without agents: //@name"
     if not mission.bindings.recovery.members:
         return witness

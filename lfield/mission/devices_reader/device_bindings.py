@@ -31,7 +31,7 @@ class DeviceBindingsReader:
         #: The types of the agents: some options follow from them.
         self._resources = resources or {}
         self._drivers, self._folder, self._simulate = drivers, folder, simulate
-        # The devices that were read, each with its fields and the position of its name.
+        # The devices read so far, each with its fields and the position of its name.
         self._read: list[tuple[DeviceBinding, YamlFields, Span]] = []
         #: The files of options, whose errors are reported once.
         self._files: set[tuple[str, str, str]] = set()
@@ -39,7 +39,7 @@ class DeviceBindingsReader:
     def devices(
         self, agent: str, fields: YamlFields, needed: Mapping[str, str], placement: Placement | None
     ) -> dict[str, DeviceBinding]:
-        """Those of one agent, which has its `placement`; `needed` are its fields with their types."""
+        """The devices of one agent, which has its `placement`; `needed` are its fields with their types."""
         bound = {}
         for entry, device in fields.section("devices").entries():
             binding = self._device(agent, entry, device, needed, placement)
@@ -114,7 +114,7 @@ class DeviceBindingsReader:
         return text
 
     def _waivers(self, fields: YamlFields, manifest: Manifest) -> dict[str, str]:
-        """The waivers, each with its reason; '' where none is given and none is required."""
+        """The waivers, each with its reason; '' if none is given and none is required."""
         known = [name for name, _ in manifest.waivers]
         waivers = fields.names_with_reasons("waivers")
         for waiver, reason in waivers.items():
@@ -199,7 +199,7 @@ class DeviceBindingsReader:
 
 
 def _without_policy(fields: YamlFields, manifest: Manifest) -> OrphanPolicy | None:
-    """None where the key is missing; both of its keys are required."""
+    """The policy without a coordinator, None without the key; both of its keys are required."""
     if "without_policy" not in fields:
         return None
     states = manifest.device.safe_states
@@ -216,7 +216,7 @@ def _without_policy(fields: YamlFields, manifest: Manifest) -> OrphanPolicy | No
 
 
 def _safe_state(fields: YamlFields, manifest: Manifest) -> str:
-    """One of those of the manifest; '' for a pure sensor, which has none."""
+    """A safe state of the manifest; '' for a pure sensor, which has none."""
     states = manifest.device.safe_states
     if states:
         return fields.text("safe_state", states[0], choices=states)

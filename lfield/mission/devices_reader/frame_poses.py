@@ -47,7 +47,7 @@ def read_origin(top: YamlFields) -> Origin | None:
 
 
 def read_pose(fields: YamlFields) -> Pose | None:
-    """The pose of a host or agent, None where it has none of its own."""
+    """The pose of a host or agent, None without one of its own."""
     if "frame" not in fields:
         fields.node("frame")
         return None

@@ -46,7 +46,9 @@ HOLD_TIME, POLL_INTERVAL = 0.5, 0.1
 
 @dataclass(frozen=True, slots=True)
 class FeedNotice:
-    """A notice about a host: events lost, by kind (None: unknown number), or why it is unreachable."""
+    """A notice about a host: events lost, by kind (None: unknown number), or the reason why it is
+    unreachable.
+    """
 
     host: str
     text: str
@@ -57,7 +59,7 @@ class TeamFeed:
     """The hosts of one team; `names` are their display names. Implements `StreamHandler`.
 
     `telemetry`: subscribed, so its loss is reported. `kinds` are the kinds to keep, None for all. The
-    `observer` is called like this.
+    `observer` is called like this handler.
     """
 
     def __init__(
@@ -155,7 +157,7 @@ class EventFeed:
     async def events(
         self, *, follow: bool, until: Callable[[], bool] = lambda: False
     ) -> AsyncIterator[DatedEvent | FeedNotice]:
-        """The events until this is closed or `until` is true; without `follow` only the stored ones."""
+        """The events until the feed is closed or `until` is true; without `follow` only the stored ones."""
         while True:
             is_over = until()
             if is_over:
@@ -181,7 +183,7 @@ class EventFeed:
         return await self._query()
 
     async def follow_end(self, end: MissionEnd) -> None:
-        """Query the hosts of a single team whenever that is due, until their mission has ended."""
+        """Queries the hosts of a single team whenever a query is due, until their mission has ended."""
         while not end.is_over():
             if end.is_query_due:
                 end.on_answers(await self.snapshots())

@@ -1,4 +1,4 @@
-"""What the map shows of files: those that a program names, and those that the operator names.
+"""Contents of files for the map: those that a program names, and those that the operator names.
 
 A program contains its plans as constants, and its areas as debug information.
 """
@@ -19,7 +19,7 @@ from lfield.text.input_files import MAX_TEXT, read_bytes
 
 
 def program_drawings(program: Program) -> list[MapDrawing]:
-    """The plans and areas that a program names. What no installed driver reads is left out."""
+    """The plans and areas that a program names, without files that no installed driver reads."""
     debug = program.debug
     with_methods = {method.source for method in debug.methods}
     others = (source for number, source in enumerate(debug.sources) if number not in with_methods)
@@ -45,7 +45,7 @@ def _accepts_plans(program: Program) -> bool:
 
 
 def file_drawings(paths: Iterable[Path]) -> list[MapDrawing]:
-    """Of plan and area files. Raises MissionFileError, InputFileError, UsageError."""
+    """The drawings of plan and area files. Raises MissionFileError, InputFileError, UsageError."""
     found: list[MapDrawing] = []
     for path in paths:
         drawings = _drawings(str(path), read_bytes(path, MAX_TEXT))
@@ -56,7 +56,7 @@ def file_drawings(paths: Iterable[Path]) -> list[MapDrawing]:
 
 
 def _drawings(name: str, data: bytes) -> list[MapDrawing]:
-    """Of one file. Raises MissionFileError, PluginError, UsageError."""
+    """The drawings of one file. Raises MissionFileError, PluginError, UsageError."""
     if is_area_file(name, data):
         return area_drawings(name, data)
     return drawings_of(name, discover().plan_reader.read_plan(name, data, PlanRequest()))

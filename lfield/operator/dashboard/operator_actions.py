@@ -26,7 +26,7 @@ class OrderOutcome:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all hosts and devices have executed it."""
+        """Whether all hosts and devices have executed the order."""
         return not (self.unconfirmed or self.unreached)
 
 
@@ -44,8 +44,7 @@ class QueryAnswer:
 
 
 class OperatorActions(Protocol):
-    """The actions of the buttons. Nothing is raised for faults of hosts or users: the answer contains
-    them."""
+    """The actions of the buttons. Faults of hosts or users raise no exception: the answer contains them."""
 
     @property
     def denied_orders(self) -> Mapping[OrderKind, str]:
@@ -65,17 +64,17 @@ class OperatorActions(Protocol):
         """Resume a paused mission."""
 
     async def enter(self, host: str, agent: str, text: str) -> str:
-        """Give an agent of a host a line of input; returns why it has not got it, '' if it has."""
+        """Give an agent of a host a line of input; returns the reason why the agent has not got it, or ''."""
 
     async def query(self, text: str) -> QueryAnswer:
-        """`lfield query`: which agents offer a capability."""
+        """Run `lfield query`: which agents offer a capability."""
 
 
 class OrderObserver(Protocol):
     """Receives each order, and each answer when it arrives."""
 
     def on_order(self, order: OrderKind, hosts: Collection[str]) -> int:
-        """An order is sent to those hosts; returns its number."""
+        """Called when an order is sent to those hosts; returns its number."""
 
     def on_answer(self, number: int, host: str, answer: EmergencyStopResult | LfieldError) -> None:
-        """The answer of a host to that order, or the error."""
+        """Called with the answer of a host to that order, or the error."""

@@ -1,6 +1,6 @@
-"""Has the services of some hosts vote about the activation of a bundle, and reports the votes to all of them.
+"""Requests the votes of some hosts' services about the activation of a bundle, and reports them to all.
 
-The desk decides nothing (`lfield.service.ballots`): if it ends, the hosts settle the ballot among themselves.
+The desk does not decide (`lfield.service.ballots`): if it ends, the hosts settle the ballot among themselves.
 """
 
 from __future__ import annotations
@@ -35,14 +35,16 @@ REPORT_TIMEOUT = 10.0
 
 
 class BallotResult:
-    """What the desk knows of a ballot: votes and reasons by host, and the hosts that know the result."""
+    """The votes of a ballot known to the desk: votes and reasons by host, and the hosts that know the
+    result.
+    """
 
     def __init__(self, ballot: Ballot) -> None:
         self.ballot = ballot
         self.votes: dict[str, Vote] = {}
         self.reasons: dict[str, str] = {}
         self.informed: set[str] = set()
-        #: Why hosts did not answer, or could not vote; `late` are those that have answered later.
+        #: The reasons why hosts did not answer, or could not vote; `late` are those that have answered later.
         self.unreached: dict[str, LfieldError] = {}
         self.late: dict[str, LfieldError] = {}
 
@@ -79,7 +81,8 @@ async def activate(
 ) -> BallotResult:
     """The result of a ballot among services.
 
-    It is open if hosts could not be reached: then those settle it that have voted yes, when they meet.
+    The result is open if hosts could not be reached: then the hosts that have voted yes settle it when they
+    meet.
     """
     result = BallotResult(ballot)
 

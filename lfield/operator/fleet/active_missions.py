@@ -1,6 +1,6 @@
-"""The missions whose bundles are active on robots, and which of their coordinators do not run. Pure.
+"""The missions whose bundles are active on robots, and their coordinators that do not run. Pure.
 
-From the states of the services, as far as they are known.
+The data are the known states of the services.
 
 An inventory may have more robots than a mission: only the hosts of the deployment in the active bundle count.
 """
@@ -25,13 +25,13 @@ class ActiveMission:
 
 #: States of coordinators that run or will run; one that is in doubt may have ended elsewhere.
 _RUNNING = ("running", "leaving", "waiting to start")
-#: Phases in which a host does not run, nor will by itself.
+#: Phases in which a host does not run, and does not start by itself.
 DOWN = ("stopped", "ended", "interrupted")
 
 
 @dataclass(frozen=True, slots=True)
 class IdleCoordinator:
-    """A coordinator that does not run although hosts of its mission do: why, and on which host."""
+    """A coordinator that does not run although hosts of its mission do, with the reason and the host."""
 
     agent: str
     host: str
@@ -39,7 +39,7 @@ class IdleCoordinator:
 
     @property
     def reason(self) -> str:
-        """Why it does not run, and what to do."""
+        """The reason why the coordinator does not run, and the remedy."""
         if self.is_parked:
             return (
                 f"coordinator {self.agent} is parked: it belongs to another bundle; 'lfield stop --discard' "
@@ -67,8 +67,8 @@ def active_missions(
 def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
     """The hosts of a mission with different active bundles, in order; none if all missions are complete.
 
-    A host that only has a bundle of an earlier mission, whose other hosts have a newer mission now, is not
-    one of them, unless it runs that mission.
+    A host that only has a bundle of an earlier mission, whose other hosts have a newer mission now, does not
+    count, unless it runs that mission.
     """
     complete = {host for mission in active_missions(statuses) for host in mission.hosts}
     left = {host: status for host, status in statuses.items() if host not in complete}
@@ -107,7 +107,7 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
 def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[str]:
     """The hosts that still run although the mission has ended on others.
 
-    For example one that was killed in the moment of the end: it waits for those that have ended.
+    For example a host that was killed in the moment of the end: it waits for those that have ended.
     """
     known = [statuses[host] for host in mission.hosts if host in statuses]
     runs = any(one.state in _RUNNING for status in known for one in status.unfinished)
@@ -117,7 +117,7 @@ def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -
 
 
 def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
-    """Whether no coordinator of a mission runs, so that nothing will happen."""
+    """Whether no coordinator of a mission runs, so that no further event will happen."""
     return bool(idle) and len(idle) == len(mission.coordinators)
 
 
@@ -134,7 +134,7 @@ def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> boo
 def _mission(digest: bytes, statuses: Mapping[str, ServiceStatus]) -> ActiveMission:
     info = bundle_info(statuses, digest)
     if info is None or not info.hosts:
-        # Its bundle is damaged, or its signature is not valid any more.
+        # The bundle is damaged, or its signature is not valid any more.
         having = tuple(host for host, status in statuses.items() if status.active == digest)
         return ActiveMission(digest, "", having, {})
     return ActiveMission(digest, info.name, tuple(info.hosts), info.coordinators)

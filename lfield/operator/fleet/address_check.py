@@ -1,4 +1,4 @@
-"""Which addresses of an inventory answer, and which host answers there."""
+"""Checks which addresses of an inventory answer, and which host answers there."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ TIMEOUT, MAX_AT_ONCE = 5.0, 64
 #: Port of ssh without `ssh_port`.
 SSH_PORT = 22
 
-#: What listens at an address: the service, the mission's host, or the ssh server.
+#: The program that listens at an address: the service, the mission's host, or the ssh server.
 Purpose = Literal["service", "mission", "ssh"]
-#: "refused": something listens, and is no host of this team or does not accept the keys.
+#: "refused": a program listens, and is no host of this team or does not accept the keys.
 Outcome = Literal["answers", "other-host", "refused", "closed", "unreachable"]
 
 
@@ -41,7 +41,7 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class EndpointState:
-    """What was found at an address; `name` is the host in the certificate, '' without one."""
+    """The result of the check of an address; `name` is the host in the certificate, '' without one."""
 
     outcome: Outcome
     name: str = ""

@@ -1,7 +1,7 @@
 """Transfers a bundle to a service in pieces; an interrupted transfer continues where it ended.
 
-The service says which pieces it does not have, on disk or in another bundle, and only these are sent. Every
-piece is confirmed when it is on disk. After a broken link the pieces are offered again.
+The service reports the pieces that it does not have, on disk or in another bundle, and only these are sent.
+Every piece is confirmed when it is on disk. After a broken link the pieces are offered again.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Upload:
 class UploadProgress:
     """Progress of an upload to one host, in pieces. `sent` counts the bytes of pieces as they were sent.
 
-    `refusal` is why the host does not store the bundle, '' if it does, `code` the code of its error. With
+    `refusal` is the reason why the host does not store the bundle, '' if it does, `code` its error code. With
     `is_deferred` the host will store it later.
     """
 

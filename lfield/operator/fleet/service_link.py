@@ -85,7 +85,7 @@ class ServiceLink(ObserverLink):
             await self._greeted
 
     def give_up(self) -> None:
-        """The result of the handshake is not needed any more."""
+        """Discard the result of the handshake, which is not needed any more."""
         self._greeted.cancel()
 
     def send(self, message: ServiceMessage) -> None:
@@ -156,8 +156,8 @@ async def open_service_link(
 class ServiceLinks:
     """The links of a desk to the services of some hosts: made when needed, and used again.
 
-    A link whose use has failed is closed, so no late answer is taken for that of another request. `close`
-    them at the end.
+    A link whose use has failed is closed, so no late answer counts as that of another request. Call `close`
+    at the end.
     """
 
     def __init__(
@@ -194,8 +194,8 @@ class ServiceLinks:
     ) -> A:
         """The answer to a request that may be repeated: again after broken links, for `within` seconds.
 
-        Each answer may take `answered` seconds. A service that does not listen may be restarting: it is asked
-        again for `restart` seconds. One without a link for `CONTACT` seconds is not waited for. Raises
+        Each answer may take `answered` seconds. A service that does not listen may be restarting: the request
+        is repeated for `restart` seconds. One without a link for `CONTACT` seconds is not waited for. Raises
         AddressError, HandshakeError, KeysError.
         """
         now = asyncio.get_running_loop().time

@@ -67,7 +67,7 @@ class KnownHosts:
         self._team = hashlib.sha256(authority).digest()[:16]
         #: The hosts of all teams, the most recently used one at the end.
         self._hosts: _Hosts = hosts if hosts is not None else OrderedDict()
-        #: Changes since it was read or saved.
+        #: Changes since the file was read or saved.
         self._changed: dict[tuple[bytes, str], None] = {}
 
     @classmethod
@@ -100,7 +100,7 @@ class KnownHosts:
             self._changed[self._team, host] = None
 
     def on_verified(self, certificate: bytes, who: Identity) -> None:
-        """A handshake has verified a certificate in DER."""
+        """Store a certificate in DER that a handshake has verified."""
         if who.kind == "host":
             self.learn(who.name, certificate=certificate)
 

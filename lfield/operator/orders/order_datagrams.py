@@ -36,7 +36,7 @@ class OrderDatagrams:
         self._waiting: dict[str, bytes] = {}
         self._answers = {host: self._loop.create_future() for host in addresses}
         self._needs_link = {host: asyncio.Event() for host in addresses}
-        #: Why an order that has ended at a host cannot be confirmed by datagrams alone.
+        #: The reasons why an order that has ended at a host cannot be confirmed by datagrams alone.
         self._partial: dict[str, LfieldError] = {}
         self._lookups = [self._loop.create_task(self._look_up(host)) for host in addresses]
 
@@ -86,12 +86,12 @@ class OrderDatagrams:
         self._step()
 
     async def _look_up(self, host: str) -> None:
-        # A fabric carries no datagrams of ours.
+        # A fabric does not carry our datagrams.
         each = [one for one in split_addresses(self._addresses[host]) if not is_zenoh(one)]
         try:
             lookups = AddressLookups(each)
         except AddressError:
-            # The link attempt reports what is wrong with it.
+            # The link attempt reports the problem of the address.
             self._needs_link[host].set()
             return
         try:

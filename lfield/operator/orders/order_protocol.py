@@ -44,8 +44,8 @@ from lfield.wire.order_messages import (
 
 #: Number of unanswered datagrams after which a host is also addressed through other hosts, in turns.
 RELAY_AFTER = 3
-#: Number of them after which a new link is opened (its handshake takes 4-5 kB); and, if any host has answered
-#: datagrams, the larger number and the time (s).
+#: Number of unanswered datagrams after which a new link is opened (its handshake takes 4-5 kB); and, if any
+#: host has answered datagrams, the larger number and the time (s).
 LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 #: The most signatures of the order for one host.
 MAX_SIGNATURES = 8
@@ -108,8 +108,8 @@ class OrderRoundTrip(SmoothedRtt):
     def time_out(self) -> float | None:
         """Seconds after which an answer is missing; None before a measurement.
 
-        An unnecessary repetition costs some 300 bytes, and a late one delays a stop. So this is shorter than
-        the time-out of RFC 6298, which is for whole windows of data.
+        An unnecessary repetition costs some 300 bytes, and a late one delays a stop. So this time is shorter
+        than the time-out of RFC 6298, which is for whole windows of data.
         """
         if self.mean is None:
             return None
@@ -134,13 +134,13 @@ class _Host:
     named: bytes
     known: VerifiedCertificate | None = None
     certificate: bytes = b""
-    #: Whether it has answered this order itself, and how often it has reported that it is executing it.
+    #: Whether the host itself has answered this order, and the number of reports that it is executing it.
     has_answered: bool = False
     receipts: int = 0
     #: The number of datagrams sent, the number since the latest answer, and the time of each.
     attempts: int = 0
     unanswered: int = 0
-    #: When the first since then was sent, and how long before the last one.
+    #: The time when the first since then was sent, and the seconds from it to the last one.
     silent_since: float = 0.0
     silent_for: float = 0.0
     sent: dict[int, float] = field(default_factory=dict)
@@ -212,7 +212,7 @@ class OrderProtocol:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is to be called next; None when every host has a result."""
+        """The time of the next `tick`; None when every host has a result."""
         return min((host.due for host in self._hosts.values() if host.due is not None), default=None)
 
     def drain_effects(self) -> list[OutgoingDatagram]:
@@ -228,7 +228,7 @@ class OrderProtocol:
             self._send(name, now)
 
     def tick(self, now: float) -> None:
-        """Repeat what is due."""
+        """Repeat the datagrams that are due."""
         for name, host in self._hosts.items():
             if host.due is not None and host.due <= now:
                 self._send(name, now)
@@ -236,12 +236,12 @@ class OrderProtocol:
                     self._send_around(name, host)
 
     def finish(self, host: str) -> None:
-        """The order has ended at this host by another path, such as a link: nothing more is sent."""
+        """End the order at a host that has it by another path, such as a link: no more datagrams are sent."""
         if host in self._hosts:
             self._hosts[host].due = None
 
     def on_datagram(self, data: bytes, now: float) -> None:
-        """A datagram arrived, from any address. It is ignored unless it answers this order."""
+        """Handle a datagram from any address; it is ignored unless it answers this order."""
         try:
             datagram = decode_datagram(data)
             if isinstance(datagram, CertificateRequest):
@@ -257,8 +257,9 @@ class OrderProtocol:
             return
 
     def _on_certificate_request(self, request: CertificateRequest, now: float) -> None:
-        """A host does not know the certificate. The message is not signed, so it is accepted once, and its
-        epochs are a hint: a false one costs a challenge."""
+        """Send the certificate to a host that does not know it. The request is not signed, so it is
+        accepted once, and its epochs are a hint: a false one costs a challenge.
+        """
         host = self._hosts.get(request.host)
         if host is None or host.due is None or host.certificate or request.signer != self._signer.digest:
             return
@@ -298,7 +299,7 @@ class OrderProtocol:
                 host.result, host.due = answer, None
 
     def _on_challenge(self, name: str, host: _Host, epochs: Epochs, now: float) -> None:
-        """The order is repeated, unless it would lift a stop or pause that is unknown here."""
+        """Repeat the order, unless it would lift a stop or pause that is unknown here."""
         if epochs.of(self.kind) == host.named or host.times_signed >= MAX_SIGNATURES:
             return
         if self.kind not in HOLDS and host.named != UNKNOWN_EPOCH:

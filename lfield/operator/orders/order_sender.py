@@ -53,14 +53,14 @@ class OrderSender:
         return given
 
     def _certificate_of(self, host: str, certificate: bytes) -> VerifiedCertificate | None:
-        """The certificate of a host that was learned by a connection, or kept."""
+        """The certificate of a host from a connection, or from the cache."""
         if certificate:
             with suppress(KeysError):
                 self._certificates.add_der(certificate)
         return self._certificates.of_host(host)
 
     def finish(self, given: OrderDatagrams) -> None:
-        """Close an order of `send`, and store what was learned of the hosts."""
+        """Close an order of `send`, and store new data about the hosts."""
         given.close()
         asking = given.protocol
         for host, epochs in asking.epochs.items():
@@ -70,6 +70,6 @@ class OrderSender:
         self.known.save()
 
     def learn(self, host: str, epochs: Epochs) -> None:
-        """A host has sent its epochs over a link."""
+        """Store the epochs that a host has sent over a link."""
         self.known.learn(host, epochs=epochs)
         self.known.save()

@@ -29,7 +29,7 @@ class OrderSocket(Protocol):
 class OrderSockets:
     """A UDP socket for each family of addresses, made when it is needed, in the running loop.
 
-    What cannot be sent is lost, like what the network loses: it is repeated, and there is the connection.
+    A datagram that cannot be sent is lost, as in the network: it is repeated, and a link may follow.
     """
 
     def __init__(self, on_datagram: OnDatagram) -> None:

@@ -16,7 +16,6 @@ from lfield.operator.orders.order_datagrams import OrderDatagrams
 from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Seconds that an open link has before a new one is considered, and the maximum for the datagrams.
-#: most the datagrams.
 OPEN_LINK_TIME, DATAGRAM_TIME = 1.0, 4.0
 #: Additional seconds for the other paths after a link has failed.
 GRACE = 1.0
@@ -31,8 +30,9 @@ async def first_answer(
     datagrams: OrderDatagrams | None = None,
     standing: OpenLinkAnswer | None = None,
 ) -> EmergencyStopResult:
-    """What a host has answered by the way that was first. Raises what the connection has raised where no way
-    has an answer, and HandshakeError where the host refuses."""
+    """The answer of a host by the first path that has one. Raises the error of the link if no path has an
+    answer, and HandshakeError if the host refuses.
+    """
     loop = asyncio.get_running_loop()
     needed = _LinkNeeded(host, datagrams, standing)
     link = loop.create_task(needed.over_new_link(new_link))
@@ -56,7 +56,7 @@ async def _first(
     link: asyncio.Task[EmergencyStopResult],
     partial: Callable[[], LfieldError | None],
 ) -> EmergencyStopResult:
-    """The first result. After the link has failed, the other ways have a little more time."""
+    """The first result. After the link has failed, the other paths have a little more time."""
     waiting, loop = set(tasks), asyncio.get_running_loop()
     failed: BaseException | None = None
     until: float | None = None
@@ -78,7 +78,7 @@ async def _first(
 
 
 class _LinkNeeded:
-    """When a new connection is needed, since the other ways have not answered."""
+    """Opens a new link when the other paths have not answered."""
 
     def __init__(self, host: str, datagrams: OrderDatagrams | None, standing: OpenLinkAnswer | None) -> None:
         self._host, self._datagrams = host, datagrams
@@ -86,7 +86,7 @@ class _LinkNeeded:
         self._has_open_link = standing is not None
 
     async def over_open_link(self, standing: OpenLinkAnswer) -> EmergencyStopResult:
-        """Send over the open connection; if that fails, a new one is opened at once."""
+        """Send over the open link; if that fails, a new one is opened at once."""
         try:
             return await standing()
         except LfieldError:

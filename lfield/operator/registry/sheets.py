@@ -32,7 +32,7 @@ from lfield.text.suggestions import listed
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """What there is to say about one name: rows of a label and its lines, none of them empty."""
+    """The description of one name: rows of a label and its lines, none of them empty."""
 
     kind: str
     name: str
@@ -40,7 +40,7 @@ class Sheet:
 
 
 def describe(registry: Registry, name_or_id: str) -> list[Sheet]:
-    """Everything that has this name or id, or this word of the thesis; [] when nothing does."""
+    """The sheets of all entries with this name or id, or this word of the thesis; [] for none."""
     named = name_or_id.casefold()
     terms = [t.id for t in registry.terms.values() if named in (t.name.casefold(), t.id)]
     if (meant := term_of(registry, name_or_id)) is not None:
@@ -73,7 +73,7 @@ def in_terminal(sheet: Sheet) -> Iterator[str]:
 
 
 def _sheet(kind: str, name: str, rows: Mapping[str, Iterable[str] | str]) -> Sheet:
-    """A sheet without what has nothing to say."""
+    """A sheet without empty rows."""
     said = (
         (label, tuple(line for line in ([lines] if isinstance(lines, str) else lines) if line))
         for label, lines in rows.items()
@@ -145,7 +145,7 @@ def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
 
 
 def _portal(portal: Portal) -> Iterator[str]:
-    """The signature, then what the parameters and the result mean, and what can go wrong."""
+    """The signature of a portal, the meaning of its parameters and result, and its exceptions."""
     yield code(written(portal.name, [f"{p.type} {p.name}" for p in portal.parameters], portal.result))
     if portal.meaning:
         yield f"    {portal.meaning}"
@@ -172,7 +172,7 @@ def _served_by(registry: Registry, primitive: str) -> Iterator[str]:
 
 
 def _serves_too(registry: Registry, primitive: str) -> Iterator[str]:
-    """What else the primitive is good for."""
+    """Further uses of a primitive, by the rules."""
     for name, rule in sorted(registry.equivalences.items()):
         if rule.by == primitive:
             yield f"{rule.serves}, by {code(name)}"
@@ -266,7 +266,9 @@ def _when(condition: Expression | None) -> str:
 
 
 def _call(target: str, mapped: PortalMap) -> str:
-    """A mapped call with what the caller gets instead of what that emits: `Winch.lift(height) -> height`."""
+    """A mapped call; the results of the caller replace those of the callee: `Winch.lift(height) ->
+    height`.
+    """
     text = f"{target}.{mapped.target}({', '.join(map(_argument, mapped.arguments))})"
     return code(text if mapped.result is None else f"{text} -> {_argument(mapped.result)}")
 
@@ -293,7 +295,7 @@ def code(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """A text on one line; what a terminal would obey is shown as a dot."""
+    """A text on one line; control characters of a terminal are shown as dots."""
     return "".join(ch if ch.isprintable() else "·" for ch in text)
 
 

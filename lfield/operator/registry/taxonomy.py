@@ -1,4 +1,6 @@
-"""The taxonomy for people: which term an id means, what can be called there, and the tree of all terms."""
+"""The taxonomy for people: the term of an id, the primitives that can be called there, and the tree of
+terms.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from lfield.text.suggestions import did_you_mean
 
 @dataclass(frozen=True, slots=True)
 class TreeBranch:
-    """A line of a tree with what hangs below it. `mark` is the L type of what can be called."""
+    """A line of a tree with the lines below it. `mark` is the L type of a primitive that can be called."""
 
     text: str
     children: tuple[TreeBranch, ...] = ()
@@ -18,7 +20,7 @@ class TreeBranch:
 
 
 def term_of(registry: Registry, id: str) -> TaxonomyTerm | None:
-    """The term of an id. Aliases and ids out of use lead to the one that counts."""
+    """The term of an id. Aliases and ids out of use lead to the present one."""
     term = registry.terms.get(id)
     if term is None:
         term = next((t for t in registry.terms.values() if id in t.aliases), None)
@@ -37,12 +39,12 @@ def primitives_below(registry: Registry, id: str) -> list[Primitive]:
 
 
 def terms_below(registry: Registry, id: str) -> list[TaxonomyTerm]:
-    """The terms whose parent is a term; with '' those that have none."""
+    """The terms whose parent is a term; with '' those without a parent."""
     return [term for term in registry.terms.values() if term.id.rpartition(".")[0] == id]
 
 
 def unknown_name(registry: Registry, unknown: str) -> str:
-    """A hint about a name that nothing in the registry has."""
+    """A hint about a name that the registry does not contain."""
     known = (
         registry.terms,
         registry.primitives,
@@ -56,7 +58,7 @@ def unknown_name(registry: Registry, unknown: str) -> str:
 
 
 def tree(registry: Registry, id: str = "") -> list[TreeBranch]:
-    """The taxonomy, or what hangs at one of its terms; deprecated terms say what to write instead."""
+    """The taxonomy, or the part below one of its terms; deprecated terms name their replacement."""
     roots = [registry.terms[id]] if id else terms_below(registry, "")
     return [_branch(registry, term, term.id) for term in roots]
 

@@ -41,7 +41,7 @@ AgentEvent = (
 )
 
 
-#: State, file, line, and what it waits for.
+#: State, file, line, and the portal or instruction that the agent waits for.
 ProgramPosition = tuple[str, str, int, str]
 _NO_POSITION: ProgramPosition = ("", "", 0, "")
 
@@ -71,7 +71,7 @@ class _Agent:
     sequence: int = 0
     when: float | None = None
     hops: int = 0
-    #: Whether all hops of this start are counted: its start was received, or its own host reports it.
+    #: Whether all hops of this start are counted: the start was received, or its own host reports it.
     counted: bool = False
     served: int = 0
     to: str = ""
@@ -84,20 +84,22 @@ class _Agent:
     doubt: str = ""
     trail: list[_Hop] = field(default_factory=list)
     arrivals: deque[float] = field(default_factory=deque)
-    #: The last reported position on each host: it is not reported again as long as it is unchanged.
+    #: The last reported position on each host, which is not reported again while it is unchanged.
     positions: dict[str, ProgramPosition] = field(default_factory=dict)
     #: The newest hop of the newest start that each host has reported in its incarnation.
     newest: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def knows_newer_than(self, generation: int, sequence: int) -> bool:
-        """Whether a later hop than this one of that start is known. A superseded start knows nothing."""
+        """Whether a later hop of that start than this one is known; for a superseded start, always False."""
         if self.finished == "superseded":
             return False
         return (generation, sequence) < (self.generation, self.sequence)
 
     def on_report(self, host: str, generation: int, sequence: int, linked: Collection[str]) -> None:
-        """A host reports that hop of that start. Starts are counted again in a new run of the mission: the
-        first report of an incarnation starts one, unless a linked host has reported a later one."""
+        """Handle a report of a host about that hop of that start. Starts are counted again in a new run of
+        the mission: the first report of an incarnation starts one, unless a linked host has reported a
+        later one.
+        """
         hop = (generation, sequence)
         is_first = host not in self.newest
         self.newest[host] = max(hop, self.newest.get(host, hop))
@@ -111,21 +113,21 @@ class _Agent:
             self.to = self.finished = self.detail = self.doubt = ""
 
     def set_running(self, host: str, generation: int, sequence: int, when: float) -> None:
-        """It runs on a host."""
+        """Set that the agent runs on a host."""
         self.host, self.generation, self.sequence, self.when = host, generation, sequence, when
         self.to = self.finished = self.detail = self.doubt = ""
 
     def set_position(self, state: str, file: str = "", line: int = 0, waits: str = "") -> None:
-        """Its activity."""
+        """Set the activity of the agent."""
         self.state, self.file, self.line, self.waits = state, file, line, waits
 
     def on_arrival(self, host: str, generation: int, sequence: int, when: float) -> None:
-        """It runs on a host where it did not before."""
+        """Set that the agent runs on a host where it did not run before."""
         self.set_running(host, generation, sequence, when)
         self.set_position(*self.positions.get(host, _NO_POSITION))
 
     def hop(self, generation: int, sequence: int) -> _Hop | None:
-        """A hop of its trail."""
+        """A hop in the agent's trail."""
         return next((h for h in self.trail if (h.generation, h.sequence) == (generation, sequence)), None)
 
     def add(self, hop: _Hop) -> None:
@@ -145,9 +147,9 @@ class AgentTracker:
         self._kinds: dict[str, str] = {name: enrolled.kind for name, enrolled in inventory.agents.items()}
 
     def on_event(self, host: str, event: AgentEvent, when: float, *, is_past: bool = False) -> None:
-        """An event of a host that happened at `when`.
+        """Handle an event of a host that happened at `when`.
 
-        If it `is_past`, a snapshot contains its consequences, and only the hop itself is new.
+        If the event `is_past`, a snapshot contains its consequences, and only the hop itself is new.
         """
         agent = self._agent(event.agent, host)
         self._linked.add(host)
@@ -169,7 +171,7 @@ class AgentTracker:
             case events.AgentActivity(_, state, file, line, waits):
                 agent.positions[host] = (state, file, line, waits)
                 if agent.host != host and _is_stale(agent, when) and self._is_coordinator(event.agent):
-                    # It hops so often that its hosts could not report each hop.
+                    # The agent hops so often that its hosts could not report each hop.
                     agent.host, agent.to = host, ""
                 if agent.host == host and not agent.finished:
                     agent.set_position(state, file, line, waits)
@@ -195,7 +197,7 @@ class AgentTracker:
         return self._kinds.get(name) == "coordinator"
 
     def on_served(self, host: str, resource: str) -> None:
-        """A portal call of a resource has ended."""
+        """Handle the end of a portal call of a resource."""
         self._agent(resource, host).served += 1
 
     def _on_finished(
@@ -210,7 +212,7 @@ class AgentTracker:
     def on_status(
         self, host: str, agents: Iterable[AgentStatus], known: Iterable[CoordinatorState], now: float
     ) -> None:
-        """The status of all agents from one host. Only its coordinator records have start and hop."""
+        """Handle the status of all agents from one host. Only its coordinator records have start and hop."""
         here = {reported.id for reported in agents}
         self._linked.add(host)
         for copy in known:
@@ -231,7 +233,7 @@ class AgentTracker:
                 agent.set_position("not reported" if agent.when is not None else "")
 
     def on_startable(self, host: str, names: Iterable[str], now: float) -> None:
-        """Coordinators of a host that others may start, and that do not run; after its status."""
+        """Handle the coordinators of a host that others may start, and that do not run; after its status."""
         for name in names:
             self._is_of(name, "coordinator")
             agent = self._agent(name, host)
@@ -240,16 +242,16 @@ class AgentTracker:
                 agent.set_position("startable")
 
     def on_linked(self, host: str) -> None:
-        """A host is followed again: it reports everything again."""
+        """Prepare for a host that is followed again, and reports all its data again."""
         for agent in self._known.values():
             agent.positions.pop(host, None)
 
     def on_unlinked(self, host: str) -> None:
-        """A host is unreachable."""
+        """Record that a host is unreachable."""
         self._linked.discard(host)
 
     def on_restarted(self, host: str) -> None:
-        """A new incarnation of a host: the activity of its resources is void."""
+        """Clear the activity of the resources of a host with a new incarnation."""
         for agent in self._known.values():
             agent.newest.pop(host, None)
             if agent.host == host and not agent.to:
@@ -311,7 +313,9 @@ class AgentTracker:
 
 
 def _is_stale(agent: _Agent, when: float) -> bool:
-    """Whether its host has not reported it for so long that another host's report takes precedence."""
+    """Whether the agent's host has not reported it for so long that another host's report takes
+    precedence.
+    """
     return not agent.finished and (agent.when is None or when > agent.when + STALE)
 
 
@@ -323,7 +327,7 @@ def _hop_state(hop: _Hop, now: float) -> HopState:
 
 
 def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: bool) -> None:
-    """One event of a hop, in any order: it is combined with the earlier ones."""
+    """Handle one event of a hop, in any order: it is combined with the earlier ones."""
     generation, sequence = event.generation, event.sequence
     hop, is_old = agent.hop(generation, sequence), is_past or agent.knows_newer_than(generation, sequence)
     match event:
@@ -358,7 +362,7 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
 
 
 def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) -> None:
-    """The record of a host about one start."""
+    """Handle the record of a host about one start."""
     generation, sequence = known.generation, known.sequence
     if agent.knows_newer_than(generation, sequence):
         return

@@ -1,8 +1,8 @@
 """Results of orders sent from here: the last one of each pair of opposites (stop and lift, pause and resume).
 Sans-IO.
 
-A result is valid until the host reports another state: a host that did not answer and has stopped all the
-same, by another path, is no longer shown as unreached.
+A result is valid until the host reports another state: a host that did not answer but has stopped, by another
+path, is no longer shown as unreached.
 """
 
 from __future__ import annotations
@@ -78,20 +78,20 @@ class CommandLog:
         self._last: dict[OrderKind, _Command] = {}
 
     def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
-        """An order is sent to those hosts; returns its number."""
+        """Record an order that is sent to those hosts; returns its number."""
         self._count += 1
         self._last.pop(_OPPOSITE[order], None)
         self._last[order] = _Command(self._count, order, now, dict.fromkeys(hosts))
         return self._count
 
     def on_answer(self, number: int, host: str, answer: EmergencyStopResult | LfieldError) -> None:
-        """The answer of a host, or why there is none. Superseded orders are ignored."""
+        """Record the answer of a host, or the reason why there is none. Superseded orders are ignored."""
         for press in self._last.values():
             if press.number == number:
                 press.answers[host] = answer if isinstance(answer, EmergencyStopResult) else str(answer)
 
     def on_order_event(self, order: OrderKind, when: float) -> None:
-        """Another operator's order has reached a host at `when`, which may end one from here."""
+        """Handle another operator's order that has reached a host at `when`, which may end one from here."""
         other = self._last.get(_OPPOSITE[order])
         if other is not None and when > other.when:
             del self._last[_OPPOSITE[order]]

@@ -28,7 +28,7 @@ from lfield.wire.observer_messages import DeviceStatus
 
 #: The most devices of one host: a host may name any number.
 MAX_DEVICES = 4096
-#: Metres from home from which on a fence counts as none.
+#: Radius of a fence in metres from which on it counts as none.
 NO_FENCE = 1e6
 
 DeviceEvent = DeviceLatched | SafeStateConfirmed | DeviceMoving | DeviceReleased | DeviceTelemetry
@@ -36,7 +36,9 @@ DeviceEvent = DeviceLatched | SafeStateConfirmed | DeviceMoving | DeviceReleased
 
 @dataclass(slots=True)
 class _Device:
-    """One device; `last_contact` is when its newest telemetry was measured (s, our monotonic clock)."""
+    """One device; `last_contact` is the time when its newest telemetry was measured (s, our monotonic
+    clock).
+    """
 
     moves: bool | None = None
     latched: str = ""
@@ -53,7 +55,7 @@ class DeviceTracker:
         self._known = {name: _Device(each) for name, each in moves.items()}
 
     def on_event(self, event: DeviceEvent, when: float) -> None:
-        """An event that happened at `when`."""
+        """Handle an event that happened at `when`."""
         device = self._device(event.device)
         match event:
             case DeviceLatched(_, _, reason):
@@ -72,7 +74,7 @@ class DeviceTracker:
                 device.values, device.last_contact = values, when - silent
 
     def on_snapshot(self, devices: Iterable[DeviceStatus], now: float) -> None:
-        """The state of all devices of the host."""
+        """Handle the state of all devices of the host."""
         for reported in devices:
             device = self._device(reported.name)
             device.latched, device.confirmed = (
@@ -85,18 +87,18 @@ class DeviceTracker:
                 device.last_contact, device.values = now - reported.silent, reported.telemetry
 
     def on_restarted(self) -> None:
-        """A new incarnation of the host, which reports the states of its devices again."""
+        """Clear the states for a new incarnation of the host, which reports them again."""
         for device in self._known.values():
             device.latched, device.confirmed, device.moving = "", False, ""
 
     def on_movable(self, names: Iterable[str]) -> None:
-        """These devices have a safe state: the host has reported whether they are in it."""
+        """Mark devices that have a safe state: the host has reported whether they are in it."""
         for name in names:
             self._device(name).moves = True
 
     @property
     def problems(self) -> Mapping[str, str]:
-        """The movable devices, each with why it is not safe; '' if it is."""
+        """The movable devices, each with the reason why it is not safe; '' if it is."""
         return {
             name: _unsafe_reason(device)
             for name, device in self._known.items()

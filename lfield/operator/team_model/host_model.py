@@ -34,8 +34,8 @@ NO_LINK = LinkState()
 class HostModel:
     """One host, at first with the devices that `moves` names.
 
-    `known` is its state but for ages, dictionaries and devices. `first_after` is the number of the event
-    before the first one that was received, `past` that of the newest event that a snapshot includes.
+    `known` is the state of the host except ages, dictionaries and devices. `first_after` is the number of the
+    event before the first one that was received, `past` that of the newest event that a snapshot includes.
     `refusals` are the devices that have not confirmed an order, with the reasons.
     """
 
@@ -53,8 +53,8 @@ class HostModel:
         self.stopped_at: float | None = None
         self.refusals: Mapping[str, str] = {}
         self.offers: dict[str, str] = {}
-        #: When its last batch came, the offset of our monotonic clock to its own (by the quickest batch so
-        #: far), and what its clock showed last.
+        #: The time of the last batch, the offset of our monotonic clock to that of the host (by the quickest
+        #: batch so far), and the last time of that clock.
         self._last_update: float | None = None
         self._clock: float | None = None
         self._up = 0.0
@@ -68,20 +68,22 @@ class HostModel:
         self.known = replace(self.known, linked=True, trouble="", error=None)
 
     def on_unlinked(self, why: str, error: LfieldError | None = None) -> None:
-        """There is no link, or the host has not answered, because of an `error`."""
+        """Record that there is no link, or that the host has not answered, because of an `error`."""
         self.known = replace(self.known, linked=False, trouble=why, error=error)
 
     def on_restarted(self) -> None:
-        """Another life of the host: of its state the telemetry is left, and its clock may be another one."""
+        """Start a new incarnation of the host: only the telemetry is kept, and its clock may be another
+        one.
+        """
         known = self.known
         self.devices.on_restarted()
         self.known = HostState(known.host, place=known.place, restarts=known.restarts + 1)
         self._start_life()
 
     def on_batch(self, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
-        """A batch, without its events and its snapshot.
+        """Handle a batch, except its events and its snapshot.
 
-        `took` is the time from the request to a first batch, so the clock of the host is that uncertain.
+        `took` is the time from the request to a first batch, which is the uncertainty of the host's clock.
         """
         self.on_linked()
         self.incarnation = batch.incarnation
@@ -94,7 +96,7 @@ class HostModel:
         self._lost.update(batch.lost)
 
     def on_snapshot(self, report: Status, latest: int, now: float) -> None:
-        """The state of the host as of its event number `latest`."""
+        """Handle the state of the host as of its event number `latest`."""
         self.past, start, bundle = latest, report.start, report.bundle
         self.known = replace(
             self.known,
@@ -115,12 +117,12 @@ class HostModel:
         self.devices.on_snapshot(report.devices, now)
 
     def on_past_event(self, what: object, when: float) -> None:
-        """An event before the snapshot: only its time and operator are used."""
+        """Handle an event before the snapshot: only its time and operator are used."""
         if isinstance(what, events.EmergencyStopChanged) and self.known.stopped and not what.lifted:
             self.stopped_by, self.stopped_at = what.by, when
 
     def on_event(self, what: object, when: float) -> None:
-        """An event after the snapshot. Portal calls and instructions leave no state."""
+        """Handle an event after the snapshot. Portal calls and instructions leave no state."""
         if isinstance(what, DeviceEvent):
             self.devices.on_event(what, when)
         match what:
@@ -161,12 +163,12 @@ class HostModel:
                 pass
 
     def on_log_event(self, what: LogEvent) -> None:
-        """An event of the log: what the host itself has dropped is lost."""
+        """Handle an event of the log: events that the host itself has dropped are lost."""
         if isinstance(what, events.EventsDropped):
             self._lost[what.skipped] += what.count
 
     def on_answer(self, answer: EmergencyStopResult) -> None:
-        """The answer to an order, which names the devices that have a safe state."""
+        """Handle the answer to an order, which names the devices that have a safe state."""
         self.devices.on_movable(answer.devices)
         self.refusals = {device: why for device, why in answer.devices.items() if why}
 
@@ -177,7 +179,7 @@ class HostModel:
         return now if self._clock is None else min(now, up + self._clock)
 
     def state(self, now: float) -> HostState:
-        """The host at that moment."""
+        """The state of the host at that time."""
         since = None if self._last_update is None else max(0.0, now - self._last_update)
         return replace(
             self.known,

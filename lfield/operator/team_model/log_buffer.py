@@ -1,4 +1,4 @@
-"""The log of a team: what hosts and programs say, line by line, the last ones. Pure."""
+"""The log of a team: the last lines of hosts and programs. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_LINES = 1000
 MAX_LENGTH = 4096
 
 
-#: What of a stream makes lines.
+#: The events of a stream that make lines.
 LogEvent = Printed | LineLogged | EventsDropped
 
 
@@ -54,7 +54,7 @@ class LineAssembler:
     """Assembles the output of programs into lines."""
 
     def __init__(self) -> None:
-        #: What a program on a host has written since its last line ended.
+        #: The text that a program on a host has written since its last line ended.
         self._incomplete: dict[tuple[str, str], str] = {}
 
     def lines(self, host: str, what: Printed) -> list[str]:
@@ -71,7 +71,7 @@ class LineAssembler:
 
 
 class LogBuffer:
-    """The last lines of all hosts, in the order in which they came here."""
+    """The last lines of all hosts, in the order of their arrival."""
 
     def __init__(self) -> None:
         #: The timestamp of the last line of each host: a later incarnation may have an earlier clock.
@@ -87,19 +87,19 @@ class LogBuffer:
         self._held = deque(maxlen=MAX_LINES)
 
     def start(self, before: Iterable[LogRecord]) -> None:
-        """The backlog: add it, then the events held back."""
+        """Add the backlog, then the events held back."""
         held, self._held = self._held or (), None
         for said in (*before, *held):
             self.add(said)
 
     def add(self, record: LogRecord) -> None:
-        """A new event."""
+        """Add a new event."""
         if self._held is not None:
             self._held.append(record)
             return
         match record.what:
             case Printed(agent) as what:
-                # A line, or what a program has written of one.
+                # A line, or the part of a line that a program has written.
                 for line in self._pieces.lines(record.host, what):
                     self._add_line(record, agent, line)
             case LineLogged(text):
@@ -114,7 +114,7 @@ class LogBuffer:
             self._lines.append(_Line(self._serial, record.host, record.when, stamp, agent, line))
 
     def snapshot(self, now: float) -> tuple[ShownLogLine, ...]:
-        """All of them, the oldest first."""
+        """All lines, the oldest first."""
         return tuple(
             ShownLogLine(
                 line.serial,

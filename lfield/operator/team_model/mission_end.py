@@ -1,7 +1,7 @@
-"""Whether a mission has ended, seen from outside: no coordinator is alive on a host that is waited for. Pure.
+"""Whether a mission has ended, by observation: no coordinator is alive on a host that is waited for. Pure.
 
 A subscriber gets the events of all hosts. From time to time it also queries them, since a host does not
-record every hop. Both update what each host knows of each start of a coordinator (`CoordinatorState`). The
+record every hop. Both update the state of each start of a coordinator on each host (`CoordinatorState`). The
 rules are those of `lfield up --until-done`:
 
 - A start that is alive on a host decides: the mission continues. Otherwise the newest start counts, and an
@@ -9,7 +9,8 @@ rules are those of `lfield up --until-done`:
 - An unreachable host is waited for as long as another host has a link with it, and `lost_after` seconds more.
   Then a coordinator that may be there has an unknown end.
 - A coordinator that no host has, although all have answered twice in a row, is lost.
-- What a journal says about an earlier run counts when the home has had time to start the coordinator again.
+- The record of a journal about an earlier run counts when the home has had time to start the coordinator
+again.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from lfield.wire.subscription_messages import EventBatch
 QUERY_INTERVAL, SEARCH_INTERVAL = 10.0, 1.0
 #: Queries in a row that must miss a coordinator before it is lost.
 LOST_QUERIES = 2
-#: Seconds in which a home with a journal has started its coordinators, if it does so at all.
+#: Seconds in which a home with a journal starts its coordinators, if it starts them.
 SETTLE_TIME = 5.0
 
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
@@ -41,7 +42,7 @@ Start = tuple[str, int]
 
 
 class CoordinatorEnd(NamedTuple):
-    """How a coordinator has ended; `detail` is one line, or ''."""
+    """The end of a coordinator; `detail` is one line, or ''."""
 
     agent: str
     outcome: Literal["done", "died", "lost", "unknown"]
@@ -50,7 +51,7 @@ class CoordinatorEnd(NamedTuple):
 
 @dataclass(slots=True)
 class _Host:
-    """What one host knows, since it was reached in this incarnation; times on our monotonic clock.
+    """The data of one host, since it was reached in this incarnation; times on our monotonic clock.
 
     `waiting` are its coordinators that are not started. `started_at` is the start of the host.
     """
@@ -93,7 +94,7 @@ class MissionEnd:
     # --- in -------------------------------------------------------------------------------------------
 
     def on_linked(self, host: str) -> None:
-        """See `StreamHandler.on_linked`: the first batch follows."""
+        """Has no effect: the first batch follows."""
 
     def on_unlinked(self, host: str, why: str) -> None:
         """See `StreamHandler.on_unlinked`."""
@@ -111,7 +112,7 @@ class MissionEnd:
             self._on_snapshot(known, batch.snapshot, batch.latest)
 
     def on_answers(self, answers: Mapping[str, EventBatch | LfieldError]) -> None:
-        """The answers of the hosts to a query."""
+        """Handle the answers of the hosts to a query."""
         for host, answer in answers.items():
             if host in self._hosts and isinstance(answer, EventBatch) and answer.snapshot is not None:
                 known = self._on_contact(host, answer)
@@ -127,7 +128,7 @@ class MissionEnd:
         now = self._clock.monotonic()
         known = self._hosts[host]
         if known.incarnation != batch.incarnation:
-            # What an earlier incarnation knew is in its journal, or nowhere.
+            # The data of an earlier incarnation are in its journal, or lost.
             is_linked = known.is_linked
             known = self._hosts[host] = _Host(is_linked=is_linked, incarnation=batch.incarnation)
             self._query_at = min(self._query_at, now)
@@ -157,7 +158,7 @@ class MissionEnd:
                 _set(known, agent, generation, state="PREPARED", where=to, sequence=sequence)
             case events.MigrationConfirmed(agent, generation, sequence, to):
                 start = known.starts.get((agent, generation))
-                # It may be back already.
+                # The coordinator may be back already.
                 if start is None or (start.state == "PREPARED" and start.sequence == sequence):
                     _set(known, agent, generation, state="MOVED", where=to, sequence=sequence)
             case events.MigrationInDoubt(agent, generation, to):
@@ -184,7 +185,7 @@ class MissionEnd:
         return self._clock.monotonic() >= self._query_at
 
     def check(self) -> None:
-        """Decide; called a few times a second."""
+        """Evaluate the ends; called a few times a second."""
         ends = [self._end_of(agent) for agent in sorted(self._agents())]
         found = [end for end in ends if end is not None]
         if len(found) == len(ends) and self._has_contact and not self._has_others:
@@ -234,7 +235,9 @@ class MissionEnd:
         return self._missing_end(agent, lost)
 
     def _starts_of(self, agent: str) -> list[tuple[str, CoordinatorState]]:
-        """What the hosts know of its starts, without superseded ones; an end on one host is the end."""
+        """The states of a coordinator's starts on the hosts, without superseded ones; an end on one host
+        is the end.
+        """
         rows = [
             (host, row)
             for host, known in self._hosts.items()
@@ -259,7 +262,7 @@ class MissionEnd:
         return start.state in _ALIVE or in_doubt
 
     def _is_missing(self, agent: str) -> bool:
-        """Whether it was started, has not ended, and is on no host."""
+        """Whether a coordinator was started, has not ended, and is on no host."""
         starts = self._starts_of(agent)
         ended = any(start.outcome in TERMINATED for _, start in starts)
         return bool(starts) and not ended and not any(self._is_alive(*each) for each in starts)
@@ -304,7 +307,7 @@ class MissionEnd:
 
 
 def _set(known: _Host, agent: str, generation: int, **changes: object) -> None:
-    """Change what a host knows of a start. An end is final."""
+    """Change the state of a start on a host. An end is final."""
     start = known.starts.get((agent, generation)) or CoordinatorState(agent, generation, 0, 0, "RUN")
     if start.state != "EXITED" or changes["state"] == "EXITED":
         known.starts[agent, generation] = replace(start, **changes)

@@ -1,4 +1,4 @@
-"""What a team consists of by its files: agents, hosts, devices with quantities, positions. Sans-IO."""
+"""The parts of a team by its files: agents, hosts, devices with quantities, positions. Sans-IO."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def team_contents(name: str, team: Team, mission: Mission | None = None) -> Team
 
 
 def _instruments(drivers: DriverLookup) -> Mapping[str, Instruments]:
-    """By device type."""
+    """The quantities of each device type."""
     return {
         type: instruments_of(manifest.device)
         for driver in drivers.by_driver.values()

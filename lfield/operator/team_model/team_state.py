@@ -64,7 +64,7 @@ class HostState:
     """The state of a host.
 
     `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
-    no contact. `ending` is why it ends or has ended, if it reported that. `stopped` is the reason of an
+    no contact. `ending` is the reason of its end, if it reported one. `stopped` is the reason of an
     active emergency stop, '' for none. `paused`: an operator has paused the mission there; `held`: the vote
     about an activation does. `links` are its links to other hosts with their measurements, `away` the seconds
     since its last contact with each unreachable one. Coordinators not started yet wait for the hosts in
@@ -105,7 +105,7 @@ class HostState:
 
 @dataclass(frozen=True, slots=True)
 class DeviceState:
-    """A device, `name` is AGENT.FIELD. `latched` is why it is held in its safe state, '' when it is in use.
+    """A device, `name` is AGENT.FIELD. `latched` is the reason why it is held in its safe state, or ''.
 
     `confirmed`: it is in that state; `moving` describes its movement there, '' at rest. `silent` is the age
     of its telemetry, None if there never was any. `moves` is whether it has a safe state at all, None if
@@ -125,7 +125,7 @@ class DeviceState:
 
     @property
     def motion(self) -> str:
-        """What it still does; UNCONFIRMED in a safe state that is not confirmed, '' at rest."""
+        """The motion that remains; UNCONFIRMED in a safe state that is not confirmed, '' at rest."""
         return UNCONFIRMED if self.latched and not self.confirmed else self.moving
 
     @property
@@ -135,7 +135,7 @@ class DeviceState:
 
     @property
     def at_rest(self) -> bool:
-        """Whether it is confirmed in its safe state and at rest."""
+        """Whether the device is confirmed in its safe state and at rest."""
         return bool(self.latched) and self.confirmed and not self.moving
 
 
@@ -188,7 +188,7 @@ class HopState:
     """A hop `of` one host `to` another, started `age` seconds ago, for the call of RESOURCE.PORTAL.
 
     `seconds` is its duration as measured by the sender, None while unknown. `number` is that of the transfer.
-    `failed` is why it did not arrive, '' otherwise.
+    `failed` is the reason why it did not arrive, '' otherwise.
     """
 
     number: int
@@ -204,12 +204,13 @@ class HopState:
 
 @dataclass(frozen=True, slots=True)
 class AgentState:
-    """An agent. `host` is where it last ran; `to` is the destination of its hop, '' if it is not in transit.
+    """An agent. `host` is the host where it last ran; `to` is the destination of its hop, '' if not in
+    transit.
 
     `state` is its activity in a word, `file` and `line` its position in the program (0: unknown), `waits` the
-    portal or instruction that it waits for. `finished` is how it ended: '', done, died, lost, superseded,
-    with the `detail`. `doubt` is why its state is unknown. `hops` counts all, None for one that ended before
-    this computer watched, unless its last host reports it; `trail` are the last hops, newest last.
+    portal or instruction that it waits for. `finished` is its end: '', done, died, lost, superseded, with the
+    `detail`. `doubt` is the reason why its state is unknown. `hops` counts all, None for one that ended
+    before this computer watched, unless its last host reports it; `trail` are the last hops, newest last.
     """
 
     agent: str
@@ -236,7 +237,8 @@ class AgentState:
 class OfferState:
     """Whether an agent can be called, as reported by the host `reported_by`: its own if linked, else any.
 
-    `refusal` is why not, '' if it can. `apart` are the hosts that report otherwise, with their reasons.
+    `refusal` is the reason why not, '' if it can. `apart` are the hosts that report otherwise, with their
+    reasons.
     """
 
     agent: str

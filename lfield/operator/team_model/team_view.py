@@ -57,18 +57,18 @@ class TeamView:
     # --- in -------------------------------------------------------------------------------------------
 
     def on_linked(self, name: str) -> None:
-        """There is a link to a host."""
+        """Record a link to a host."""
         self._host(name).on_linked()
         self._agents.on_linked(name)
 
     def on_unlinked(self, name: str, why: str) -> None:
-        """The host has no link."""
+        """Record that a host has no link."""
         self._host(name).on_unlinked(why)
         self._agents.on_unlinked(name)
 
     def feed(self, name: str, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
-        """A batch of a host. `took` is the round trip (s) of a first answer, the uncertainty of the host's
-        clock.
+        """Handle a batch of a host. `took` is the round trip (s) of a first answer, the uncertainty of the
+        host's clock.
         """
         host = self._host_of(name, batch.incarnation)
         host.on_batch(batch, now, wall, took)
@@ -82,7 +82,7 @@ class TeamView:
         self._log.hold()
 
     def start_log(self, before: Iterable[tuple[str, int, Event]], now: float, wall: float) -> None:
-        """The earlier events: of each the host, its incarnation, and the event."""
+        """Add the earlier events: the host, incarnation and event of each."""
         self.revision += 1
         records = []
         for name, incarnation, event in before:
@@ -96,8 +96,8 @@ class TeamView:
         self._log.start(records)
 
     def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
-        """An order is sent to those hosts; hosts with unknown addresses count as unreached. Returns its
-        number.
+        """Record an order that is sent to those hosts; hosts with unknown addresses count as unreached.
+        Returns its number.
         """
         self.revision += 1
         number = self._commands.on_order(order, [*self._hosts, *(set(hosts) - set(self._hosts))], now)
@@ -106,7 +106,7 @@ class TeamView:
         return number
 
     def on_answer(self, number: int, name: str, answer: EmergencyStopResult | LfieldError) -> None:
-        """The answer of a host to an order, or why there is none."""
+        """Record the answer of a host to an order, or the reason why there is none."""
         host = self._host(name)
         self._commands.on_answer(number, name, answer)
         if isinstance(answer, EmergencyStopResult):
@@ -126,7 +126,7 @@ class TeamView:
         return HostModel(name, self.inventory.host_place(name), self.inventory.moves_of(name))
 
     def _host_of(self, name: str, incarnation: int) -> HostModel:
-        """A host in that life of it."""
+        """A host in one of its incarnations."""
         host = self._host(name)
         if host.incarnation not in (0, incarnation):
             host.on_restarted()
@@ -174,7 +174,7 @@ class TeamView:
         return self._tracks.since(after)
 
     def snapshot(self, now: float) -> TeamState:
-        """The state at that time."""
+        """The state of the team at that time."""
         hosts = {name: host.state(now) for name, host in self._hosts.items()}
         fresh = {name: host.linked for name, host in hosts.items()}
         devices, offers = self._devices_by_agent(hosts), self._offers(fresh)
@@ -195,7 +195,7 @@ class TeamView:
         )
 
     def _devices_by_agent(self, hosts: Mapping[str, HostState]) -> dict[str, tuple[DeviceState, ...]]:
-        """Of a device that several hosts name, that on the host of its agent counts."""
+        """The devices by agent; of a device that several hosts name, the state on its agent's host counts."""
         found: dict[str, dict[str, DeviceState]] = {agent_of(name): {} for name in self.inventory.devices}
         for name, host in hosts.items():
             for device in host.devices.values():
@@ -217,7 +217,9 @@ class TeamView:
         return found
 
     def _set_origin(self, devices: Mapping[str, tuple[DeviceState, ...]]) -> None:
-        """Without an origin of the team a map begins where the first vehicle was seen first, and stays."""
+        """Set the origin of a map without one of the team: the first position of the first vehicle; it
+        stays.
+        """
         for own in devices.values() if self._origin is None else ():
             place = earth_of(own, self.inventory)
             if place is not None:
@@ -280,7 +282,7 @@ class TeamView:
 
 
 def _unknown_why(host: HostState) -> str:
-    """Why the stop of a host is not confirmed."""
+    """The reason why the stop of a host is not confirmed."""
     if host.linked:
         return "the host has not confirmed the stop"
     if host.ending is None:

@@ -55,7 +55,7 @@ class AcceptLimiter:
         self._starting: set[asyncio.Task[None]] = set()
 
     def on_authenticated(self, peer: PeerAddress) -> None:
-        """The peer has a session: its connection is no longer limited."""
+        """Ends the limit for the connection of a peer that has a session."""
         self._unauthenticated.release(peer)
         self._sockets.pop(peer, None)
 
@@ -104,7 +104,7 @@ class AcceptLimiter:
         try:
             await loop.connect_accepted_socket(make_protocol, made, ssl=self._tls)
         except OSError:
-            # Not TLS, or closed by the peer.
+            # The connection is not TLS, or was closed by the peer.
             made.close()
 
 

@@ -1,8 +1,8 @@
 """The orders of the page's buttons, and the refusal of orders that arrive too late.
 
 Delays are measured by the server's clock alone. Each snapshot carries the time when it was made, and a press
-adds how long the page has had the last snapshot (browser/team.js). So `pressed` is the time of the press by
-the server's clock, too early by at most the time that the snapshot was in transit.
+adds the time for which the page has had the last snapshot (browser/team.js). So `pressed` is the time of the
+press by the server's clock, too early by at most the time that the snapshot was in transit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def buttons(actions: OperatorActions, reason: str) -> Mapping[str, Callable[[], 
 
 
 def refusal(order: object, pressed: object, now: float) -> str:
-    """Why an order is refused as too late, '' when it is accepted.
+    """The reason why an order is refused as too late, '' when it is accepted.
 
     `pressed` is the unchecked value from the page, `now` the time by the same clock (s). A release without a
     valid time is refused.

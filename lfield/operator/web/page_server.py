@@ -51,7 +51,7 @@ class _Line(msgspec.Struct):
 class ServedPage:
     """The inputs of a page: state of the team, permitted actions, clock, and background of the map.
 
-    A page of recordings has a `replay`, which is its source, and no actions: nothing can be sent.
+    A page of recordings has a `replay`, which is its source, and no actions: no order can be sent.
     """
 
     title: str
@@ -90,7 +90,7 @@ async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], 
         proxy_headers=False,
         access_log=False,
         lifespan="on",
-        # After a pause a process handles its timers first. A shorter keep-alive could close a connection on
+        # After a pause, a process handles its timers first. A shorter keep-alive could close a connection on
         # which a button press has arrived meanwhile.
         timeout_keep_alive=_IDLE,
         # Do not wait for open pages.

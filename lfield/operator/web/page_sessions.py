@@ -22,7 +22,7 @@ FOREIGN_PAGE = "request refused: it comes from another web page than that of 'lf
 
 @dataclass(frozen=True, slots=True)
 class PageRequest:
-    """The headers of a request that authenticate it ('' for none), and whether it changes something.
+    """The headers of a request that authenticate it ('' for none), and whether it is an action.
 
     `sessions` are the values of all cookies with the page's name: another program on this address may have
     set one of that name, too.
@@ -58,16 +58,16 @@ class PageSessions:
         return session
 
     def address_refusal(self, request: PageRequest) -> str:
-        """Why the address of a request is refused, '' for an address of this page."""
+        """The reason why the address of a request is refused, '' for an address of this page."""
         return "" if request.host in self._addresses else FOREIGN_ADDRESS
 
     def refusal(self, request: PageRequest) -> str:
-        """Why a request is refused, '' when it is accepted."""
+        """The reason why a request is refused, '' when it is accepted."""
         if wrong := self.address_refusal(request):
             return wrong
         if self._sessions.keys().isdisjoint(request.sessions):
             return NO_SESSION
-        # Browsers send Origin with each request that changes something, and with each WebSocket.
+        # Browsers send Origin with each request that is an action, and with each WebSocket.
         if request.origin not in self._origins and (request.origin or request.is_action):
             return FOREIGN_PAGE
         return ""

@@ -63,7 +63,7 @@ def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[
 
 
 def _slim(vehicle: VehicleState) -> VehicleState:
-    """Without raw telemetry: the shown values are fields of their own."""
+    """The state without raw telemetry: the shown values are fields of their own."""
     return replace(vehicle, devices=tuple(replace(device, readings={}) for device in vehicle.devices))
 
 
@@ -106,20 +106,22 @@ class ShownPosition(NamedTuple):
 
 
 class ReplayControl(TeamStateSource, Protocol):
-    """Recordings whose time can be moved. Nothing of it reaches a host."""
+    """Recordings whose time can be moved. No request reaches a host."""
 
     def published(self) -> ShownPosition:
         """The newest state and position."""
 
     def request(self, body: object) -> str:
-        """Request a move by the unchecked body of a request; returns why it is refused, '' if it is not."""
+        """Request a move by the unchecked body of a request; returns the reason of a refusal, '' if
+        accepted.
+        """
 
 
 @dataclass(slots=True)
 class PageSnapshots:
     """Makes snapshots on request, at most one per `MIN_INTERVAL`; `now` is a monotonic clock (s).
 
-    With a `replay` they are of the position in recordings.
+    With a `replay` the snapshots show the position in recordings.
     """
 
     source: TeamStateSource

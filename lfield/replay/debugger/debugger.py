@@ -1,6 +1,6 @@
 """The time-travel debugger: a position in the recordings of a team, moved forwards and backwards.
 
-The front ends (terminal, Debug Adapter Protocol, page) use this class only, and the types of what it returns.
+The front ends (terminal, Debug Adapter Protocol, page) use this class only, and the types of its results.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from lfield.wire.events import KINDS, Event
 
 @dataclass(frozen=True, slots=True)
 class ThreadInfo:
-    """A thread of the team: where it is, and what it does."""
+    """A thread of the team: its position and its activity."""
 
     key: ThreadKey
     host: str
@@ -69,9 +69,9 @@ class Breakpoint:
 
 
 class Debugger:
-    """Debugs the recordings of `team`. It stands at `place`, and follows the thread `focus`.
+    """Debugs the recordings of `team`. Its position is `place`; it follows the thread `focus`.
 
-    Every method that moves returns whether it has found what it looked for; otherwise the place is unchanged.
+    Every method that moves returns whether it has found its target; otherwise the place is unchanged.
     """
 
     def __init__(self, team: TeamTimeline) -> None:
@@ -149,7 +149,7 @@ class Debugger:
         self.focus = key
 
     def stack(self, key: ThreadKey | None = None) -> list[StackFrame]:
-        """The frames of a thread, by default of that which is followed; innermost first."""
+        """The frames of a thread, by default of the followed one; innermost first."""
         return self._stack(key)[1]
 
     def _stack(self, key: ThreadKey | None = None) -> tuple[Moment, list[StackFrame]]:
@@ -158,7 +158,7 @@ class Debugger:
             return self.moment, []
         if frames := stack_of(self.moment, chosen):
             return self.moment, frames
-        # A thread of a portal ends: then its coordinator is followed.
+        # When a thread of a portal ends, its coordinator is followed.
         coordinator = "" if key else chosen.logical
         found = [each for each in self.threads() if each.key == chosen or each.key.agent == coordinator]
         if not found:
@@ -182,7 +182,7 @@ class Debugger:
         return self.moment_of(next(hosts, self.place.recording))
 
     def readings(self) -> list[DeviceReading]:
-        """The readings of the devices of all hosts, as their cores know them."""
+        """The readings of the devices of all hosts, as known to their cores."""
         return [each for number in self.running for each in device_readings(self.moment_of(number))]
 
     def events(self, count: int) -> list[Event]:
@@ -227,7 +227,7 @@ class Debugger:
         return found is not None and self._arrive(found, target)
 
     def _arrive(self, found: Place, target: Target) -> bool:
-        """Move to what a search has found, and follow the thread that runs there."""
+        """Move to the result of a search, and follow the thread that runs there."""
         self.go_to(found)
         if self.moment.running is not None:
             self.focus = display_key(self.moment, self.moment.running)
@@ -244,19 +244,19 @@ class Debugger:
         return next((each for each in self.moment.effects if isinstance(each, CallDevice)), None)
 
     def enter(self) -> bool:
-        """To the first statement of a coordinator, or of any thread if there is none."""
+        """Move to the first statement of a coordinator, or of any thread if there is none."""
         return self.search(StatementTarget(coordinators=True)) or self.search(StatementTarget())
 
     def step(self, *, backward: bool = False) -> bool:
-        """One statement of the followed thread, into calls and portals."""
+        """Move by one statement of the followed thread, into calls and portals."""
         return self.search(self._step(None, by_line=False), backward=backward)
 
     def step_line(self, *, backward: bool = False) -> bool:
-        """To another line of the followed thread, into calls and portals; backward to its beginning."""
+        """Move to another line of the followed thread, into calls and portals; backward to its beginning."""
         return self._step_by_line(None, backward=backward)
 
     def step_over(self, *, backward: bool = False) -> bool:
-        """To another line in this frame or a calling one; backward to its beginning."""
+        """Move to another line in this frame or a calling one; backward to its beginning."""
         top = self._top
         return self._step_by_line(top.depth if top else None, backward=backward)
 
@@ -268,7 +268,7 @@ class Debugger:
         return found is not None and self._arrive(found, step)
 
     def step_out(self, *, backward: bool = False) -> bool:
-        """To a statement of the calling frame: backward to that of the call."""
+        """Move to a statement of the calling frame: backward to that of the call."""
         frames = self.stack() if self.focus is not None else []
         if len(frames) == 1 and not frames[0].key.has_caller:
             return False
@@ -276,7 +276,7 @@ class Debugger:
         return self.search(self._step(deepest, by_line=False), backward=backward)
 
     def resume(self, *, backward: bool = False) -> bool:
-        """To the next breakpoint."""
+        """Move to the next breakpoint."""
         return self.search(AnyTarget([self.target_of(each) for each in self.breakpoints]), backward=backward)
 
     @property
@@ -309,24 +309,24 @@ class Debugger:
         self.breakpoints = breakpoints
 
     def target_of(self, breakpoint: Breakpoint) -> Target:
-        """The statements of a line, where its condition holds."""
+        """The target: the statements of a line, if its condition holds."""
         condition = breakpoint.condition
         check = None if condition is None else _holds(condition)
         return InstructionTarget(self.team.table.at_line(breakpoint.file, breakpoint.line), check)
 
     def portal_target(self) -> Target:
-        """The start of any portal call."""
+        """The target: the start of any portal call."""
         return InstructionTarget(self.team.table.portals)
 
     def hop_target(self, agent: str = "") -> Target:
-        """The arrival of a coordinator on a host. Raises UsageError for an unknown one."""
+        """The target: the arrival of a coordinator. Raises UsageError for an unknown one."""
         known = [member.id for member in self.team.mission.team.coordinators]
         if agent and agent not in known:
             raise UsageError(f"there is no coordinator '{agent}'; {choice(agent, known, 'coordinators:')}")
         return HopTarget(agent)
 
     def event_target(self, kinds: Iterable[str] = ()) -> Target:
-        """An event of some kinds, see events.md; of any kind without one. Raises UsageError for another."""
+        """The target: an event of some kinds (events.md), or of any. Raises UsageError for another."""
         kinds = tuple(kinds)
         for kind in kinds:
             if kind not in KINDS:
@@ -334,7 +334,7 @@ class Debugger:
         return EventTarget(kinds)
 
     def device_target(self) -> Target:
-        """The call of a device instruction."""
+        """The target: the call of a device instruction."""
         return EffectTarget()
 
     def condition(self, text: str) -> WatchExpression:
@@ -346,20 +346,20 @@ class Debugger:
         return expression
 
     def condition_target(self, text: str) -> Target:
-        """A condition becomes true. Raises UsageError."""
+        """The target: a condition becomes true. Raises UsageError."""
         expression = self.condition(text)
         value = self._value_of(expression, expression.value_or_none)
         return ConditionTarget(value, of_readings=self._is_of_readings(expression))
 
     def change_target(self, text: str) -> Target:
-        """The value of an expression changes. Raises UsageError."""
+        """The target: the value of an expression changes. Raises UsageError."""
         expression = WatchExpression(text)
         self._require_known(expression)
         value = self._value_of(expression, expression.content)
         return ChangeTarget(value, of_readings=self._is_of_readings(expression))
 
     def _require_known(self, expression: WatchExpression) -> None:
-        """Raises UsageError for a name that means nothing in this mission at any time."""
+        """Raises UsageError for a name that has no meaning in this mission at any time."""
         calls = self.team.program.core.device_calls
         known = {
             *self.team.table.variables,

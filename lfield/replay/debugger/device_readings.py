@@ -1,4 +1,4 @@
-"""What a host's core knows about its devices at a moment: the last answers that it has received."""
+"""Readings of devices in a host's core at a moment: the last answers that it has received."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class DeviceReading(NamedTuple):
         return f"{self.agent}.{self.device}.{self.instruction}"
 
     def is_named(self, path: tuple[str, ...]) -> bool:
-        """Whether a name means it: its last part, with or without those before."""
+        """Whether a name refers to the reading: its last part, with or without those before."""
         names = self.agent, self.device, self.instruction
         return path in (names, names[1:], names[2:], (self.agent, self.instruction))
 

@@ -41,7 +41,7 @@ _COMPARISONS: Mapping[str, Callable[[Any, Any], object]] = {
     "==": operator.eq,
     "!=": operator.ne,
 }
-#: The parts of expressions that are evaluated, and why no others are.
+#: The parts of expressions that are evaluated, and the reason why no others are.
 _EVALUATED = (
     syntax.Literal_,
     syntax.Unary,
@@ -54,12 +54,12 @@ _EVALUATED = (
 _ONLY_READ = "the debugger reads values, and calls nothing but length(), since a call could change them"
 #: Operators whose results are true or false.
 _CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
-#: What an expression without a value has; null is a value. AWAY: its coordinator is on another host.
+#: The results of an expression without a value; null is a value. AWAY: its coordinator is on another host.
 NO_VALUE, AWAY = object(), object()
 
 
 class ValueUnknown(Exception):
-    """An expression has no value at this moment; the message says why."""
+    """An expression has no value at this moment; the message has the reason."""
 
 
 class FoundValue(NamedTuple):
@@ -139,7 +139,7 @@ class WatchScope:
 
 
 def value_text(value: object) -> str:
-    """A value without parts, as L writes it."""
+    """A value without parts, as in L."""
     if value is None:
         return "null"
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -172,7 +172,7 @@ class WatchExpression:
 
     @property
     def may_be_condition(self) -> bool:
-        """Whether it can be true or false."""
+        """Whether the expression can be true or false."""
         match self._tree:
             case syntax.Literal_(value=value):
                 return isinstance(value, bool)
@@ -181,22 +181,22 @@ class WatchExpression:
         return True
 
     def value(self, scope: WatchScope) -> object:
-        """Its value. Raises ValueUnknown."""
+        """The value of the expression. Raises ValueUnknown."""
         return _plain(self._tree, scope)
 
     def variable(self, scope: WatchScope) -> FoundValue | None:
-        """The variable that it names; None if it is another expression. Raises ValueUnknown."""
+        """The variable that the expression names; None if it is another one. Raises ValueUnknown."""
         return _variable(self._tree, scope)
 
     def value_or_none(self, scope: WatchScope) -> object:
-        """Its value; None where it has none."""
+        """The value of the expression; None without one."""
         try:
             return self.value(scope)
         except ValueUnknown:
             return None
 
     def content(self, scope: WatchScope) -> object:
-        """Its value for comparisons with that at another time; NO_VALUE where it has none."""
+        """The value for comparisons with that at another time; NO_VALUE without one."""
         try:
             found = self.variable(scope)
             return self.value(scope) if found is None else scope.content(found)
@@ -242,7 +242,7 @@ def _truth(tree: syntax.Expr, scope: WatchScope) -> bool:
 
 
 def _computed(sign: str, left: object, right: object) -> object:
-    """The result of arithmetic, as the program computes it."""
+    """The result of arithmetic, computed as by the program."""
     if sign == "+" and isinstance(left, str) and isinstance(right, str):
         return left + right
     if not (_is_number(left) and _is_number(right)):
@@ -318,7 +318,7 @@ def _nodes(tree: syntax.Expr) -> Iterator[syntax.Expr]:
 
 
 def _path(tree: syntax.Expr) -> tuple[str, ...]:
-    """The parts of a dotted name; () for anything else."""
+    """The parts of a dotted name; () for any other expression."""
     match tree:
         case syntax.Name(name=name):
             return (name,)

@@ -24,8 +24,9 @@ from lfield.vm.memory.threads import only_thread, place_of, threads
 
 @dataclass(frozen=True, slots=True)
 class StackFrame:
-    """One frame of a logical thread: the agent and its thread, the method, the position. `frame` is its place
-    in the agent's block. `line` is None without debug information."""
+    """One frame of a logical thread: the agent and its thread, the method, the position. `frame` is its
+    place in the agent's block. `line` is None without debug information.
+    """
 
     key: ThreadKey
     host: str
@@ -64,7 +65,7 @@ def display_key(moment: Moment, key: ThreadKey) -> ThreadKey:
 
 
 def state_name(moment: Moment, key: ThreadKey) -> str:
-    """What a thread does: 'ready', 'sleeping', 'in a portal'."""
+    """The activity of a thread: 'ready', 'sleeping', 'in a portal'."""
     agent = moment.agents.get(key.agent)
     place = place_of(agent.block, key.thread) if agent is not None else 0
     if agent is None or not place:
@@ -73,7 +74,7 @@ def state_name(moment: Moment, key: ThreadKey) -> str:
 
 
 def stack_of(moment: Moment, key: ThreadKey) -> list[StackFrame]:
-    """The frames of a thread, innermost first; [] where it is not on this host."""
+    """The frames of a thread, innermost first; [] if it is not on this host."""
     agent = live_agents(moment).get(key.agent)
     if agent is None or not place_of(agent.block, key.thread):
         return []
@@ -114,7 +115,7 @@ def coordinator_key(moment: Moment, name: str) -> ThreadKey | None:
 
 
 def followed_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
-    """The frames of a thread, or of the coordinator that it worked for: a thread of a portal ends.
+    """The frames of a thread; if it was one of a portal and has ended, those of its coordinator.
 
     A coordinator that is on its way to another host has none.
     """

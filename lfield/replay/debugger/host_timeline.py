@@ -1,4 +1,4 @@
-"""The moments of one host's recording: any of them can be reached and searched, in both directions.
+"""The moments of one host's recording: any moment can be reached and searched for, in both directions.
 
 A moment is reached by replaying from the nearest checkpoint before it. Besides those of the recording there
 are checkpoints in memory, which a replay makes as it advances.
@@ -40,7 +40,7 @@ Step = tuple[int, int]
 
 
 class SearchCancelled(Exception):
-    """A search has ended early: a function of `watch_progress` raised this. Nothing has moved."""
+    """A search has ended early: a function of `watch_progress` raised this. The position is unchanged."""
 
 
 class HostTimeline:
@@ -67,9 +67,9 @@ class HostTimeline:
         #: A replay at rest, to continue forwards; and used ones, to rewind.
         self._idle: _Run | None = None
         self._used: list[_Run] = []
-        #: The replay of the last moment that was given out.
+        #: The replay of the last returned moment.
         self._stopped: _Run | None = None
-        #: The first turn whose replay differs from the recording, and how.
+        #: The first turn whose replay differs from the recording, and the difference.
         self.divergence: tuple[int, Divergence] | None = None
         self._on_progress: Callable[[int], None] = lambda turn: None
         self._report_due = 0.0
@@ -91,7 +91,7 @@ class HostTimeline:
     def moment_at(self, step: Step) -> tuple[Moment, int]:
         """The moment at a position, and its number in the turn: at most that of the turn's end.
 
-        After the last turn it is a moment at rest.
+        After the last turn the result is a moment at rest.
         """
         turn, number = step
         run = self._run_at(min(turn, self.turns))
@@ -167,7 +167,7 @@ class HostTimeline:
     def _find_reading(
         self, run: _Run, target: Target, after: Step, before: Step, *, last: bool
     ) -> Step | None:
-        """`find` for readings of devices: the records have them, so that nothing is replayed."""
+        """`find` for readings of devices: they are in the records, so that no replay is needed."""
         found: Step | None = None
         for turn, record in self.recording.turns_from(after[0]):
             if (turn, 0) >= before:
@@ -179,7 +179,7 @@ class HostTimeline:
                 found = (turn, 0) if is_met and after < (turn, 0) else found
             if found and not last:
                 break
-        # Its readings are not those of its turn any more.
+        # The readings of that replay are not those of its turn any more.
         self._keep(run)
         return found
 
@@ -255,7 +255,7 @@ class HostTimeline:
         if run.turn in self._checkpoints or run.turn >= self.turns:
             return
         while self._checkpoint_bytes > MAX_CHECKPOINT_BYTES:
-            # Every second one, so that those which are left cover the same time.
+            # Every second checkpoint, so that the remaining ones cover the same time.
             for turn in self._checkpoint_turns[::2]:
                 self._checkpoint_bytes -= len(self._checkpoints.pop(turn).snapshot)
             del self._checkpoint_turns[::2]
@@ -265,7 +265,7 @@ class HostTimeline:
 
 
 class _Reached(BaseException):
-    """The replay has reached a moment: it ends there. Not an Exception, which would end an agent."""
+    """Ends a replay that has reached a moment. Not an Exception, which would end an agent."""
 
     def __init__(self, moment: Moment) -> None:
         self.moment = moment
@@ -290,7 +290,7 @@ class _Run:
 
         self.replay = HostReplay(timeline.recording, timeline.mission, make, turn, checkpoint)
         self._engine, self._turns = engines[0], iter(self.replay)
-        #: The turn at which its event log begins.
+        #: The turn at which the event log of the replay begins.
         self._origin = self.replay.turn
         self.divergence: tuple[int, Divergence] | None = None
         self.checkpoint_due = 0.0

@@ -40,14 +40,14 @@ class ThreadKey(NamedTuple):
 
     @property
     def has_caller(self) -> bool:
-        """Whether it serves the portal call of a coordinator."""
+        """Whether the thread serves the portal call of a coordinator."""
         return self.logical not in (self.agent, f"{self.agent}#{self.thread}")
 
 
 class ReplayState(NamedTuple):
-    """The core of a host, what it knows of its environment, and the statements of its program.
+    """The core of a host, its knowledge of its environment, and the statements of its program.
 
-    Its event log begins at the turn `origin`.
+    The event log of the core begins at the turn `origin`.
     """
 
     core: HostCore
@@ -57,7 +57,7 @@ class ReplayState(NamedTuple):
 
 
 class Moment:
-    """A point of a replay. It is valid until the replay continues.
+    """A point of a replay, which is valid until the replay continues.
 
     In the phase STATEMENT, `block` and `thread` are those that run, and `place` is the place of the thread in
     its block. `step` is the number of the moment in its turn.
@@ -90,7 +90,7 @@ class Moment:
 
     @property
     def line(self) -> SourceLine | None:
-        """Its line."""
+        """The line of the instruction."""
         return None if self.block is None else self.table.line_of(self.pc)
 
     @cached_property
@@ -121,18 +121,18 @@ def thread_key(core: HostCore, agent: str, thread: int) -> ThreadKey:
 
 
 class Target(Protocol):
-    """What a search looks for: `is_met` is called with each moment in order.
+    """The target of a search: `is_met` is called with each moment in order.
 
-    `stops` are the statements at which it can be met, None for all. It may compare a moment with the one
-    before: `start` is called with a moment at rest, before the first of a sequence.
+    `stops` are the statements at which the target can be met, None for all. It may compare a moment with its
+    predecessor: `start` is called with a moment at rest, before the first of a sequence.
     """
 
     @property
     def stops(self) -> frozenset[int] | None:
-        """The statements at which it can be met, besides the phases INPUT and END."""
+        """The statements at which the target can be met, besides the phases INPUT and END."""
 
     def start(self, moment: Moment) -> None:
-        """A sequence of moments follows."""
+        """Called with a moment at rest before a sequence of moments."""
 
     def is_met(self, moment: Moment) -> bool:
         """Whether the search ends here."""

@@ -22,7 +22,7 @@ class SourceLine(NamedTuple):
 class StatementTable:
     """Instructions are identified by their position in the code of `program`.
 
-    The library that is written in L has no statements: it says nothing to the author of a program.
+    The library that is written in L has no statements: it is not code of the author of a program.
     """
 
     def __init__(self, program: Program) -> None:

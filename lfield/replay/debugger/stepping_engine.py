@@ -1,4 +1,4 @@
-"""Runs threads on the reference engine and stops at statements, without a change of what they do."""
+"""Runs threads on the reference engine and stops at statements, without a change of their behaviour."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the debugger can search for: statements of a thread, lines, portal calls, hops, events, values."""
+"""Targets of searches in the debugger: statements of a thread, lines, portal calls, hops, events, values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NONE: frozenset[int] = frozenset()
 
 
 class StepTarget:
-    """The next statement of a logical thread. `key` is the thread that stands now, `depth` its depth.
+    """The next statement of a logical thread. `key` is the thread at the start, `depth` its depth.
 
     `deepest` is the largest depth of the frame that is accepted, None for any. With `other_than`, the
     statement is on another line, or in another frame.
@@ -34,7 +34,7 @@ class StepTarget:
         self._key, self._depth, self._deepest, self._other_than = key, depth, deepest, other_than
 
     def start(self, moment: Moment) -> None:
-        """It compares no moments."""
+        """Has no effect: this target does not compare moments."""
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
@@ -69,7 +69,7 @@ class StatementTarget:
         self._logical, self._coordinators = logical, coordinators
 
     def start(self, moment: Moment) -> None:
-        """It compares no moments."""
+        """Has no effect: this target does not compare moments."""
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
@@ -80,7 +80,7 @@ class StatementTarget:
 
 
 class InstructionTarget:
-    """Any of some statements, by first instruction, where `condition` holds: breakpoints, portals."""
+    """Any of some statements, by first instruction, if `condition` holds: breakpoints, portals."""
 
     def __init__(
         self, stops: frozenset[int], condition: Callable[[Moment], bool] | None = None, logical: str = ""
@@ -89,7 +89,7 @@ class InstructionTarget:
         self._stops, self._condition, self._logical = stops, condition, logical
 
     def start(self, moment: Moment) -> None:
-        """It compares no moments."""
+        """Has no effect: this target does not compare moments."""
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
@@ -117,7 +117,7 @@ class HopTarget:
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         before, self._hops = self._hops, _hops(moment)
-        # A coordinator that starts here has made none.
+        # A coordinator that starts here has made no hop.
         return any(
             hops and hops != before.get(name, 0)
             for name, hops in self._hops.items()
@@ -168,7 +168,7 @@ class EffectTarget:
         self._kinds = kinds
 
     def start(self, moment: Moment) -> None:
-        """It compares no moments."""
+        """Has no effect: this target does not compare moments."""
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
@@ -176,10 +176,10 @@ class EffectTarget:
 
 
 class ConditionTarget:
-    """A condition that did not hold becomes true. `value` returns None where it has no value.
+    """A condition that did not hold becomes true. `value` returns None without a value.
 
-    It returns AWAY while the coordinator is on another host: an arrival changes nothing.
-    `of_readings`: it depends on readings of devices only.
+    `value` returns AWAY while the coordinator is on another host: an arrival is no change.
+    `of_readings`: the condition depends on readings of devices only.
     """
 
     def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:
@@ -198,10 +198,10 @@ class ConditionTarget:
 
 
 class ChangeTarget:
-    """A value changes. `value` returns NO_VALUE where there is none, and nothing changes there.
+    """A value changes. `value` returns NO_VALUE without a value, which is no change.
 
-    It returns AWAY while the coordinator is on another host: its value at its arrival is no change.
-    `of_readings`: it depends on readings of devices only.
+    `value` returns AWAY while the coordinator is on another host: its value at its arrival is no change.
+    `of_readings`: the value depends on readings of devices only.
     """
 
     def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:

@@ -66,7 +66,7 @@ class TeamTimeline:
     def watch_progress(self, on_progress: Callable[[float], None]) -> None:
         """Set the function that is called with the time that a search or another move has reached.
 
-        It may raise SearchCancelled: nothing has moved then.
+        The function may raise SearchCancelled: then the position is unchanged.
         """
         for host, times in zip(self.hosts, self.times, strict=True):
             host.watch_progress(partial(_report, on_progress, times))
@@ -157,8 +157,8 @@ class TeamTimeline:
     def find_line_start(self, step: StepTarget, place: Place) -> Place | None:
         """The beginning of the line that a thread was on before a position; None at its first line.
 
-        There a step forward stops. From within a line it is the beginning of that line. `step` is the step to
-        another line.
+        A step forward stops there. From within a line the result is the beginning of that line. `step` is the
+        step to another line.
         """
         before = self.find(step, place, backward=True)
         start = self.find(step.to_any_line(), self.start if before is None else before)
@@ -220,7 +220,7 @@ def _corrected_times(hosts: Sequence[HostTimeline], order: TeamOrder) -> list[ar
 
 
 def _shifts(order: TeamOrder) -> list[list[tuple[int, float]]]:
-    """For each recording the turns from which it is moved later, and by how much in all."""
+    """For each recording the turns from which it is moved later, with the total shift."""
     shifts = [[(0, 0.0)] for _ in order.parts]
     events: list[list[tuple[int, bool, TransferKey, float]]] = [[] for _ in order.parts]
     for hop, sent in order.sends.items():
@@ -245,7 +245,7 @@ def _shift(
     waiting: deque[tuple[int, bool, TransferKey, float]],
     departed: dict[TransferKey, float],
 ) -> bool:
-    """Process the transfers of a recording as far as possible; false if there is none."""
+    """Process the transfers of a recording as far as possible; returns false if there is none."""
     count = len(waiting)
     while waiting:
         turn, is_departure, hop, at = waiting[0]

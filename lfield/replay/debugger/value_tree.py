@@ -51,7 +51,7 @@ _NAMES = {
 class Variable:
     """A variable or a part of an object: name, type and value as text.
 
-    `word` is the value as in a slot, `kind` its type by index. `has_parts`: it can be expanded.
+    `word` is the value as in a slot, `kind` its type by index. `has_parts`: the variable can be expanded.
     """
 
     name: str
@@ -164,7 +164,7 @@ class ValueReader:
         if is_map(self._block, self._program, place):
             of = entry_types(self._program, index)
             entries = map_entries(self._block, place)
-            # As it is shown, and as an expression of a debugger has it: `["a"]`, `[a]`.
+            # As shown, and as in an expression of a debugger: `["a"]`, `[a]`.
             shown = ((v, f"[{self._text(of[0], k)}]", f"[{self.plain((of[0], k))}]") for k, v in entries)
             return next(((of[1], v) for v, *names in shown if name in names), None)
         if w[place] & 0xFF == layout.OBJECT:
@@ -206,7 +206,7 @@ class ValueReader:
         return self._block.text(word) if kind == STRING else ("object", word)
 
     def content(self, value: RawValue, levels: int = CONTENT_LEVELS) -> object:
-        """The value with its parts, to be compared with that at another time: places of objects change."""
+        """The value with its parts, for comparisons with that at another time: places of objects change."""
         kind, word = value
         record = self._program.core.types[kind]
         if record.kind not in _COMPOSITE or not word:

@@ -1,4 +1,4 @@
-"""What the guards have recorded, by the team's time: poses and batteries of devices, tracks, safe states."""
+"""Index of the guards' recordings by the team's time: poses and batteries of devices, tracks, safe states."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class GuardIndex:
         #: The recordings with telemetry of each device.
         self._hosts: dict[str, int] = {}
         self.tracks = VehicleTracks(contents)
-        #: What could not be read, a sentence each.
+        #: The unreadable parts, a sentence each.
         self.problems: list[str] = []
 
     def steps(self) -> Iterator[None]:

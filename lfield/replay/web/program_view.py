@@ -1,4 +1,4 @@
-"""What the page shows of the programs: stacks, variables, and the lines of L around each frame."""
+"""Views of the programs for the page: stacks, variables, and the lines of L around each frame."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Index of the events of a recording by time: the events that the cores emit while they are replayed.
 
-The recordings are replayed once, a turn at a time, so that the caller can do something else in between. Until
-that is complete, the index has the events up to a time.
+The recordings are replayed once, a turn at a time, so that the caller can do other work in between. Until
+the end, the index has the events up to a time.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class EventIndex:
         self._total = sum(len(times) for times in self._times)
         self._events: list[IndexedEvent] = []
         self._serial = 0
-        #: What could not be replayed, a sentence each.
+        #: The parts that could not be replayed, a sentence each.
         self.problems: list[str] = []
 
     @property

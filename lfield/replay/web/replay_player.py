@@ -1,4 +1,4 @@
-"""The position that the page shows: moves to a time or by steps, and playing. It has no clock or thread."""
+"""The position of the page: moves to a time or by steps, and playing. It has no clock or thread."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ReplayCommand(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def command_of(body: object) -> ReplayCommand | str:
-    """The command in the body of a request, or why it is none."""
+    """The command in the body of a request, or the reason why the body has none."""
     try:
         command = msgspec.convert(body, ReplayCommand)
     except msgspec.ValidationError as error:
@@ -52,7 +52,7 @@ def command_of(body: object) -> ReplayCommand | str:
 
 
 class ReplayPlayer:
-    """Moves a debugger. `is_superseded` says whether a search should end because of a newer command.
+    """Moves a debugger. `is_superseded` tells whether a search should end because of a newer command.
 
     Steps to events need the index of `events`.
     """
@@ -61,9 +61,9 @@ class ReplayPlayer:
         self._debugger, self._events, self._is_superseded = debugger, events, is_superseded
         #: The speed of playing, 0 while it is paused.
         self.speed = 0.0
-        #: When playing has started, by the caller's clock, and the position at that time.
+        #: The start of playing by the caller's clock, and the position at that time.
         self._started_at = self._from = 0.0
-        #: Why the last step did not move, '' if it did.
+        #: The reason why the last step did not move, '' if it did.
         self.trouble = ""
 
     def execute(self, command: ReplayCommand, now: float) -> None:
@@ -103,7 +103,7 @@ class ReplayPlayer:
             self.trouble = f"there is no {'earlier' if command.backward else 'later'} {command.go}"
 
     def _step_event(self, *, backward: bool) -> None:
-        """To the end of the turn in which the next or last event happened."""
+        """Move to the end of the turn in which the next or last event happened."""
         debugger, order = self._debugger, self._debugger.team.order_of
         here, is_before = order(debugger.place)[:3], debugger.place.step == 0
         for event in self._events_from(debugger.seconds, backward=backward):

@@ -85,7 +85,7 @@ class ReplaySession:
         return self._published[0]
 
     def published(self) -> ShownPosition:
-        """That state with the position."""
+        """The last published state with the position."""
         state, position = self._published
         numbers = {"given": self._given, "executed": self._executed}
         return ShownPosition(state, position["epoch"], msgspec.json.encode({**position, **numbers}))
@@ -99,7 +99,7 @@ class ReplaySession:
         return TrackUpdate(0, True, [])
 
     def request(self, body: object) -> str:
-        """Give a command, which replaces one that waits; returns why it is refused, '' if it is not."""
+        """Give a command, which replaces one that waits; returns the reason of a refusal, '' if accepted."""
         command = command_of(body)
         if isinstance(command, str):
             return command
@@ -120,7 +120,7 @@ class ReplaySession:
         return self._waiting is not None or not self._is_indexed
 
     def advance(self) -> None:
-        """Execute the newest command, else play and index; waits if there is nothing to do."""
+        """Execute the newest command, else play and index; waits if there is no work."""
         command = self._next_command()
         try:
             if command is not None:
@@ -154,7 +154,7 @@ class ReplaySession:
                 self._publish()
 
     def _next_command(self) -> ReplayCommand | None:
-        """The newest command. Waits while there is nothing else to do."""
+        """The newest command. Waits while there is no other work."""
         with self._changed:
             if self._waiting is None and not self._is_closed and self._is_indexed:
                 self._changed.wait(PLAY_INTERVAL if self._player.speed else None)

@@ -1,7 +1,8 @@
 """The state of a recorded team at a time, by the read model that shows a running team.
 
-The events up to that time are what a subscriber would have received. They are followed by a batch of each
-host with telemetry: activities of the agents from the replayed cores, and values of devices from the guards.
+The events up to that time are those that a subscriber would have received. They are followed by a batch of
+each host with telemetry: activities of the agents from the replayed cores, and values of devices from the
+guards.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ class ReplayedTeam:
         team = debugger.team
         first = team.hosts[team.start.recording].recording
         self.started_at = first.start.wall - first.start.at + first.started_at
-        #: It grows whenever the log begins again.
+        #: A number that grows whenever the log begins again.
         self.epoch = 0
         self._view = TeamView(contents)
-        #: The number of events that the view has, and the share of the recording that was indexed then.
+        #: The number of events in the view, and the share of the recording that was indexed at that time.
         self._count, self._progress = 0, -1.0
         #: Copies of the view by their numbers of events, in this order, so that a move back is quick.
         self._copies: dict[int, TeamView] = {}
@@ -131,7 +132,7 @@ class ReplayedTeam:
             is_here = self._debugger.team.hosts[recording].recording.host == moment.core.name
             if is_here and known is not None:
                 yield DeviceTelemetry(device, telemetry_of(known[0]), bounded_duration(known[1]))
-        # Without recordings of the guards: what the program has read.
+        # Without recordings of the guards: the readings of the program.
         values: dict[str, dict[str, DeviceValue]] = {}
         for reading in device_readings(moment):
             device = f"{reading.agent}.{reading.device}"

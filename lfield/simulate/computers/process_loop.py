@@ -25,7 +25,7 @@ from lfield.simulate.computers.simulated_machine import SimulatedMachine
 
 #: Rounds of a loop that take no time; then other processes run, for the time of the rounds.
 ROUNDS, ROUND_TIME = 100, 0.001
-#: Resolution of timers: a smaller wait might never end because of rounding.
+#: Resolution of timers: a shorter wait might never end because of rounding.
 TICK = 1e-9
 #: Seconds of work in a thread.
 THREAD_TIME = 0.002
@@ -97,7 +97,7 @@ def _on_generator_end(generator: AsyncGenerator[Any, Any]) -> None:
 
 
 class _NoSelector:
-    """Replaces a loop's selector: nothing is ever ready, and waiting ends the run."""
+    """Replaces a loop's selector: no file is ever ready, and waiting ends the run."""
 
     def __init__(self, loop: ProcessLoop) -> None:
         self._loop = loop
@@ -127,17 +127,17 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._rounds = 0
         #: Computing time that has not been waited for.
         self._owed = 0.0
-        #: How long the process is held from now on, and whether it is held.
+        #: The seconds for which the process is held from now on, and whether it is held.
         self._hold: float | None = None
         self._held = False
         self.set_task_factory(_pinned)  # type: ignore[arg-type]
 
     def time(self) -> float:
-        """Its machine's clock for timers."""
+        """The machine's clock for timers."""
         return self.clock.awake()
 
     def __del__(self) -> None:
-        """It has no resources of the real computer: closing it is not necessary."""
+        """Has no effect: the loop has no resources of the real computer, so it need not be closed."""
 
     # --- external events ------------------------------------------------------------------------------
 
@@ -156,31 +156,31 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._timeline.after(seconds, lambda: self.enter(event))
 
     def freeze(self) -> None:
-        """As SIGSTOP."""
+        """Stops the process as by SIGSTOP."""
         self.frozen = True
 
     def thaw(self) -> None:
-        """As SIGCONT: pending events and expired timers, all at once."""
+        """Continues as by SIGCONT: pending events and expired timers, all at once."""
         if self.frozen and not self.dead:
             self.frozen = False
             self._catch_up()
 
     def die(self) -> None:
-        """As SIGKILL: its coroutines neither continue nor unwind (`_pinned`)."""
+        """Ends the process as by SIGKILL: its coroutines neither continue nor unwind (`_pinned`)."""
         self.dead = True
         self._backlog.clear()
         if self._wake is not None:
             self._wake.cancel()
 
     def compute(self, seconds: float) -> None:
-        """The present work takes so long on this computer; meanwhile the process handles nothing else."""
+        """Adds the duration of the present work; meanwhile the process handles no event."""
         self._owed += seconds
         if self._owed >= TIMER_GRAIN:
             self.hold(self._owed)
             self._owed = 0.0
 
     def hold(self, seconds: float = 0.0) -> None:
-        """After the present work, the process handles nothing for so long."""
+        """After the present work, the process handles no event for so many seconds."""
         self._hold = (self._hold or 0.0) + seconds
         self.stop()
 
@@ -220,7 +220,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._run()
 
     def would_wait(self, timeout: float | None) -> None:
-        """Nothing more to do for so many seconds of its clock, None for ever."""
+        """Ends the run of a loop without work for so many seconds of its clock, None for ever."""
         self._rounds += 1
         if timeout == 0 and self._rounds < ROUNDS:
             return
@@ -248,13 +248,13 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._run()
 
     def _process_events(self, events: object) -> None:
-        """There is no I/O."""
+        """Has no effect: the loop has no I/O."""
 
     def _write_to_self(self) -> None:
-        """There are no threads."""
+        """Has no effect: the process has no threads."""
 
     def run_in_executor(self, _: object, func: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]
-        """Work in a thread, mostly of a disk: takes time while others continue."""
+        """Runs work of a thread, mostly of a disk: it takes time while others continue."""
         future = self.create_future()
 
         def done() -> None:
@@ -293,7 +293,7 @@ def _pinned(
 
 
 def release(machine: SimulatedMachine) -> None:
-    """Frees the remaining tasks of its processes, when nothing runs on it any more.
+    """Frees the remaining tasks of a machine's processes, when none runs on it any more.
 
     The simulation has ended: effects and exceptions of `finally` blocks are ignored.
     """
@@ -305,7 +305,7 @@ def release(machine: SimulatedMachine) -> None:
             # asyncio would report a task that is freed before its end.
             loop = task.get_loop()
             loop.set_exception_handler(lambda loop, context: None)
-            # What a `finally` block starts belongs to this loop, and is unwound next.
+            # A task that a `finally` block starts belongs to this loop, and is unwound next.
             running = asyncio._get_running_loop()
             asyncio._set_running_loop(loop)
             try:

@@ -46,7 +46,7 @@ class PipeEnd(asyncio.WriteTransport):
         return self._closing or self._reader.dead
 
     def get_write_buffer_size(self) -> int:
-        """It accepts everything at once."""
+        """Always 0: the pipe accepts all bytes at once."""
         return 0
 
 
@@ -57,16 +57,16 @@ class StartedProcess(Protocol):
 
     @property
     def loop(self) -> ProcessLoop:
-        """Its loop."""
+        """The loop of the process."""
 
     def await_end(self, on_end: Callable[[int], None]) -> None:
-        """Have a function called with its exit status."""
+        """Sets a function that is called with the exit status."""
 
     def received(self, data: bytes) -> None:
-        """Bytes on its stdin. Runs inside it."""
+        """Receives bytes on stdin. Runs inside the process."""
 
     def die(self, status: int) -> None:
-        """It ends now."""
+        """Ends the process now."""
 
 
 class ChildProcess(asyncio.SubprocessTransport):
@@ -83,22 +83,22 @@ class ChildProcess(asyncio.SubprocessTransport):
         child.await_end(self._ended)
 
     def get_pid(self) -> int:
-        """Its process id."""
+        """The process id."""
         return self._child.pid
 
     def get_returncode(self) -> int | None:
-        """Its exit status; None while it runs."""
+        """The exit status; None while the process runs."""
         return self._status
 
     def get_pipe_transport(self, fd: int) -> asyncio.BaseTransport | None:
-        """Its stdin."""
+        """The stdin of the process."""
         return self._stdin if fd == 0 else None
 
     def close(self) -> None:
-        """It is no longer awaited."""
+        """Has no effect: the process is no longer awaited."""
 
     def kill_now(self) -> None:
-        """As SIGKILL, slightly delayed: the caller continues first."""
+        """Kills the process as by SIGKILL, slightly delayed: the caller continues first."""
         self._child.loop.machine.timeline.after(0.0, partial(self._child.die, -9))
 
     def _ended(self, status: int) -> None:

@@ -39,20 +39,21 @@ class SimulatedComputer:
         self.processes: list[SimulatedProcess] = []
 
     def start(self, on_fake: Callable[[ServedFake], None] = lambda fake: None) -> SimulatedProcess:
-        """Creates a process, in which nothing runs yet; `on_fake` is called when a simulated device serves in
-        it."""
+        """Creates a process, in which no program runs yet; `on_fake` is called when a simulated device
+        serves in it.
+        """
         process = SimulatedProcess(self, on_fake)
         self.processes.append(process)
         return process
 
     def power_off(self) -> None:
-        """All its processes are gone, without notification."""
+        """Ends all processes, without notification."""
         self.machine.switch_off()
         for process in list(self.processes):
             process.die(-9, silently=True)
 
     def power_on(self) -> None:
-        """It is on again, without processes."""
+        """Switches the computer on again, without processes."""
         self.machine.switch_on()
 
 
@@ -63,35 +64,37 @@ class SimulatedProcess:
         self.computer, self.pid = computer, next(_PIDS)
         self.loop = _Loop(self)
         self._on_end: Callable[[int], None] = lambda status: None
-        #: Called when a simulated device serves in it.
+        #: Called when a simulated device serves in the process.
         self.on_fake = on_fake
         self.children: list[SimulatedProcess] = []
         self._input: Input | None = None
         self._early: list[bytes | None] = []
 
     def start(self, program: Program, arguments: Sequence[str], output: asyncio.WriteTransport) -> None:
-        """Runs a program in it."""
+        """Runs a program in the process."""
         self._input = program(self, arguments, output)
         for data in self._early:
             self._input(data)
 
     def await_end(self, on_end: Callable[[int], None]) -> None:
-        """Have a function called with its exit status."""
+        """Sets a function that is called with the exit status."""
         self._on_end = on_end
 
     def received(self, data: bytes | None) -> None:
-        """Data on its stdin, or its end."""
+        """Receives data on stdin, or its end."""
         if self._input is not None:
             self._input(data)
         else:
             self._early.append(data)
 
     def exit(self, status: int) -> None:
-        """It exits after its present work."""
+        """Ends the process after its present work."""
         self.computer.machine.timeline.after(0.0, partial(self.die, status))
 
     def die(self, status: int, *, silently: bool = False) -> None:
-        """It ends now, as by SIGKILL; its children see the end of their stdin, unless the machine is gone."""
+        """Kills the process now, as by SIGKILL; its children see the end of stdin, unless the machine is
+        gone.
+        """
         if self.loop.dead:
             return
         self.computer.processes.remove(self)
@@ -141,7 +144,7 @@ class _Loop(ProcessLoop):
         child.loop.soon(start, self.machine.rng.uniform(*START_TIMES))
         return transport, protocol
 
-    # --- what a simulated loop has beyond asyncio's: see lfield.event_loop.SimulatedLoop
+    # --- additions of a simulated loop to asyncio's: see lfield.event_loop.SimulatedLoop
     # ---------------------------
 
     def open_serial(self, path: str, baud: int, user: SerialUser) -> SerialLineEnd:

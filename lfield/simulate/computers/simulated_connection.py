@@ -42,17 +42,17 @@ class SimulatedSocket:
         return self._address
 
     def setsockopt(self, *_: object) -> None:
-        """There are no options."""
+        """Has no effect: the socket has no options."""
 
     def getsockopt(self, *_: object) -> bytes:
-        """There are no counters."""
+        """Raises OSError: the socket has no counters."""
         raise OSError(errno.ENOPROTOOPT, "Protocol not available")
 
     def dup(self) -> SimulatedSocket:
         return self
 
     def listen(self, _: int) -> None:
-        """No effect."""
+        """Has no effect."""
 
     def __enter__(self) -> SimulatedSocket:
         return self
@@ -62,7 +62,7 @@ class SimulatedSocket:
 
 
 class SimulatedConnection:
-    """Two ends."""
+    """A connection with its two ends."""
 
     def __init__(
         self, ways: NetworkPaths, caller: ProcessLoop, called: ProcessLoop, addresses: tuple[Address, Address]
@@ -103,7 +103,7 @@ class ConnectionEnd(asyncio.Transport):
         return self.machine.name, self.other.machine.name
 
     def start(self, made: Callable[[], asyncio.Protocol]) -> None:
-        """The connection is established. Runs inside the process."""
+        """Notifies the protocol of the connection. Runs inside the process."""
         self._protocol = made()
         self._protocol.connection_made(self)
         early, self._early = self._early, []
@@ -177,7 +177,7 @@ class ConnectionEnd(asyncio.Transport):
         self._timeline.at(self._due, self._next)
 
     def push(self) -> None:
-        """The path works again."""
+        """Delivers pending data, since the path works again."""
         for _ in self._waiting:
             self._plan()
 
@@ -201,7 +201,7 @@ class ConnectionEnd(asyncio.Transport):
             other.arrive(partial(other._close, what))
 
     def refuse(self) -> None:
-        """This end is gone: a later sender gets a reset, if that path works."""
+        """Answers a later sender by a reset after the loss of this end, if that path works."""
         if self.machine.on and self.way not in self._ways.silent:
             error = reset()
             self.other.arrive(partial(self.other._close, error))
@@ -231,12 +231,12 @@ class ConnectionEnd(asyncio.Transport):
             self._protocol.connection_lost(error)
 
     def lose(self, error: Exception) -> None:
-        """The connection is broken, and this end is notified."""
+        """Breaks the connection, and notifies this end."""
         self._waiting.clear()
         self.arrive(partial(self._close, error))
 
     def cut_off(self, *, silently: bool) -> None:
-        """The process is gone: its kernel closes the connection, unless the whole computer is gone."""
+        """Closes the connection of a process that is gone, unless the whole computer is gone."""
         was_over, self.is_over = self.is_over, True
         if silently:
             self._waiting.clear()

@@ -37,7 +37,7 @@ class MachineClock:
         return self.awake() + self._suspended
 
     def time(self) -> float:
-        """Its time of day."""
+        """The time of day of the machine."""
         return self.monotonic() + self.ahead
 
     def run_at(self, rate: float) -> None:
@@ -55,7 +55,7 @@ class MachineClock:
         return self._timeline.now < self._wakes
 
     def true(self, awake: float) -> float:
-        """The true time at which it will have been awake for so long."""
+        """The true time at which the machine will have been awake for so long."""
         return self._since + (awake - self._start) / self.rate
 
 
@@ -64,17 +64,19 @@ class SimulatedMachine:
 
     def __init__(self, name: str, timeline: EventQueue, rng: random.Random, rate: float = 1.0) -> None:
         self.name, self.timeline, self.rng, self.rate = name, timeline, rng, rate
-        #: Its initial time of day, minimum and maximum; None for any.
+        #: The initial time of day, minimum and maximum; None for any.
         self.day: tuple[float, float] | None = None
         #: Connected devices, by endpoint.
         self.hardware: dict[str, object] = {}
-        #: Unfinished tasks of its processes, including dead ones.
+        #: Unfinished tasks of the machine's processes, including dead ones.
         self.pinned: set[asyncio.Task[Any]] = set()
         self.on = False
         self.switch_on()
 
     def switch_on(self) -> None:
-        """Its monotonic clock restarts; its time of day is arbitrary, or that of `set_day`."""
+        """Switches the machine on: its monotonic clock restarts; its time of day is arbitrary, or that of
+        `set_day`.
+        """
         self.on = True
         self.clock = MachineClock(self.timeline, start=self.rng.uniform(1.0, 1e5), rate=self.rate)
         self.clock.ahead = self.rng.uniform(0.0, 2e9)
@@ -82,16 +84,16 @@ class SimulatedMachine:
             self.set_day(self.day)
 
     def switch_off(self) -> None:
-        """Nothing runs on it."""
+        """Switches the machine off: no process runs on it."""
         self.on = False
 
     def set_day(self, day: tuple[float, float]) -> None:
-        """From now on it knows the time of day approximately, also after it was switched off."""
+        """From now on the machine knows the time of day approximately, also after it was switched off."""
         self.day = day
         self.set_time(self.rng.uniform(*day) + self.timeline.now)
 
     def set_time(self, seconds: float) -> None:
-        """Sets its time of day, in seconds since 1970, until it is switched off."""
+        """Sets the time of day, in seconds since 1970, until the machine is switched off."""
         self.clock.ahead = seconds - self.clock.monotonic()
 
 

@@ -27,7 +27,7 @@ LOOPBACK = "127.0.0.1"
 
 
 class SimulatedNetwork:
-    """All connections between `machines`, by name. `rng` determines everything random."""
+    """All connections between `machines`, by name. `rng` determines all random values."""
 
     def __init__(
         self, timeline: EventQueue, machines: Mapping[str, SimulatedMachine], rng: random.Random
@@ -79,13 +79,15 @@ class SimulatedNetwork:
                 end.lose(reset())
 
     def half_open(self, gone: str, left: str) -> None:
-        """One end of every connection of two machines breaks without notifying the other."""
+        """Breaks one end of every connection of two machines without notifying the other."""
         for end in self._ends():
             if end.way == (gone, left):
                 end.lose(reset())
 
     def process_died(self, loop: ProcessLoop, *, silently: bool) -> None:
-        """Its ports are free, its connections reset; `silently` when its machine is gone."""
+        """Frees the ports of a dead process and resets its connections; `silently` when its machine is
+        gone.
+        """
         self._listening = {at: found for at, found in self._listening.items() if found.loop is not loop}
         for end in self._ends():
             if end.loop is loop:

@@ -28,28 +28,28 @@ class SimulatedSerialPort:
         self._due = 0.0
 
     def open(self, loop: ProcessLoop, baud: int, user: SerialUser) -> _Near:
-        """Opens it. Raises OSError when another process has it open."""
+        """Opens the port. Raises OSError when another process has it open."""
         if self._near is not None and not self._near.loop.dead:
             raise OSError(errno.EBUSY, "Device or resource busy")
         self._speed, self._near = baud, _Near(self, loop, user)
         return self._near
 
     def release(self, near: _Near) -> None:
-        """It is no longer open."""
+        """Closes the near end of the port."""
         if self._near is near:
             self._near = None
 
     def to_far(self, data: bytes) -> None:
-        """Bytes of the driver."""
+        """Delivers bytes of the driver."""
         self._later(self._far, len(data), partial(self._received, data, self._speed))
 
     def write(self, data: bytes) -> None:
-        """Bytes of the simulated device; lost without a reader."""
+        """Delivers bytes of the simulated device; lost without a reader."""
         if (near := self._near) is not None:
             self._later(near.loop, len(data), partial(near.received, data))
 
     def close(self) -> None:
-        """Unplugs it."""
+        """Unplugs the port."""
         near, self._near = self._near, None
         self._gone()
         if near is not None:
@@ -70,7 +70,7 @@ class _Near:
         self._open = True
 
     def received(self, data: bytes) -> None:
-        """Bytes have arrived."""
+        """Delivers bytes that have arrived."""
         if self._open:
             self._user.received(data)
 
@@ -80,7 +80,7 @@ class _Near:
             self._user.unplugged()
 
     def write(self, data: bytes) -> None:
-        """Sends bytes. Raises OSError when it is gone."""
+        """Sends bytes. Raises OSError when the port is gone."""
         if not self._open:
             raise OSError(errno.EIO, "Input/output error")
         self._port.to_far(bytes(data))

@@ -1,6 +1,4 @@
-"""Checks of arguments in tests of missions. Each raises a MissionTestError that says what to write
-instead.
-"""
+"""Checks of arguments in tests of missions. Each raises a MissionTestError with the correct form."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ def line(value: object) -> str:
 
 
 def check_one_end(duration: object, until: object, *, until_done: bool) -> None:
-    """A `run` has one end condition: a time, something to wait for, or the end of the mission."""
+    """A `run` has one end condition: a time, an event to wait for, or the end of the mission."""
     if [duration is not None, until is not None, until_done].count(True) != 1:
         raise MissionTestError(
             "run() takes one of these: seconds, until=..., until_done=True; as in team.run(2.0)"

@@ -67,7 +67,7 @@ class _CallObserver:
     _open: dict[int, tuple[RecordedCall, int]] = field(default_factory=dict)
 
     def on_call_started(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
-        """A portal has started."""
+        """Records that a portal has started."""
         portal = self._machine.program.core.methods[method]
         arguments = tuple(arguments_of(self._machine, resource, thread, method))
         call = RecordedCall(self._now(), None, caller, resource.id, portal.name, arguments)
@@ -75,20 +75,20 @@ class _CallObserver:
         self._record.append(call)
 
     def on_call_returned(self, resource: Agent, number: int, value: int) -> None:
-        """A portal has returned."""
+        """Records that a portal has returned."""
         call, kind = self._open.pop(number)
         machine = self._machine
         (call.result,) = values_of(resource.block, machine.program, [kind], [value])
         call.ended = self._now()
 
     def on_call_threw(self, resource: Agent, number: int, thrown: int) -> None:
-        """A portal has thrown an exception."""
+        """Records that a portal has thrown an exception."""
         call, _ = self._open.pop(number)
         call.thrown = thrown_of(resource.block, self._machine.program, thrown)
         call.ended = self._now()
 
     def on_resource_died(self, resource: Agent, reason: str) -> None:
-        """A resource has died with its portals."""
+        """Records that a resource has died with its portals."""
         ends = [number for number, (call, _) in self._open.items() if call.resource == resource.id]
         for number in ends:
             call, _ = self._open.pop(number)

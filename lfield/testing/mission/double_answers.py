@@ -33,7 +33,7 @@ class Throws(Exception):
 class After:
     """Returned by a double: the portal returns this value after so many seconds of virtual time.
 
-    If the value is a `Throws`, it throws that. Raises DoubleError for an invalid time.
+    If the value is a `Throws`, the portal throws that exception. Raises DoubleError for an invalid time.
     """
 
     __slots__ = ("seconds", "value")

@@ -1,8 +1,8 @@
 """Prevents tests of missions from real I/O: network, ports, devices, processes.
 
-Uses Python's audit hooks (PEP 578), which report nearly all of that. A hook cannot be removed, so there is
-one that checks for active guards. Functions without an audit event are patched while a guard is active. It
-covers the test and every thread started later, but not earlier ones such as a debugger. It is not a sandbox:
+Uses Python's audit hooks (PEP 578), which report nearly all I/O. A hook cannot be removed, so a single hook
+checks for active guards. Functions without an audit event are patched while a guard is active. A guard
+covers the test and every thread started later, but not earlier ones such as a debugger. It is no sandbox:
 testing.md lists ways around it.
 """
 
@@ -65,14 +65,14 @@ class IoGuard:
         _STANDING.append(self)
 
     def remove(self) -> None:
-        """Deactivates it."""
+        """Deactivates the guard."""
         if self in _STANDING:
             _STANDING.remove(self)
             if not _STANDING:
                 _put_back()
 
     def drain_caught(self) -> list[RealEndpoint]:
-        """Remove and return the attempts."""
+        """Removes and returns the attempts."""
         caught, self.caught = self.caught, []
         return caught
 
@@ -196,7 +196,7 @@ def _put_back() -> None:
     while _originals:
         where, name, function = _originals.pop()
         if function is None:
-            # The function was inherited.
+            # The class had no function of its own.
             delattr(where, name)
         else:
             setattr(where, name, function)

@@ -27,7 +27,7 @@ NAME = "live_attributes"
 
 
 def has_live_attributes(double: object) -> bool:
-    """Whether it provides any; a mock, which creates attributes on access, does not."""
+    """Whether a double provides live attributes; a mock, which creates attributes on access, does not."""
     return NAME in dir(double)
 
 
@@ -87,7 +87,7 @@ def _samples(mission: Mission, member: TeamMember, values: object, now: float) -
 
 
 def _of(mission: Mission, name: str) -> Provenance:
-    """Measured for live attributes, declared for others."""
+    """The provenance of an attribute: measured if it is live, else declared."""
     return "measured" if mission.registry is not None and mission.registry.attributes[name].live else "told"
 
 

@@ -59,14 +59,17 @@ class FakeDevice:
 
     @property
     def facts(self) -> Mapping[str, str | int | bool]:
-        """Its true values, independent of the wire: `facts["mode"]`. Empty if it provides none."""
+        """The true values of the device, independent of the wire: `facts["mode"]`. Empty if it provides
+        none.
+        """
         read = self._fake.facts.get(self._number)
         return read() if read else {}
 
     @property
     def place(self) -> FakePosition | None:
-        """Its position: metres north, east and up of where simulated devices are switched on; None if
-        unknown."""
+        """The position of the device: metres north, east and up of the place of power-on of simulated
+        devices; None if unknown.
+        """
         read = self._fake.places.get(self._number)
         return read() if read else None
 
@@ -87,7 +90,7 @@ class MissionFakes:
     ) -> None:
         self._wrong, self._mark = faults, mark
         self._cabled: dict[BusKey, CabledFake] = {}
-        #: By the names of their bindings.
+        #: The devices by the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
 
     @property
@@ -96,7 +99,9 @@ class MissionFakes:
         return [error for fake in self._cabled.values() for error in fake.trouble]
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
-        """Starts them; returns the mission with their endpoints. Raises PluginError and MissionTestError."""
+        """Starts the devices; returns the mission with their endpoints. Raises PluginError and
+        MissionTestError.
+        """
         buses = buses_of(mission)
         names = {device.name for bus in buses.values() for device in bus}
         if unknown := sorted(self._wrong.keys() - names):

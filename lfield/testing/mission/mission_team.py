@@ -61,7 +61,7 @@ class MissionTeam:
     ) -> None:
         doubles = argument_checks.doubles(doubles)
         self._fakes = MissionFakes(argument_checks.initial_faults(fakes), self._mark)
-        #: How coordinators ended, with the epoch that did, since hosts that are gone cannot report it.
+        #: The ends of coordinators, with the epoch that ended, since hosts that are gone cannot report them.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: The test's interventions, for its picture; the hosts that it has ended.
         self.marks, self._ended_hosts = list[Mark](), set[str]()
@@ -253,12 +253,12 @@ class MissionTeam:
 
     @property
     def ended(self) -> dict[str, str]:
-        """How coordinators ended: `done`, `died`, `lost`."""
+        """The ends of coordinators: `done`, `died`, `lost`."""
         self._learn()
         return {agent: outcome for agent, (_, outcome) in self._outcomes.items() if outcome}
 
     def _learn(self) -> None:
-        """Collects how coordinators ended, from running hosts."""
+        """Collects the ends of coordinators from running hosts."""
         found = self._outcomes
         for life in self._fleet.lives.values():
             for known in life.core.mobility.known_states():
@@ -335,7 +335,7 @@ class MissionTeam:
                 self._fleet.stop(host)
 
     def pause(self) -> None:
-        """As `lfield pause`: no program runs, and devices come to rest, until `resume`."""
+        """Pauses as `lfield pause`: no program runs, and devices come to rest, until `resume`."""
         self._pause(lift=False)
         self._mark("the mission is paused")
 
@@ -353,7 +353,7 @@ class MissionTeam:
         self._operator.type_line(self._host(host), text)
 
     def close(self) -> None:
-        """Ends everything immediately; recorded data remains.
+        """Ends all processes immediately; recorded data remains.
 
         Raises MissionTestError within a run, and for unreported real I/O.
         """

@@ -98,7 +98,7 @@ class LineStops:
             self._stop_in(life, self._stops[-1])
 
     def attach(self, life: HostLife) -> None:
-        """A host has started: its VM stops at the same lines."""
+        """Sets the lines in the VM of a host that has started."""
         self._lives.append(life)
         for stop in self._stops:
             self._stop_in(life, stop)
@@ -145,8 +145,9 @@ def _targets(program: Program, method: MethodRecord) -> set[int]:
 
 
 class Point(NamedTuple):
-    """A position at a time: seconds; metres north, east and up of where the team's simulated devices are
-    switched on."""
+    """A position at a time: seconds; metres north, east and up of the place of power-on of the team's
+    simulated devices.
+    """
 
     at: float
     north: float

@@ -50,7 +50,7 @@ class ResourceDoubles:
         self._monitors: list[_Monitor] = []
 
     def attach(self, life: HostLife) -> None:
-        """Connects the doubles to one incarnation of a host, before anything runs."""
+        """Connects the doubles to one incarnation of a host, before any agent runs."""
         machine, later = life.core.machine, _Later(life)
         for member, double in self._doubles:
             monitor = _Monitor(machine, later, partial(self._answer, machine, later, double))
@@ -60,7 +60,7 @@ class ResourceDoubles:
                 live_attributes.attach(self._mission, member, life, double, self.trouble)
 
     def release_monitors(self) -> None:
-        """Called after each event: lets the next call into synchronized portals that are free."""
+        """Called after each event: starts the next calls of synchronized portals that are free."""
         for monitor in self._monitors:
             monitor.release()
 
@@ -120,7 +120,7 @@ class _Monitor:
     _waiting: deque[StubCall] = field(default_factory=deque)
 
     def on_call(self, call: StubCall) -> None:
-        """A portal is called."""
+        """Handles a call of a portal."""
         if not self._machine.program.core.methods[call.method].synchronized:
             self._answer(call)
             return
@@ -128,7 +128,7 @@ class _Monitor:
         self.release()
 
     def release(self) -> None:
-        """Lets the next call in when the present one has ended or was cancelled."""
+        """Starts the next call when the present one has ended or was cancelled."""
         if not self._waiting or (self._current is not None and _is_pending(self._current)):
             return
         self._current = self._waiting.popleft()

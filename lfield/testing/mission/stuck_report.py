@@ -1,4 +1,4 @@
-"""Describes what every agent of a team waits for, for a mission that does not end."""
+"""A description of the waits of every agent of a team, for a mission that does not end."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _has_left(fleet: Fleet, agent: Agent) -> bool:
 
 
 def _is_later(copy: Agent, agent: Agent) -> bool:
-    """Whether it is the same epoch after more hops."""
+    """Whether a copy is of the same epoch after more hops."""
     mine, other = agent.block.w, copy.block.w
     return other[W_GENERATION] == mine[W_GENERATION] and other[W_HOPS] > mine[W_HOPS]
 
@@ -99,7 +99,7 @@ def _position(life: HostLife, agent: Agent, place: int) -> str:
 
 
 def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
-    """What a thread does, and the portal, device or lock that it waits for."""
+    """The activity of a thread, and the portal, device or lock that it waits for."""
     state = agent.block.w[place + THREAD_STATE]
     if state == WAITING:
         return f"waits for {_instruction(life, agent, place)}"
@@ -115,7 +115,7 @@ def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
 
 
 def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
-    """What a coordinator waits for: its call, or the calls of its `together`."""
+    """The calls that a coordinator waits for: its call, or the calls of its `together`."""
     core = life.core
     called = core.machine.itinerary.current_target(agent) if agent.frozen or state == CALLING else None
     lives = fleet.lives.values()
@@ -136,7 +136,7 @@ def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
 
 
 def _holder(life: HostLife, agent: Agent) -> str:
-    """Who has the lock of a resource, and its position."""
+    """The holder of the lock of a resource, and its position."""
     thread = agent.block.w[W_OWNER]
     place = place_of(agent.block, thread)
     if not place:

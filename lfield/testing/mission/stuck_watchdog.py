@@ -1,6 +1,6 @@
 """Interrupts a test that blocks or never ends, and names the code.
 
-It watches virtual time: that advances on a slow computer, but not when code blocks.
+The watchdog observes virtual time, which advances on a slow computer, but not when code blocks.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ class StuckInterrupt(KeyboardInterrupt):
 class StuckWatchdog:
     """Raises `StuckInterrupt` in the block when `now` is unchanged for so many seconds of real time.
 
-    Measured in checks: a computer that is suspended or overloaded does not check. It is an alarm of the main
-    thread, so it interrupts any wait there, except C code that never returns to Python. An existing alarm,
-    such as pytest-timeout's, is called when due, and is kept if it would end Python; in other threads there
-    is none.
+    The time is measured in checks: a computer that is suspended or overloaded does not check. The watchdog is
+    an alarm of the main thread, so it interrupts any wait there, except C code that never returns to Python.
+    An existing alarm, such as pytest-timeout's, is called when due, and is kept if it would end Python; other
+    threads have no alarm.
     """
 
     def __init__(self, seconds: float, now: Callable[[], float]) -> None:
         self._now, self._check_interval = now, min(CHECK_INTERVAL, seconds / 4)
         #: Limit of unchanged checks, their number, and the time.
         self._most, self._same, self._progressed_at = round(seconds / self._check_interval), 0, now()
-        #: Whether it has expired, and the blocking code, as in `Depot.take (test_depot.py:12)`.
+        #: Whether the watchdog has expired, and the blocking code, as in `Depot.take (test_depot.py:12)`.
         self.has_expired, self.holder = False, ""
 
     def __enter__(self) -> StuckWatchdog:

@@ -76,7 +76,7 @@ def _names(plan: Canvas, tracks: Mapping[str, Sequence[Point]], colours: Mapping
 
 
 def _thinned(points: Sequence[Point]) -> list[Point]:
-    """Without repeated points."""
+    """The points without repeated ones."""
     distinct = [points[0]]
     for point in points[1:]:
         if math.hypot(point.north - distinct[-1].north, point.east - distinct[-1].east) > NEAR:
@@ -85,7 +85,7 @@ def _thinned(points: Sequence[Point]) -> list[Point]:
 
 
 def _mark(plan: Canvas, points: Sequence[Point], mark: Mark) -> str:
-    """A cross where an event happened to a device."""
+    """A cross at the place where an event happened to a device."""
     point = min(points, key=lambda point: abs(point.at - mark.at))
     x, y = plan.x(point.east), plan.y(point.north)
     cross = f"M{x - 6:.1f} {y - 6:.1f}l12 12m0 -12l-12 12"

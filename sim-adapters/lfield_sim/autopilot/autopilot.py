@@ -1,7 +1,7 @@
 """Commands of an autopilot: arming, modes, guided flight, missions.
 
 Times and refusals as measured on ArduPilot 4.7 and PX4 1.17; differences are data in `flavours`. Pure:
-`step(dt)` advances time, everything else responds at once.
+`step(dt)` advances time, all other methods respond at once.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Autopilot(Pilot):
 
     @property
     def unfit(self) -> ArmingRefusal | None:
-        """Why it cannot be armed now, None when it can."""
+        """The reason why the vehicle cannot be armed now, None when it can."""
         rule = self.flavour.gcs
         if rule.forbids and self.failsafes.station_lost:
             return ArmingRefusal((rule.refusal,) if rule.refusal else None)
@@ -167,7 +167,7 @@ class Autopilot(Pilot):
 
     @property
     def _is_lost(self) -> bool:
-        """Whether it flies without a position."""
+        """Whether the vehicle flies without a position."""
         return self.estimate.is_lost and self.armed
 
     def _why_not(self, name: str) -> tuple[str, ...]:
@@ -229,7 +229,7 @@ class Autopilot(Pilot):
         return self.command_role(Role.RETURN)
 
     def refuse(self, text: str) -> MavResult:
-        """Sends the reason, and returns this autopilot's result for it."""
+        """Sends the reason, and returns this autopilot's result for a refusal."""
         self.say(text)
         return self.flavour.refusal
 
@@ -271,7 +271,7 @@ class Autopilot(Pilot):
         return result
 
     def guide(self, setpoint: Setpoint) -> None:
-        """A setpoint; ignored when it cannot be followed, as by the real one."""
+        """Follows a setpoint; ignored when it cannot be followed, as by the real autopilot."""
         if self.setpoints_over or not self.setpoint_at > -math.inf:
             self.stream_at = self.now
         self.setpoint_at = self.now

@@ -25,7 +25,7 @@ class MavResult(IntEnum):
 
 
 class Role(Enum):
-    """What a flight mode does, independent of its name."""
+    """The function of a flight mode, independent of its name."""
 
     MANUAL = "manual"
     HOLD = "hold"
@@ -39,7 +39,7 @@ class Role(Enum):
 
 
 class SetpointControl(Enum):
-    """What a setpoint controls: a position, a position with a velocity towards it, or a velocity."""
+    """The quantities of a setpoint: a position, a position with a velocity towards it, or a velocity."""
 
     PLACE = "place"
     BOTH = "both"
@@ -54,16 +54,16 @@ class Pace(Protocol):
         """The present speed to a position."""
 
     def enter(self, *, guided: bool) -> None:
-        """A mode was entered, or a takeoff began."""
+        """Called when a mode was entered, or a takeoff began."""
 
     def arm(self) -> None:
-        """It was armed."""
+        """Called when the vehicle was armed."""
 
     def start(self, control: SetpointControl, asked: float | None = None) -> bool:
-        """A goal came, with or without its own speed; False when it is refused for that."""
+        """Called for a goal, with or without its own speed; False when it is refused for that speed."""
 
     def change(self, speed: float) -> MavResult:
-        """DO_CHANGE_SPEED."""
+        """Handles DO_CHANGE_SPEED."""
 
 
 #: Creates a pace from the autopilot's own speed and the cap on all speeds, read when needed.
@@ -190,7 +190,7 @@ NEVER_BLIND = BlindRule(1e9)
 
 @dataclass(frozen=True, slots=True)
 class Flavour:
-    """An autopilot: what its kinds of vehicles have in common.
+    """An autopilot: the properties that its kinds of vehicles have in common.
 
     refusal             the result of a refused arming or disarming
     denial              the texts of a refused arming: one for each {reason}

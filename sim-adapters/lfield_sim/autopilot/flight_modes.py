@@ -1,6 +1,6 @@
 """Behaviour of modes over time, and effects of faults.
 
-Modes that are not listed here keep the goal set when they were entered, or by a setpoint.
+Modes that are not listed below keep the goal set when they were entered, or by a setpoint.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def fly(pilot: Pilot) -> None:
 
 
 def _return(pilot: Pilot) -> None:
-    """Up to the return height, to home or a rally point, a pause, down.
+    """Flies up to the return height, to home or a rally point, pauses, and descends.
 
-    An ArduCopter that was climbing returns to the height of the command, and waits when it is there.
+    An ArduCopter that was climbing returns to the height of the command, and waits there.
     """
     vehicle, home, waits = pilot.vehicle, pilot.homing.destination, pilot.return_pause
     north, east, down = vehicle.place
@@ -70,14 +70,14 @@ def _is_over_home(pilot: Pilot, far: float) -> bool:
 
 
 def _come_home(pilot: Pilot) -> None:
-    """It is over home from now on, which PX4's copter reports."""
+    """Records that the vehicle is over home from now on, which PX4's copter reports."""
     if pilot.over_home_at is None and pilot.flavour.takeoff_mode and pilot.flies:
         pilot.say("RTL: land at destination\t")
     pilot.over_home_at = pilot.now if pilot.over_home_at is None else pilot.over_home_at
 
 
 def _guided(pilot: Pilot) -> None:
-    """ArduRover reports a reached goal as item 0."""
+    """Flies to the goal; ArduRover reports a reached goal as item 0."""
     goal = pilot.vehicle.goal
     if pilot.flies or pilot.flavour.takeoff_mode or goal is pilot.sent_goal or not isinstance(goal, Reach):
         return
@@ -87,7 +87,7 @@ def _guided(pilot: Pilot) -> None:
 
 
 def _take_off(pilot: Pilot) -> None:
-    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold; a rover is done at once."""
+    """Flies PX4's mode: up to MIS_TAKEOFF_ALT, then hold; a rover is done at once."""
     goal = pilot.homing.ground - pilot.takeoff_height
     if not pilot.flies:
         pilot.on_its_way = True
@@ -101,7 +101,7 @@ def _take_off(pilot: Pilot) -> None:
 
 
 def _land(pilot: Pilot) -> None:
-    """Descends where it is, when it is due."""
+    """Descends at the present position, when the descent is due."""
     if pilot.flies and isinstance(pilot.vehicle.goal, Rest) and pilot.now >= pilot.sinks_at:
         pilot.vehicle.goal = Descend()
 
@@ -116,7 +116,7 @@ _MODES: Mapping[Role, Callable[[Pilot], None]] = {
 
 
 def _lack_power(pilot: Pilot) -> None:
-    """A copter with a weak motor sinks, and an ArduCopter reports it after a while."""
+    """Makes a copter with a weak motor sink, which an ArduCopter reports after a while."""
     weak = pilot.flies and pilot.armed and pilot.vehicle.airborne and pilot.motor_power < HOLDS
     pilot.vehicle.sags = (HOLDS - pilot.motor_power) / (HOLDS - WEAK) * SAGS if weak else 0.0
     if not weak:
@@ -130,7 +130,7 @@ def _lack_power(pilot: Pilot) -> None:
 
 
 def apply_motor_faults(pilot: Pilot) -> None:
-    """A copter with a dead motor spins and falls, with a weak one it sinks; a rover stops."""
+    """Makes a copter with a dead motor spin and fall, one with a weak motor sink, and stops a rover."""
     _lack_power(pilot)
     vehicle = pilot.vehicle
     if not pilot.motor_failed or not pilot.armed:

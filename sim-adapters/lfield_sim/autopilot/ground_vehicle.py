@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from lfield_sim.autopilot.body.goals import ZERO, Goal, Keep, Reach, Rest, Roll, Vector
 from lfield_sim.autopilot.vehicle import Vehicle, eased, wrap
 
-#: Speed in m/s down to which it brakes before it turns back.
+#: Speed in m/s down to which a rover brakes before it turns back.
 TURNS = 0.3
 #: Heading error up to which a skid-steered rover starts to a position, in rad.
 PIVOTS = math.radians(10.0)
@@ -20,12 +20,12 @@ SHOOTS = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Wheels:
-    """How a rover turns and stops at a position.
+    """The steering and stopping of a rover at a position.
 
-    `radius` in m is that of its tightest circle (Ackermann), which it turns only while driving; 0 is skid
-    steering, which turns on the spot. `tight` is its speed on that circle in m/s. Above `brakes` in m/s it
-    brakes straight before it turns back to a position behind it. It stops within `arrives` metres of a
-    position; one that `returns` drives round to a position that it has just passed.
+    `radius` in m is that of the tightest circle (Ackermann), which a rover turns only while driving; 0 is
+    skid steering, which turns on the spot. `tight` is the speed on that circle in m/s. Above `brakes` in m/s
+    a rover brakes straight before it turns back to a position behind it. It stops within `arrives` metres of
+    a position; a rover that `returns` drives round to a position that it has just passed.
     """
 
     radius: float = 0.0
@@ -45,11 +45,11 @@ class GroundVehicle(Vehicle):
 
     @property
     def airborne(self) -> bool:
-        """Never."""
+        """Always False."""
         return False
 
     def released(self) -> Goal:
-        """It rolls out, or stops at once."""
+        """The goal without a drive: the rover rolls out, or stops at once."""
         return Roll() if self.limits.rolls_out else Rest()
 
     def switch_off(self) -> None:
@@ -69,7 +69,7 @@ class GroundVehicle(Vehicle):
             target_speed, course = 0.0, None
         turn = self._turning(along) * dt
         if self.yaw_rate_goal is not None:
-            # With a yaw rate it keeps its speed along its heading.
+            # With a yaw rate a rover keeps its speed along its heading.
             self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
         elif course is not None:
             self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
@@ -87,7 +87,9 @@ class GroundVehicle(Vehicle):
         self.acceleration = (push * math.cos(self.yaw), push * math.sin(self.yaw), 0.0)
 
     def _approach(self, place: Vector) -> Vector:
-        """As a copter; but steered wheels may not turn back to a position just passed."""
+        """The velocity to a position, as of a copter; steered wheels may not turn back to a position just
+        passed.
+        """
         north, east = place[0] - self.place[0], place[1] - self.place[1]
         far = math.hypot(north, east)
         behind = math.cos(math.atan2(east, north) - self.yaw) < 0.0
@@ -103,19 +105,19 @@ class GroundVehicle(Vehicle):
         return north * math.cos(self.yaw) + east * math.sin(self.yaw)
 
     def _turning_speed(self, target: float, off: float) -> float:
-        """Its speed with a heading error: a skid-steered one turns first."""
+        """The speed with a heading error: a skid-steered rover turns first."""
         if self.wheels.radius:
             return max(min(target, self.wheels.tight), target * math.cos(off))
         return 0.0 if isinstance(self.goal, Reach) and off > PIVOTS else target * max(0.0, math.cos(off))
 
     def _brakes_first(self, course: float | None, along: float) -> bool:
-        """Whether it still brakes straight because its goal is behind it."""
+        """Whether the rover still brakes straight because its goal is behind it."""
         behind = isinstance(self.goal, Reach) and course is not None and abs(wrap(course - self.yaw)) > 1.6
         self._turns_back = behind and along > (TURNS if self._turns_back else self.wheels.brakes)
         return self._turns_back
 
     def _overshoot(self, target: float, along: float, dt: float) -> float:
-        """How much it exceeds its speed for a while after an acceleration."""
+        """The excess over the target speed for a while after an acceleration."""
         most = self._most_overshoot(target)
         if not most:
             self._excess = 0.0

@@ -1,4 +1,4 @@
-"""Home of an autopilot: where it was armed, its drift with GNSS altitude, and the destination of a return.
+"""Home of an autopilot: the place of arming, its drift with GNSS altitude, and the destination of a return.
 
 PX4 sets home at arming, takeoff and landing, and in flight its height drifts with GNSS (trace
 `px4-copter.i-heights`: 54 values in a minute, from -1.5 to +1.4 m). ArduCopter's stays within a centimetre;
@@ -41,12 +41,12 @@ class Home:
 
     @property
     def place(self) -> Vector:
-        """Its reported position."""
+        """The reported position of home."""
         return (self._reference[0], self._reference[1], self.ground - self._error)
 
     @property
     def ground(self) -> float:
-        """Its height when it was set, down."""
+        """The height of home when it was set, down."""
         return self._reference[2]
 
     def set_place(self, place: Vector) -> None:

@@ -90,7 +90,7 @@ def report_started(pilot: Pilot, item: MissionItem) -> None:
 
 
 def _report_reached(pilot: Pilot, item: MissionItem) -> None:
-    """ArduPilot's text for a reached item; a rover also reports the last one."""
+    """Sends ArduPilot's text for a reached item; a rover also reports the last one."""
     mission = pilot.mission
     if not pilot.flavour.home_item or item.command not in FLOWN:
         return
@@ -100,7 +100,7 @@ def _report_reached(pilot: Pilot, item: MissionItem) -> None:
 
 
 def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:
-    """PX4 takes off by itself when a mission starts with a waypoint."""
+    """Whether PX4 takes off by itself because a mission starts with a waypoint."""
     north, east, down = pilot.vehicle.place
     goal = pilot.homing.ground - pilot.takeoff_height
     climbing = pilot.flies and item.command in FLOWN and pilot.mission.started != pilot.mission.current
@@ -116,7 +116,7 @@ def _start_item(pilot: Pilot, item: MissionItem) -> None:
         heading = item.values[3]
         pilot.vehicle.yaw_goal = None if math.isnan(heading) else math.radians(_bounded(heading))
     if item.command == PLACE_PAYLOAD:
-        # At its present height; it descends on arrival.
+        # At the present height; the vehicle descends on arrival.
         pilot.vehicle.goal = Reach((*place[:2], pilot.vehicle.place[2]))
     elif item.command in FLOWN | LANDINGS:
         curved = item.command in CURVES and pilot.flies
@@ -136,7 +136,7 @@ def _start_item(pilot: Pilot, item: MissionItem) -> None:
 
 
 def _curve_to(pilot: Pilot, item: MissionItem, place: Vector) -> list[Vector]:
-    """The curve from its position; a spline stops at an end where it waits, or has no neighbour."""
+    """The curve from the present position; a spline stops at an end where it waits, or has no neighbour."""
     start, mission = pilot.vehicle.place, pilot.mission
     if item.command == ARC:
         return list(arc(start, place, _bounded(item.values[0])))
@@ -184,7 +184,7 @@ def _done(pilot: Pilot, item: MissionItem) -> bool:
 
 
 def _arrived(pilot: Pilot, item: MissionItem) -> bool:
-    """Whether it has reached the item's position; turns start there."""
+    """Whether the vehicle has reached the item's position; turns start there."""
     mission, vehicle = pilot.mission, pilot.vehicle
     if mission.arrived is None and len(mission.curve) < 2 and _near(pilot, item.place):
         mission.arrived = pilot.now

@@ -1,8 +1,8 @@
 """The speed to a position under each autopilot, depending on the order of commands.
 
-An autopilot has its own speed (a parameter), one that came with a goal, and one set by DO_CHANGE_SPEED. Which
-applies and when it is forgotten differs (measured: the traces `c-speed` of ArduCopter 4.7, ArduRover 4.7 and
-PX4 1.17). Speeds in m/s.
+An autopilot has its own speed (a parameter), one that came with a goal, and one set by DO_CHANGE_SPEED. The
+speed that applies, and the time when it is forgotten, differ (measured: the traces `c-speed` of ArduCopter
+4.7, ArduRover 4.7 and PX4 1.17). Speeds in m/s.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ class CopterPace:
         return self.own() if self._speed is None else self._speed
 
     def enter(self, *, guided: bool) -> None:
-        """A mode was entered, or a takeoff started."""
+        """Ends the position controller: a mode was entered, or a takeoff started."""
         self._control, self._speed = None, self.own()
 
     def arm(self) -> None:
-        """It was armed; an earlier speed is lost by the next goal anyway."""
+        """Has no effect: the next goal discards an earlier speed anyway."""
 
     def start(self, control: SetpointControl, asked: float | None = None) -> bool:
-        """A goal came; False when it is refused for its speed."""
+        """Handles a goal; False when it is refused for its speed."""
         if control is not self._control or control is SetpointControl.BOTH:
             self._speed = self.own()
         self._control = control
         return True
 
     def change(self, speed: float) -> MavResult:
-        """DO_CHANGE_SPEED."""
+        """Handles DO_CHANGE_SPEED."""
         if speed <= 0.0:
             return MavResult.DENIED
         self._speed = speed
@@ -72,7 +72,7 @@ class RoverPace:
 
     @property
     def is_commanded(self) -> bool:
-        """Whether DO_CHANGE_SPEED has set it: then the rover overshoots it (ap-rover.c-speed)."""
+        """Whether DO_CHANGE_SPEED has set the speed: then the rover overshoots it (ap-rover.c-speed)."""
         return self._set is not None
 
     @property
@@ -82,21 +82,21 @@ class RoverPace:
         return self._set[0] if self._set is not None and self._set[1] == own else own
 
     def enter(self, *, guided: bool) -> None:
-        """A mode was entered."""
+        """Discards the speed: a mode was entered."""
         self._control, self._set, self._guided = None, None, guided
 
     def arm(self) -> None:
-        """It was armed; an earlier speed is lost by the next goal anyway."""
+        """Has no effect: the next goal discards an earlier speed anyway."""
 
     def start(self, control: SetpointControl, asked: float | None = None) -> bool:
-        """A goal came; False when it is refused for its speed."""
+        """Handles a goal; False when it is refused for its speed."""
         if asked is not None and self.change(asked) is not MavResult.ACCEPTED:
             return False
         self._control = control
         return True
 
     def change(self, speed: float) -> MavResult:
-        """DO_CHANGE_SPEED."""
+        """Handles DO_CHANGE_SPEED."""
         if speed <= 0.0:
             return MavResult.DENIED
         if self._guided and self._control is not SetpointControl.PLACE:
@@ -128,15 +128,15 @@ class Px4Pace:
         self._asked, self._guided = None, guided
 
     def arm(self) -> None:
-        """It was armed."""
+        """Discards the speed of DO_CHANGE_SPEED when the vehicle is armed."""
         self._kept = None
 
     def start(self, control: SetpointControl, asked: float | None = None) -> bool:
-        """A goal came, with or without its own speed."""
+        """Handles a goal, with or without its own speed."""
         self._asked = asked
         return True
 
     def change(self, speed: float) -> MavResult:
-        """DO_CHANGE_SPEED."""
+        """Handles DO_CHANGE_SPEED."""
         self._kept, self._asked = (speed if speed > 0.0 else None), None
         return MavResult.ACCEPTED

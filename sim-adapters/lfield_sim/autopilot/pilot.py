@@ -43,16 +43,16 @@ class Pilot:
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
     risen_to             the goal at which a takeoff has ended, which ArduCopter does not report
     entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
-    weak_at              since when a motor is too weak, minus infinity once that has been reported
+    weak_at              the time since which a motor is too weak, minus infinity once that has been reported
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
-    on_its_way           of PX4's rover: what it calls flying
-    stood                what was last reported about standing
+    on_its_way           of PX4's rover: the state that it reports as flying
+    stood                the last report about standing
     intended             the commanded mode, which a failsafe may have replaced
     resumes              the mode that PX4 goes back to after a landing
     station_at           when a packet of a ground station arrived last
-    perform              executes the commands of a mission that are no positions
+    perform              executes the mission commands that have no position
     rng                  the RNG of GNSS errors
-    ailing, calibrating  why a calibration keeps it from being armed, or ''; whether one runs
+    ailing, calibrating  the reason why a calibration prevents arming, or ''; whether a calibration runs
     sent_goal            of a rover, the last goal that it has reported as reached
     ignores_arm          after a motor test while armed it accepts arming and stays disarmed, until a restart
     """
@@ -133,29 +133,29 @@ class Pilot:
 
     @property
     def flies(self) -> bool:
-        """Whether it is a copter."""
+        """Whether the vehicle is a copter."""
         return self.kind.name == "copter"
 
     @property
     def aloft(self) -> bool:
-        """Whether it counts as off the ground: a flying copter, or PX4's rover on its way."""
+        """Whether the vehicle counts as off the ground: a flying copter, or PX4's rover on its way."""
         return self.vehicle.airborne if self.flies else self.on_its_way
 
     @property
     def settles(self) -> float:
-        """Seconds at rest until it reports a landing."""
+        """Seconds at rest until the autopilot reports a landing."""
         return self.flavour.settles if self.flies else 0.0
 
     @property
     def landed(self) -> bool:
-        """Whether it has been at rest for long enough to report a landing."""
+        """Whether the vehicle has been at rest for long enough to report a landing."""
         if self.aloft:
             return False
         return self.touched_at is None or self.now - self.touched_at >= self.settles
 
     @property
     def home(self) -> Vector:
-        """Its return destination, in the local frame."""
+        """The home position, in the local frame."""
         return self.homing.place
 
     @property
@@ -165,16 +165,16 @@ class Pilot:
 
     @property
     def uptime(self) -> float:
-        """Seconds since it was switched on or restarted."""
+        """Seconds since the autopilot was switched on or restarted."""
         return max(0.0, self.now - self.booted)
 
     @property
     def booting(self) -> bool:
-        """Whether it is restarting, neither sending nor receiving."""
+        """Whether the autopilot is restarting, neither sending nor receiving."""
         return self.now < self.booting_until
 
     def facts(self) -> Facts:
-        """Its log entries; `failsafe` is the state CRITICAL in its heartbeats."""
+        """The log entries of the vehicle; `failsafe` is the state CRITICAL in its heartbeats."""
         return {
             "mode": self.mode,
             "armed": self.armed,
@@ -198,13 +198,13 @@ class Pilot:
 
     @property
     def return_height(self) -> float:
-        """The height of its return above home, in metres."""
+        """The height of a return above home, in metres."""
         name, scale = self.kind.return_height
         return min(self.value(name) / scale, 1000.0) if name else 0.0
 
     @property
     def return_pause(self) -> float:
-        """Seconds that it hovers over home before it descends."""
+        """Seconds that a return hovers over home before it descends."""
         name, scale = self.kind.return_pause
         return self.value(name) / scale if name else 0.0
 
@@ -248,7 +248,7 @@ class Pilot:
         self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
 
     def own_speed(self) -> float:
-        """The horizontal speed of its own parameter."""
+        """The horizontal speed of the autopilot's own parameter."""
         return self._limit("cruise")
 
     def _limit(self, limit: str) -> float:
@@ -276,12 +276,12 @@ class Pilot:
         self.homing.set_place((place[0], place[1], down))
 
     def command(self, name: str) -> None:
-        """A mode is commanded."""
+        """Enters a commanded mode."""
         self.intended = name
         self.enter(name)
 
     def go_on(self, role: Role) -> None:
-        """A mode is complete; enters the next one."""
+        """Enters the mode that follows a completed one."""
         self.command(self.kind.mode_for(role))
 
     def enter(self, name: str) -> None:
@@ -309,7 +309,7 @@ class Pilot:
             self.armed_at = self.now
 
     def _start_return(self) -> None:
-        """PX4 reports its return height; its rover lands from the start."""
+        """Starts a return: PX4 reports its height; its rover lands from the start."""
         here, home = self.vehicle.place, self.homing.start_return(self.vehicle.place, self.parameters)
         if not (self.flavour.takeoff_mode and self.armed and self.aloft):
             return
@@ -320,7 +320,7 @@ class Pilot:
         self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
 
     def return_height_at(self, far: float) -> float:
-        """The height of its return from `far` away in metres above home: lower within the cone."""
+        """The height of a return from `far` away in metres above home: lower within the cone."""
         cone = self.flavour.return_cone
         near = cone > 0.0 and far <= CONE_RADIUS
         return min(self.return_height, cone * far) if near else self.return_height
@@ -336,7 +336,7 @@ class Pilot:
         return Rest(self.kind.limits.eases * (self.role is Role.HOLD))
 
     def fall_back(self, role: Role, *, pause: float = 0.0) -> None:
-        """The action of a failsafe, a landing after a pause in s; a rover stops instead of landing."""
+        """Takes the action of a failsafe, a landing after a pause in s; a rover stops instead of landing."""
         if role is Role.TERMINATE:
             self.terminate()
         else:
@@ -345,7 +345,7 @@ class Pilot:
             self.vehicle.goal, self.sinks_at = Rest(), self.now + pause
 
     def stop_moving(self) -> None:
-        """The setpoint has expired: stop."""
+        """Stops the vehicle: the setpoint has expired."""
         self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(self.kind.limits.eases), None
 
     def disarm(self, *, force: bool = False, text: str = "") -> MavResult:
@@ -389,7 +389,7 @@ class Pilot:
         self.set_home(ZERO)
 
     def switch_off(self) -> None:
-        """Silent permanently."""
+        """Makes the vehicle permanently silent."""
         self.booting_until = math.inf
 
     def _circle_ahead(self) -> Orbit:

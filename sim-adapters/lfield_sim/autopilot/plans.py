@@ -100,5 +100,5 @@ class NoFence:
     """No fence is uploaded."""
 
     def breached(self, place: Vector) -> int:
-        """Never."""
+        """The FENCE_BREACH type without a fence: always 0."""
         return NO_BREACH

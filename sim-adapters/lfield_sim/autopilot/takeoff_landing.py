@@ -35,7 +35,7 @@ def landed_state(pilot: Pilot) -> LandedState:
     if not pilot.kind.lands:
         return LandedState.UNDEFINED
     if not pilot.flies:
-        # It reports its whole return as a landing.
+        # PX4's rover reports its whole return as a landing.
         returns = LandedState.LANDING if pilot.role is Role.RETURN else LandedState.IN_AIR
         return LandedState.ON_GROUND if pilot.landed else returns
     if not (pilot.armed or pilot.flavour.takeoff_mode):
@@ -45,7 +45,7 @@ def landed_state(pilot: Pilot) -> LandedState:
         return LandedState.TAKEOFF if _has_lifted(pilot) else LandedState.ON_GROUND
     if pilot.landed:
         return LandedState.ON_GROUND
-    # After a touch-down of a return it still reports a landing for a while.
+    # After the touch-down of a return, the autopilot still reports a landing for a while.
     touched = pilot.role is Role.RETURN and not pilot.aloft
     descends = pilot.role is Role.LAND or isinstance(pilot.vehicle.goal, Descend) or touched
     return LandedState.LANDING if descends else LandedState.IN_AIR
@@ -69,7 +69,7 @@ def start_takeoff(pilot: Pilot, down: float) -> None:
 
 
 def rise(pilot: Pilot) -> None:
-    """Continues a takeoff, until it is at its height or another command is given."""
+    """Continues a takeoff, until the vehicle is at its height or another command is given."""
     if pilot.lifts_at is None:
         return
     vehicle = pilot.vehicle
@@ -83,7 +83,7 @@ def rise(pilot: Pilot) -> None:
 
 
 def disarm_when_idle(pilot: Pilot) -> None:
-    """A vehicle that landed, or never took off, disarms itself; ArduPilot's rover does not."""
+    """Disarms a vehicle that landed, or never took off; ArduPilot's rover stays armed."""
     if not pilot.kind.lands or not pilot.armed:
         return
     _count_as_flying(pilot)
@@ -105,7 +105,7 @@ def disarm_when_idle(pilot: Pilot) -> None:
 
 
 def _count_as_flying(pilot: Pilot) -> None:
-    """PX4's rover counts as flying from its start until it lands, or is back home."""
+    """Counts PX4's rover as flying from its start until it lands, or is back home."""
     if pilot.flies:
         return
     vehicle = pilot.vehicle
@@ -117,7 +117,7 @@ def _count_as_flying(pilot: Pilot) -> None:
 
 
 def _say_landed(pilot: Pilot) -> None:
-    """PX4 reports takeoff and landing."""
+    """Sends PX4's texts about takeoff and landing."""
     stands = pilot.landed
     if stands != pilot.stood and pilot.flavour.takeoff_mode:
         pilot.say("Landing detected\t" if stands else "Takeoff detected\t")

@@ -1,6 +1,6 @@
 """Motion of a vehicle: point kinematics with limits on speed and acceleration. No protocol, no modes.
 
-Local frame: metres north, east, down from where it was switched on; the ground is flat at down = 0. Angles in
+Local frame: metres north, east, down from the place of power-on; the ground is flat at down = 0. Angles in
 radians, yaw clockwise from north.
 """
 
@@ -30,7 +30,7 @@ from lfield_sim.autopilot.wind import GRAVITY, Wind
 AIRBORNE = 0.05
 #: Metres to a position within which the heading is kept.
 NEAR = 3.0
-#: Remaining deceleration in m/s2 when it eases to a stop.
+#: Remaining deceleration in m/s2 when a vehicle eases to a stop.
 STILL = 0.05
 #: Per second: PX4's speed per metre to a setpoint (MPC_XY_P, MPC_Z_P).
 LEVEL_GAIN, HEIGHT_GAIN = 0.95, 1.0
@@ -132,7 +132,7 @@ class Vehicle:
 
     @property
     def airborne(self) -> bool:
-        """Whether it is off the ground."""
+        """Whether the vehicle is off the ground."""
         return self.place[2] < -AIRBORNE
 
     @property
@@ -152,22 +152,22 @@ class Vehicle:
         return (self.acceleration[0] - self.wind.push[0], self.acceleration[1] - self.wind.push[1])
 
     def released(self) -> Goal:
-        """Its goal when nothing drives it, armed: a copter hovers."""
+        """The goal of an armed vehicle without a command: a copter hovers."""
         return Rest()
 
     def switch_off(self) -> None:
-        """Switches the motors off: it falls, or rests."""
+        """Switches the motors off: the vehicle falls, or rests."""
         if self.airborne:
             self.goal = Fall()
         else:
             self.settle()
 
     def level(self) -> None:
-        """Levels at once: a new mode starts without horizontal acceleration."""
+        """Levels the vehicle at once: a new mode starts without horizontal acceleration."""
         self.acceleration = (0.0, 0.0, self.acceleration[2])
 
     def settle(self) -> None:
-        """Rests on the ground, with the motors off."""
+        """Puts the vehicle at rest on the ground, with the motors off."""
         self.place, self.velocity, self.acceleration = (*self.place[:2], 0.0), ZERO, ZERO
         self.goal, self.yaw_rate_goal = Rest(), None
 
@@ -234,7 +234,7 @@ class Vehicle:
         return (share * (north + self._learned[0]), share * (east + self._learned[1]), target[2])
 
     def _stationed(self, target: Vector) -> Vector:
-        """In wind it returns to where it had stopped, if it is to stay there."""
+        """The velocity for a target; in wind, back to the stopping place of a vehicle that is to stay."""
         if not (self.wind.blows and self.airborne and isinstance(self.goal, Rest | Rise | Descend)):
             self.station = None
         elif self.station is None and math.hypot(*self.velocity[:2]) < STILL:
@@ -246,7 +246,7 @@ class Vehicle:
 
     @property
     def _nose_follows(self) -> bool:
-        """Whether its heading follows its path: on the way to a position that is not near."""
+        """Whether the heading follows the path: on the way to a position that is not near."""
         if isinstance(self.goal, Reach):
             return math.dist(self.place[:2], self.goal.place[:2]) > NEAR
         return self.limits.nose_follows
@@ -264,7 +264,7 @@ class Vehicle:
         return min(self.limits.acceleration, easy)
 
     def _vertical(self, down: float) -> float:
-        """Its vertical acceleration; gentle until it has left the ground at its speed."""
+        """The vertical acceleration; gentle until the vehicle has left the ground at its speed."""
         if isinstance(self.goal, Fall):
             return GRAVITY
         if self.place[2] >= 0.0:
@@ -274,7 +274,7 @@ class Vehicle:
         return self.limits.lift if self.lifting else self.limits.vertical_acceleration
 
     def _kept_in(self, velocity: Vector) -> Vector:
-        """A velocity limited so that it stops inside the fence."""
+        """A velocity limited so that the vehicle stops inside the fence."""
         if self.corral is None:
             return velocity
         north, east = self.place[0] - self.corral.north, self.place[1] - self.corral.east
@@ -299,7 +299,7 @@ class Vehicle:
         return (north * share, east * share, vertical)
 
     def _tracked(self, place: Vector, velocity: Vector) -> Vector:
-        """As PX4's position controller, within its maximum speed."""
+        """The velocity of PX4's position controller, within the maximum speed."""
         gains = (LEVEL_GAIN, LEVEL_GAIN, HEIGHT_GAIN)
         way = zip(_minus(place, self.place), velocity, gains, strict=True)
         north, east, down = (gain * error + ahead for error, ahead, gain in way)
@@ -307,7 +307,7 @@ class Vehicle:
         return self._bounded((north, east, slowly))
 
     def _around(self, centre: Vector, radius: float, speed: float) -> Vector:
-        """Along the circle, and towards it from outside."""
+        """The velocity along the circle, and towards it from outside."""
         north, east, down = _minus(self.place, centre)
         far = math.hypot(north, east)
         out = (north / far, east / far) if far > 1e-6 else (1.0, 0.0)
@@ -324,7 +324,7 @@ class Vehicle:
     def _move(self, dt: float) -> None:
         north, east, down = (p + v * dt for p, v in zip(self.place, self.velocity, strict=True))
         if down >= 0.0:
-            # The ground ends the motion, unless it is taking off.
+            # The ground ends the motion, unless the vehicle is taking off.
             self.place, self.velocity = (self.place[0], self.place[1], 0.0), ZERO
         else:
             self.place = (north, east, down)
@@ -360,7 +360,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
 
 
 def _braking(distance: float, fastest: float, acceleration: float) -> float:
-    """The speed from which it can stop in `distance`; gentle near the end, so that it settles."""
+    """The speed from which a vehicle can stop in `distance`; gentle near the end, so that it settles."""
     return min(fastest, distance * 2.0, math.sqrt(acceleration * distance))
 
 
@@ -373,7 +373,7 @@ def eased(
 ) -> tuple[float, float]:
     """The next acceleration towards a velocity that is `missing`: within `most`, limited by `jerk`.
 
-    It decreases before the velocity is reached, so that it ends at zero.
+    The acceleration decreases before the velocity is reached, so that it ends at zero.
     """
     size = math.hypot(*missing)
     if size < jerk * dt * dt:

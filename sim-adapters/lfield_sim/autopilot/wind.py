@@ -65,7 +65,7 @@ class Wind:
 
     @property
     def blows(self) -> bool:
-        """Whether there is any, or may be soon."""
+        """Whether the wind or its gusts are above 0."""
         return self.speed > 0.0 or self.gusts > 0.0
 
     def airspeed(self, velocity: Vector) -> float:

@@ -22,26 +22,26 @@ class BusDevice(Protocol):
 
     @property
     def id(self) -> str:
-        """Its name in faults: a node id, or the name of a DBC file."""
+        """The name of the device in faults: a node id, or the name of a DBC file."""
 
     def power_up(self) -> list[CanFrame]:
-        """Powers it up; returns the frames it sends."""
+        """Powers the device up; returns the frames that it sends."""
 
     def power_down(self) -> None:
-        """Removes its supply: only a brake holds a motor."""
+        """Removes the supply: only a brake holds a motor."""
 
     def on_frame(self, frame: CanFrame) -> list[CanFrame]:
         """Receives a frame; returns the answers."""
 
     def step(self, dt: float) -> list[CanFrame]:
-        """Advances time, at most TICK seconds; returns the frames it sends."""
+        """Advances time, at most TICK seconds; returns the frames that the device sends."""
 
     def facts(self) -> Facts:
-        """Its log entries."""
+        """The log entries of the device."""
 
 
 class BusWorld:
-    """Devices on a bus. `start` is when they are powered up."""
+    """Devices on a bus. `start` is the time when they are powered up."""
 
     def __init__(
         self,
@@ -61,11 +61,11 @@ class BusWorld:
             place.power(on=True, now=start)
 
     def due(self) -> float:
-        """When `advance` is next due."""
+        """The time when `advance` is next due."""
         return min(self._next_tick, self.bus.due())
 
     def advance(self, now: float) -> None:
-        """Processes everything due by `now`, in order."""
+        """Processes all events due by `now`, in order."""
         if now - self._next_tick > LONGEST_GAP:
             self._next_tick = now
         while self.due() <= now:
@@ -93,7 +93,7 @@ class _DeviceAtPort:
         bus.attach(self._port)
 
     def power(self, *, on: bool, now: float) -> None:
-        """Switches its power."""
+        """Switches the power of the device."""
         self._on = on
         if on:
             self._send(self._device.power_up(), now)
@@ -101,7 +101,7 @@ class _DeviceAtPort:
             self._device.power_down()
 
     def step(self, now: float) -> None:
-        """One tick of the model."""
+        """Runs one tick of the model."""
         silent = bool(self._faults.get("silence", self._device.id))
         if silent is self._on:
             self.power(on=not silent, now=now)

@@ -95,7 +95,7 @@ class BusPort:
     off_until: float = 0.0
 
     def can_communicate(self, now: float, bitrate: int) -> bool:
-        """Whether it can send and receive now."""
+        """Whether the port can send and receive now."""
         return now >= self.off_until and self.bitrate in (0, bitrate)
 
 
@@ -129,7 +129,7 @@ class CanBus:
         heapq.heappush(self._later, (ready, next(self._count), frame, port))
 
     def due(self) -> float:
-        """When `advance` is next due; infinity when the bus is idle."""
+        """The time when `advance` is next due; infinity when the bus is idle."""
         if self._current:
             return self._free_at
         if self._ready:

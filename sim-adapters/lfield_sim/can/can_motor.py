@@ -33,7 +33,7 @@ class CanMotorData:
 
 
 class CanMotor:
-    """A motor over time. A brake, if fitted, holds it whenever it is not driven."""
+    """A motor over time. A brake, if fitted, holds the motor whenever it is not driven."""
 
     def __init__(self, data: CanMotorData) -> None:
         self.data = data
@@ -59,7 +59,7 @@ class CanMotor:
 
     @property
     def voltage(self) -> float:
-        """The supply voltage at its terminals, which sags slightly."""
+        """The supply voltage at the terminals, which sags slightly."""
         return self.data.supply - 0.05 * self.supply_current
 
     def track(self, speed: float, dt: float, limit: float) -> None:
@@ -73,7 +73,9 @@ class CanMotor:
         self._move((torque - self._resisting(self.speed)) / self.data.inertia, dt)
 
     def rest(self, dt: float) -> None:
-        """Unpowered: the brake stops and holds it; without a brake it coasts and its load moves it."""
+        """Removes the power: the brake stops and holds the motor; without one it coasts and its load moves
+        it.
+        """
         self.torque = 0.0
         if self.data.brake:
             holding, pulled = 2.0 * self.data.max_torque, 0.0

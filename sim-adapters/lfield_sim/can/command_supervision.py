@@ -1,4 +1,4 @@
-"""How the receiver of a command supervises it: counter, checksum and deadline, as control units do. Pure.
+"""Supervision of a command by its receiver: counter, checksum and deadline, as in control units. Pure.
 
 A frame with a wrong checksum, or whose counter stands still or has jumped by more than MAX_JUMP, is not
 used. After MAX_ERRORS of them in a row, or without a good frame for MAX_LATE periods, communication has
@@ -96,7 +96,7 @@ class Supervision:
         return not self.failed
 
     def step(self, dt: float) -> None:
-        """Time passes."""
+        """Advances time by `dt` seconds."""
         self.age += dt
         if self.period and self.age > MAX_LATE * self.period:
             self.failed, self.good = True, 0
@@ -139,8 +139,8 @@ def _order(signal: Signal) -> Literal["big", "little"]:
 def supervisions(
     messages: Mapping[str, Message], counters: str, checksums: str, cycles: str
 ) -> dict[str, Supervision]:
-    """Those of the texts of a device, by message: `Command.Counter:15`, `Command.Check:e2e_1/0x123` and
-    `Command:0.02`, several joined by +. Raises UsageError.
+    """The supervisions in the texts of a device, by message: `Command.Counter:15`,
+    `Command.Check:e2e_1/0x123` and `Command:0.02`, several joined by +. Raises UsageError.
     """
     found: dict[str, Supervision] = {}
 

@@ -69,7 +69,7 @@ class DbcDevice:
 
     @property
     def id(self) -> str:
-        """The name of its file."""
+        """The name of the file of the device."""
         return self._name
 
     def power_up(self) -> list[CanFrame]:
@@ -78,7 +78,7 @@ class DbcDevice:
         return []
 
     def power_down(self) -> None:
-        """It keeps its state."""
+        """Discards the commands; the device keeps its state."""
         self._commanded.clear()
 
     def value(self, message: str, signal: str) -> float:
@@ -119,7 +119,7 @@ class DbcDevice:
         return [] if quiet else [self._message(message) for message in due]
 
     def facts(self) -> Facts:
-        """Its commands, in thousandths."""
+        """The commands, in thousandths."""
         return {f"{m}.{s}": round(1000.0 * value) for (m, s), value in self._commanded.items()}
 
     def _reset(self) -> None:
@@ -146,7 +146,7 @@ class DbcDevice:
             self._follow(place, signal, tripped, dt)
 
     def _follow(self, place: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
-        """Follows the command; without one, or tripped, it stays, and single bits reset."""
+        """Follows the command; without one, or tripped, a signal stays, and single bits reset."""
         command = None if tripped else self._commanded.get(self._data.links[place])
         at_once = signal.length == 1 or bool(signal.choices)
         if at_once:
@@ -225,7 +225,7 @@ def load(
 
 
 def _can_be_sent(message: Message) -> bool:
-    """Whether its signals fit its frame without overlap."""
+    """Whether the signals of a message fit its frame without overlap."""
     if message.is_container:
         return False
     try:

@@ -37,7 +37,7 @@ class DeviceSpec:
 
     @property
     def id(self) -> str:
-        """Its name in faults."""
+        """The name of the device in faults."""
         return Path(self.place).stem if self.kind == "dbc" else self.place
 
 
@@ -122,7 +122,7 @@ def _node(spec: DeviceSpec, lowest: int, highest: int) -> int:
 
 
 def _motor(spec: DeviceSpec, data: CanMotorData, others: Set[str] = frozenset()) -> CanMotorData:
-    """The motor with modified data, such as `load=0.5`; `others` are not the motor's."""
+    """The motor with modified data, such as `load=0.5`; `others` are options that are not the motor's."""
     check_options(spec, _MOTOR | others)
     changed: dict[str, Any] = {key: number(spec, key) for key in _MOTOR & spec.options.keys()}
     return replace(data, **changed)

@@ -1,4 +1,6 @@
-"""What a simulated DroneCAN node does: a battery, an ESC, or a servo. Payloads of the package `dronecan`."""
+"""Functions of a simulated DroneCAN node: a battery, an ESC, or a servo. Payloads of the package
+`dronecan`.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ class NodeFunction:
     """One function of a node, `index` among those of its kind."""
 
     name: ClassVar[str]
-    #: Ids of the messages that it follows.
+    #: Ids of the messages that the function follows.
     commands: ClassVar[frozenset[int]] = frozenset()
     period: ClassVar[float]
 
@@ -40,13 +42,13 @@ class NodeFunction:
         self.power_up()
 
     def power_up(self) -> None:
-        """It starts."""
+        """Starts the function."""
 
     def power_down(self) -> None:
-        """Without power."""
+        """Removes the power."""
 
     def on_command(self, message: int, payload: Any) -> None:
-        """A message that this node follows."""
+        """Handles a message that this node follows."""
 
     def step(self, dt: float, flaw: FaultLookup) -> Iterator[Any]:
         """Advances time; returns the payloads that are due."""
@@ -57,11 +59,11 @@ class NodeFunction:
             yield self._report(flaw)
 
     def facts(self) -> Facts:
-        """Its log entries."""
+        """The log entries of the function."""
         return {}
 
     def _move(self, dt: float, flaw: FaultLookup) -> None:
-        """Advances its model."""
+        """Advances the model of the function."""
 
     def _report(self, flaw: FaultLookup) -> Any:
         raise NotImplementedError
@@ -74,7 +76,7 @@ class Battery(NodeFunction):
     _CAPACITY, _CURRENT = 74.0, 5.0
 
     def power_up(self) -> None:
-        """Its charge remains."""
+        """Starts with the charge before the restart."""
         self._charge = getattr(self, "_charge", 1.0)
 
     def _move(self, dt: float, flaw: FaultLookup) -> None:
@@ -98,12 +100,12 @@ class Esc(NodeFunction):
     name, period, commands = "esc", ESC_PERIOD, frozenset({1030})
 
     def power_up(self) -> None:
-        """At rest."""
+        """Starts at rest."""
         self._goal = self._speed = 0.0
         self._age = 0.0
 
     def on_command(self, message: int, payload: Any) -> None:
-        """Its entry in the array; none means 0."""
+        """Follows the entry of this ESC in the array; none means 0."""
         if message not in self.commands:
             return
         entries = list(payload.cmd)
@@ -111,7 +113,7 @@ class Esc(NodeFunction):
         self._goal, self._age = TOP_SPEED * raw / FULL, 0.0
 
     def facts(self) -> Facts:
-        """Whether its motor turns."""
+        """The log entry that tells whether the motor turns."""
         return {f"esc{self._index}.turning": int(abs(self._speed) > 50.0)}
 
     def _move(self, dt: float, flaw: FaultLookup) -> None:
@@ -135,12 +137,12 @@ class Servo(NodeFunction):
     name, period, commands = "servo", SERVO_PERIOD, frozenset({1010})
 
     def power_up(self) -> None:
-        """Where it is."""
+        """Starts at the present position."""
         self._position = getattr(self, "_position", 0.0)
         self._goal, self._speed, self._age = self._position, 0.0, 0.0
 
     def on_command(self, message: int, payload: Any) -> None:
-        """Positions only: other kinds of commands are ignored."""
+        """Follows positions only: other kinds of commands are ignored."""
         if message not in self.commands:
             return
         for command in payload.commands:
@@ -150,7 +152,7 @@ class Servo(NodeFunction):
                     self._goal, self._age = max(-SERVO_STOP, min(SERVO_STOP, value)), 0.0
 
     def facts(self) -> Facts:
-        """Its position in thousandths of a radian."""
+        """The position in thousandths of a radian, and whether the servo moves."""
         name = f"servo{self._index}"
         moving = int(abs(self._speed) > 0.02)
         return {f"{name}.position": round(1000.0 * self._position), f"{name}.moving": moving}
@@ -171,7 +173,7 @@ class Servo(NodeFunction):
 
 
 def functions_of(text: str) -> list[NodeFunction]:
-    """Those of a node: `servo:0+servo:1+battery:0`. Raises UsageError."""
+    """The functions of a node in a text: `servo:0+servo:1+battery:0`. Raises UsageError."""
     found = []
     for part in text.split("+"):
         name, _, index = part.partition(":")

@@ -1,7 +1,7 @@
 """A DroneCAN node with batteries, ESCs and servos, and a fixed or a dynamic node id. Time is given.
 
-Transfers and messages are coded by the package `dronecan`, so what it sends is not what another codec here
-says.
+Transfers and messages are encoded by the package `dronecan`, so they do not depend on another codec of this
+project.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ uavcan: Any = dronecan.uavcan
 
 
 class DroneCanNode:
-    """The device (see `bus_world.BusDevice`). With `is_dynamic` it asks for a node id."""
+    """The device (see `bus_world.BusDevice`). With `is_dynamic` it requests a node id."""
 
     def __init__(
         self,
@@ -61,12 +61,12 @@ class DroneCanNode:
         return []
 
     def power_down(self) -> None:
-        """It stops."""
+        """Stops the functions of the node."""
         for function in self._functions:
             function.power_down()
 
     def facts(self) -> Facts:
-        """Its log entries."""
+        """The log entries of the node and its functions."""
         found: Facts = {"node": self._node}
         for function in self._functions:
             found = {**found, **function.facts()}
@@ -89,7 +89,7 @@ class DroneCanNode:
         return list(self._answers(transfer))
 
     def step(self, dt: float) -> list[CanFrame]:
-        """Advances time; returns the frames it sends."""
+        """Advances time; returns the frames that the node sends."""
         self._uptime += dt
         payloads = [payload for each in self._functions for payload in each.step(dt, self._flaw)]
         for payload in payloads:
@@ -119,7 +119,7 @@ class DroneCanNode:
             function.power_up()
 
     def _is_for_us(self, identifier: int) -> bool:
-        """Whether a frame is a message that it uses, or a service of this node."""
+        """Whether a frame is a message that the node uses, or a service of this node."""
         if identifier & _SERVICE:
             return bool(self._node) and identifier >> 8 & 0x7F == self._node
         if not identifier & 0x7F:
@@ -127,7 +127,7 @@ class DroneCanNode:
         message = identifier >> 8 & 0xFFFF
         return message == 1 or any(message in function.commands for function in self._functions)
 
-    # -- what is received ---------------------------------------------------------------------------------
+    # -- received frames ----------------------------------------------------------------------------------
 
     def _answers(self, transfer: Any) -> Iterator[CanFrame]:
         payload = transfer.payload
@@ -165,7 +165,9 @@ class DroneCanNode:
         )
 
     def _on_allocation(self, transfer: Any) -> None:
-        """Another node asks: wait; an answer: the next part follows, or this node has its id."""
+        """Handles an allocation: waits for another node; after an answer, sends the next part or has its
+        id.
+        """
         self._until_request = self._random.uniform(*REQUEST_TIMES)
         known = bytes(transfer.payload.unique_id)
         if transfer.source_node_id == 0 or not self._unique_id.startswith(known):
@@ -176,7 +178,7 @@ class DroneCanNode:
             self._stage = len(known) // 6
             self._until_request = self._random.uniform(*FOLLOWUP_TIMES)
 
-    # -- what is sent -------------------------------------------------------------------------------------
+    # -- sent frames --------------------------------------------------------------------------------------
 
     def _request(self) -> CanFrame:
         """The next part of the request for a node id, which is anonymous."""

@@ -14,7 +14,7 @@ from lfield_sim.state_log import add_log_option
 
 #: Default models.
 DEFAULT_MODEL = "XM430-W350"
-#: Default models of protocols that it does not have.
+#: Default models of the protocols that the default above does not have.
 DEFAULT_MODELS = {0: "STS3215", 1: "AX-12A"}
 #: The baud rate of a bus under `lfield up --sim`.
 FAST_BAUD = 1_000_000

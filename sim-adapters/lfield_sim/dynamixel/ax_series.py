@@ -34,7 +34,7 @@ class AxMotion(ServoMotion):
 
     @property
     def wheel(self) -> bool:
-        """Whether it is in wheel mode."""
+        """Whether the servo is in wheel mode."""
         return self.table["cw_angle_limit"] == self.table["ccw_angle_limit"] == 0
 
     @property
@@ -44,16 +44,16 @@ class AxMotion(ServoMotion):
 
     @property
     def moving(self) -> bool:
-        """Whether it moves to a goal."""
+        """Whether the servo moves to a goal, or turns."""
         return self.under_way or abs(self.motor.speed) > SPEED_UNIT
 
     @property
     def under_way(self) -> bool:
-        """Whether it moves to a goal."""
+        """Whether the servo moves to a goal."""
         return bool(self.table["torque_enable"]) and not self.wheel and self.clock < self.profile.duration
 
     def single_turn(self) -> None:
-        """It has one turn."""
+        """Ends the rest; an AX has one turn only."""
         self.resting = False
 
     def reset_goals(self) -> None:
@@ -63,7 +63,7 @@ class AxMotion(ServoMotion):
         self.hold()
 
     def approach(self) -> None:
-        """Plans the motion to the goal from its present position."""
+        """Plans the motion to the goal from the present position."""
         speed = self.table["moving_speed"] % CLOCKWISE * SPEED_UNIT * COUNTS
         goal = float(self.table["goal_position"])
         self.profile = MotionProfile(self.place, 0.0, goal, speed or math.inf, math.inf)
@@ -90,7 +90,7 @@ class AxMotion(ServoMotion):
         return (speed % CLOCKWISE) / FULL * (-1.0 if speed & CLOCKWISE else 1.0)
 
     def is_settled(self) -> bool:
-        """Whether nothing moves without a further write."""
+        """Whether no value changes without a further write."""
         return super().is_settled() and not (self.wheel and self.table["moving_speed"] % CLOCKWISE)
 
     def publish(self, time: float) -> None:
@@ -118,7 +118,7 @@ class AxServo(Servo):
         super().__init__(model, now)
 
     def make_motion(self) -> ServoMotion:
-        """An AX uses `AxMotion`."""
+        """The motion model of an AX."""
         return AxMotion(self.model, self.table)
 
     @property
@@ -128,17 +128,17 @@ class AxServo(Servo):
 
     @property
     def protocol(self) -> int:
-        """1."""
+        """Always 1."""
         return 1
 
     @property
     def secondary(self) -> int | None:
-        """It has none."""
+        """None: an AX has no secondary id."""
         return None
 
     @property
     def alert(self) -> int:
-        """Its present errors."""
+        """The present errors."""
         return self._wrong & ERRORS_1
 
     def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
@@ -149,7 +149,7 @@ class AxServo(Servo):
         self.answer_as(id, return_delay)
 
     def watch_bus(self) -> None:
-        """It has no bus watchdog."""
+        """Has no effect: an AX has no bus watchdog."""
 
     def protect(self, dt: float) -> None:
         """Updates errors, and switches the torque off if Shutdown says so."""

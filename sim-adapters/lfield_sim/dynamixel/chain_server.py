@@ -38,7 +38,7 @@ class ChainServer:
 
     @property
     def now(self) -> float:
-        """The chain's time."""
+        """The time of the chain."""
         return self._loop.time()
 
     def _follow(self) -> None:
@@ -71,7 +71,7 @@ class ChainServer:
         self._terminal.write(reply.data)
 
     async def run(self) -> None:
-        """Advances the servos, for ever."""
+        """Advances the servos until cancelled."""
         while True:
             self._chain.advance(self.now)
             self._moved()

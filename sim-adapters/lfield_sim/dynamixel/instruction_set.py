@@ -16,7 +16,7 @@ from lfield_sim.dynamixel.servo import ANSWER_ALL, Servo
 #: Lowest Status Return Level at which an instruction is answered; others from 2.
 _LEVELS = {Instruction.PING: 0, Instruction.READ: 1}
 _READ_LEVEL = 1
-#: What a Feetech servo does not answer.
+#: Instructions that a Feetech servo does not answer.
 _SILENT = (RefusalCode.CRC, RefusalCode.INSTRUCTION)
 #: Factory Reset of protocol 1.0, which has no option: everything.
 _RESET_ALL = 0xFF
@@ -104,7 +104,7 @@ def carry_out(packet: InstructionPacket, protocol: int, servos: Sequence[Servo])
 
 
 def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> InstructionOutcome:
-    """One servo by its id, some by their secondary id, or all."""
+    """The servos for an id: one by its id, some by their secondary id, or all."""
     found = []
     for servo in sorted(servos, key=lambda servo: servo.id):
         mine = servo.id == packet.id
@@ -122,7 +122,7 @@ def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> 
 
 
 def _known(instruction: int) -> Instruction:
-    """An unknown instruction is answered like a write."""
+    """The instruction of a number; an unknown one is answered like a write."""
     return Instruction(instruction) if instruction in Instruction.__members__.values() else Instruction.WRITE
 
 
@@ -221,7 +221,8 @@ def _bulk_requests_1(cursor: _Cursor) -> Iterator[ReadRequest]:
 def _group(
     packet: InstructionPacket, protocol: int, servos: Sequence[Servo], requests: Sequence[ReadRequest]
 ) -> InstructionOutcome:
-    """Each answers after the previous one in the list; a missing answer stops the rest.
+    """Executes a group read: each servo answers after the previous one in the list; a missing answer stops
+    the rest.
 
     A list with a duplicate id, or too long for a shared packet, has no answer. Servos with one id answer one
     after the other here, simultaneously on the wire.

@@ -134,7 +134,7 @@ class Codec2:
     def _next_packet(self, end: int) -> InstructionPacket:
         raw = bytes(self._buffer[:end])
         sound = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
-        # Its length may be wrong too, so the search continues right after its header.
+        # The length of the packet may be wrong too, so the search continues right after its header.
         del self._buffer[: end if sound else len(HEADER)]
         return InstructionPacket(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, sound)
 

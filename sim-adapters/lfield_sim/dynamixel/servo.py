@@ -11,7 +11,7 @@ from lfield_sim.dynamixel.servo_model import BAUDS, POSITION, Register, ServoMod
 from lfield_sim.dynamixel.servo_motion import ServoMotion
 from lfield_sim.state_log import Facts
 
-#: Its control period in seconds while it moves, and while nothing changes.
+#: The control period in seconds while the servo moves, and while no value changes.
 PERIOD, IDLE_PERIOD = 0.002, 0.1
 #: rad/s below which a servo is at rest.
 STILL = 0.02
@@ -39,7 +39,7 @@ GOALS = frozenset({"goal_pwm", "goal_current", "goal_velocity", "goal_position"}
 ANSWER_ALL = 2
 #: Parameters of the Clear instruction: multi-turn information, and four fixed bytes.
 CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
-#: What Factory Reset keeps, by option.
+#: Registers that Factory Reset keeps, by option.
 KEPT = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
 
 
@@ -65,7 +65,7 @@ class Servo:
 
     @property
     def id(self) -> int:
-        """Its id."""
+        """The id of the servo."""
         return self.table["id"]
 
     @property
@@ -87,7 +87,7 @@ class Servo:
         self.answer_as(id, return_delay)
 
     def answer_as(self, id: int, return_delay: float) -> None:
-        """Sets its id and return delay (s). Raises UsageError."""
+        """Sets the id and return delay (s) of the servo. Raises UsageError."""
         delay = self.model.items["return_delay_time"]
         if not delay.low <= round(return_delay / DELAY_UNIT) <= delay.high:
             raise UsageError(f"the return delay is from 0 to {delay.high * DELAY_UNIT * 1e6:g} microseconds")
@@ -101,12 +101,12 @@ class Servo:
 
     @property
     def awake(self) -> bool:
-        """Whether it is not rebooting."""
+        """Whether the servo is not rebooting."""
         return self._time >= self._awake
 
     @property
     def return_delay(self) -> float:
-        """The delay of its answers, in seconds."""
+        """The delay of answers, in seconds."""
         return self.table["return_delay_time"] * DELAY_UNIT
 
     @property
@@ -116,11 +116,11 @@ class Servo:
         return number if number < NO_SECONDARY else None
 
     def answers(self, level: int) -> bool:
-        """Whether it answers an instruction that needs this status return level."""
+        """Whether the servo answers an instruction that needs this status return level."""
         return self.table["status_return_level"] >= level
 
     def calibrate(self, drive_mode: int, homing_offset: int, lowest: int, highest: int) -> None:
-        """Sets what a calibration has set; the shaft is in the middle of its range, in counts."""
+        """Sets the registers that a calibration sets; the shaft is in the middle of its range, in counts."""
         for name, value in (
             ("drive_mode", drive_mode),
             ("homing_offset", homing_offset),
@@ -132,7 +132,7 @@ class Servo:
 
     @property
     def alert(self) -> int:
-        """Error bits of its answers while something is wrong; specific in protocol 1.0."""
+        """Error bits of answers while an error is present; specific in protocol 1.0."""
         errors = self.table["hardware_error_status"]
         return (ALERT if errors else 0) if self.protocol == 2 else errors & ERRORS_1
 
@@ -149,11 +149,11 @@ class Servo:
             self._stale = True
 
     def on_packet(self, now: float) -> None:
-        """A packet was on the bus, for any servo: that feeds the watchdog."""
+        """Feeds the watchdog with a packet on the bus, for any servo."""
         self._last_packet_at = now
 
     def watch_bus(self) -> None:
-        """Stops after the time of Bus Watchdog without packets."""
+        """Stops the servo after the time of Bus Watchdog without packets."""
         limit = self.table["bus_watchdog"]
         if not 0 < limit < WATCHDOG_EXPIRED or not self.table["torque_enable"]:
             return
@@ -183,7 +183,7 @@ class Servo:
         return found | (ENCODER_ERROR if self.encoder_fault else 0)
 
     def facts(self) -> Facts:
-        """Its log entries; `goals` are those of position, velocity and current, in counts."""
+        """The log entries of the servo; `goals` are those of position, velocity and current, in counts."""
         goals = ("goal_position", "goal_velocity", "goal_current")
         return {
             "torque": bool(self.table["torque_enable"]),
@@ -230,7 +230,7 @@ class Servo:
             self.table.put("torque_enable", 1)
 
     def restart(self) -> None:
-        """Power-up: nothing registered, new goals, silent while it boots."""
+        """Powers up: no registered write, new goals, silent while the servo boots."""
         self._registered = []
         self._strained = self._starved = 0.0
         self._awake = self._time + BOOT
@@ -239,14 +239,14 @@ class Servo:
         self._stale = True
 
     def factory_reset(self, option: int) -> None:
-        """Factory reset; `option` says what is kept. Raises InstructionRefused."""
+        """Resets the registers; `option` selects those that are kept. Raises InstructionRefused."""
         if option not in KEPT:
             raise InstructionRefused(RefusalCode.RANGE)
         self.table.reset(KEPT[option])
         self.reboot()
 
     def clear(self, parameters: bytes) -> None:
-        """Clears the turns. Raises InstructionRefused for anything else, or while it moves."""
+        """Clears the turns. Raises InstructionRefused for other parameters, or while the servo moves."""
         if parameters != CLEAR_TURNS:
             raise InstructionRefused(RefusalCode.RANGE)
         if self.motion.moving:

@@ -155,8 +155,8 @@ class ServoChain:
         return replies
 
     def _collide(self, answers: Sequence[ServoAnswer], protocol: int) -> list[TimedReply]:
-        """Servos with one id answer at once: one with a longer delay than the others' answers is received
-        separately.
+        """Answers of servos with one id, at once: one with a longer delay than the others' answers is
+        received separately.
 
         The line is low where any sender has it low.
         """
@@ -212,7 +212,7 @@ class ServoChain:
         return TimedReply(self._free + float(self._fault("delay", servo)), data)
 
     def _id(self, answer: ServoAnswer) -> int:
-        """The id in its answers."""
+        """The id in the answers of a servo."""
         return (answer.id + 1) % 253 if self._fault("other", answer.servo) else answer.id
 
     def _fault(self, name: str, servo: Servo) -> float:

@@ -16,7 +16,7 @@ from lfield.errors import UsageError
 #: Bits per second by the value of the Baud Rate register, protocol 2.0 models.
 BAUDS = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 
-#: The same of STS servos.
+#: The same for STS servos.
 STS_BAUDS = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
 #: Operating modes by the value of their register.
@@ -50,7 +50,7 @@ class Register:
 
     @property
     def signed(self) -> bool:
-        """Whether it is two's complement; a read-only one is if its limits are negative."""
+        """Whether the register is two's complement; a read-only one is if its limits are negative."""
         return self.low < 0
 
 
@@ -157,7 +157,7 @@ class ServoModel:
 
     @property
     def number(self) -> int:
-        """The model number in its answer to a ping."""
+        """The model number in the answer to a ping."""
         return self.items["model_number"].initial
 
 

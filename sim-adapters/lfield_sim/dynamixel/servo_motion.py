@@ -1,4 +1,4 @@
-"""From goals to motion: operating modes, profiles, position loop, and present-value registers.
+"""Motion of a servo from its goals: operating modes, profiles, position loop, and present-value registers.
 
 https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/, registers 10, 11, 20 and 100 to 146. Positions are
 counts in the register's frame (after direction and homing offset), like the profile.
@@ -49,7 +49,7 @@ def catch_up(error: float, motor: ServoMotor) -> float:
 
 
 class ServoMotion:
-    """Motion of one servo. `resting`: nothing changes until a write."""
+    """Motion of one servo. `resting`: no value changes until a write."""
 
     def __init__(self, model: ServoModel, table: ControlTable) -> None:
         self.motor = ServoMotor(model.strength)
@@ -86,7 +86,7 @@ class ServoMotion:
 
     @property
     def moving(self) -> bool:
-        """Whether it is faster than the threshold, or moves to a goal."""
+        """Whether the servo is faster than the threshold, or moves to a goal."""
         return abs(self.speed) > self.table["moving_threshold"] or self.under_way
 
     @property
@@ -95,12 +95,12 @@ class ServoMotion:
 
     @property
     def under_way(self) -> bool:
-        """Whether it moves to a goal."""
+        """Whether the servo moves to a goal."""
         return self._is_driven and self._positioned and self.clock < self.profile.duration
 
     @property
     def _is_driven(self) -> bool:
-        """Whether its motor follows its own goals."""
+        """Whether the motor follows the servo's own goals."""
         return bool(self.table["torque_enable"]) and not self.table["drive_mode"] & SLAVE
 
     def single_turn(self) -> None:
@@ -127,7 +127,7 @@ class ServoMotion:
         self.hold()
 
     def hold(self) -> None:
-        """Sets the goal to the present position: at torque on, and when the watchdog stops it."""
+        """Sets the goal to the present position: at torque on, and when the watchdog stops the servo."""
         here = self.place
         self.table.put("goal_position", round(here))
         self.profile = MotionProfile(here, 0.0, here, math.inf, math.inf)
@@ -143,7 +143,7 @@ class ServoMotion:
         self.hold()
 
     def approach(self) -> None:
-        """Plans the motion to the goal from its present position and speed."""
+        """Plans the motion to the goal from the present position and speed."""
         goal = float(self.table["goal_position"])
         place, pace = (self.trajectory, self.pace) if self.under_way else (self.place, 0.0)
         self.profile = MotionProfile(place, pace, goal, *self._bounds(goal - place))
@@ -172,7 +172,7 @@ class ServoMotion:
         self.resting = self.is_settled()
 
     def is_settled(self) -> bool:
-        """Whether nothing moves without a further write."""
+        """Whether no value changes without a further write."""
         motor = self.motor
         still = abs(motor.speed) < 1e-4 and abs(motor.current) < 1e-3 and motor.load == 0.0
         return still and not self.under_way and self.pace == 0.0 and not (motor.blocked or motor.slipping)
@@ -221,7 +221,7 @@ class ServoMotion:
         return self.pace / COUNTS
 
     def accelerate(self) -> None:
-        """A new goal velocity: starts its ramp."""
+        """Starts the ramp to a new goal velocity."""
         self.clock, self.resting = 0.0, False
 
     def publish(self, time: float) -> None:

@@ -50,7 +50,7 @@ class ServoMotor:
 
     @property
     def voltage(self) -> float:
-        """Voltage at its terminals."""
+        """Voltage at the terminals."""
         return max(0.0, self.strength.voltage - self.sag - RESISTANCE * abs(self.current))
 
     @property
@@ -64,7 +64,7 @@ class ServoMotor:
         return 0.6 * self.strength.fastest / SPIN_UP
 
     def torque_at(self, duty: float) -> float:
-        """The torque at its present speed for a share of the supply, -1 to 1."""
+        """The torque at the present speed for a share of the supply, -1 to 1."""
         push = duty * self.voltage / self.strength.voltage
         return self.strength.stall_torque * (push - self.speed / self.strength.fastest)
 

@@ -1,7 +1,7 @@
 """The STS series of Feetech: packets of protocol 1.0 and sync reads, 4096 counts a turn, EEPROM with a lock.
 
 Facts: the vendor's memory table and SDK (ftservo-python-sdk), and LeRobot's tables. Signs are a bit beside a
-magnitude. A servo that is locked follows what is written to its EEPROM, and forgets it without power.
+magnitude. A locked servo uses values that are written to its EEPROM, and loses them without power.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class StsMotion(ServoMotion):
 
     @property
     def moving(self) -> bool:
-        """Whether it turns, or moves to a goal."""
+        """Whether the servo turns, or moves to a goal."""
         return self.under_way or abs(self.motor.speed) * COUNTS > 1.0
 
     @property
     def under_way(self) -> bool:
-        """Whether it moves to a goal."""
+        """Whether the servo moves to a goal."""
         return bool(self.table["torque_enable"]) and not self._turns_on and self.clock < self.profile.duration
 
     @property
@@ -70,7 +70,7 @@ class StsMotion(ServoMotion):
         return self.table["operating_mode"] == VELOCITY
 
     def single_turn(self) -> None:
-        """Positions are within one turn."""
+        """Reduces the position to one turn."""
         self._wraps -= math.floor(self.place / TURN)
         self.resting = False
 
@@ -128,8 +128,8 @@ class StsMotion(ServoMotion):
         return self.pace / COUNTS
 
     def is_settled(self) -> bool:
-        """Whether nothing moves without a further write. Little torque may follow slowly, long after the
-        profile.
+        """Whether no value changes without a further write. Little torque may follow slowly, long after
+        the profile.
         """
         follows = self._turns_on or abs(self.trajectory - self.place) < 1.0
         return super().is_settled() and follows
@@ -160,7 +160,7 @@ class StsServo(Servo):
         super().__init__(model, now)
 
     def make_motion(self) -> ServoMotion:
-        """An STS uses `StsMotion`."""
+        """The motion model of an STS."""
         return StsMotion(self.model, self.table)
 
     @property
@@ -170,21 +170,23 @@ class StsServo(Servo):
 
     @property
     def protocol(self) -> int:
-        """0, as in the vendor's SDK."""
+        """Always 0, as in the vendor's SDK."""
         return 0
 
     @property
     def secondary(self) -> int | None:
-        """It has none."""
+        """None: an STS has no secondary id."""
         return None
 
     @property
     def alert(self) -> int:
-        """Its status."""
+        """The status of the servo."""
         return self.table["status"]
 
     def answers(self, level: int) -> bool:
-        """Pings and reads always, other instructions if its status return level is 1."""
+        """Whether the servo answers: pings and reads always, other instructions if its status return level
+        is 1.
+        """
         return level < ANSWER_ALL or bool(self.table["status_return_level"])
 
     def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
@@ -195,8 +197,8 @@ class StsServo(Servo):
         self.answer_as(id, return_delay)
 
     def calibrate(self, drive_mode: int, homing_offset: int, lowest: int, highest: int) -> None:
-        """Sets what a calibration has set; the shaft is in the middle of its range. No effect of
-        `drive_mode`: clients apply it.
+        """Sets the registers that a calibration sets; the shaft is in the middle of its range. No effect
+        of `drive_mode`: clients apply it.
         """
         self.table.put("homing_offset", magnitude(homing_offset, OFFSET_SIGN))
         self.table.put("min_position_limit", lowest)
@@ -204,7 +206,7 @@ class StsServo(Servo):
         self.motion.put_in((lowest + highest) / 2.0)
 
     def watch_bus(self) -> None:
-        """It has no bus watchdog."""
+        """Has no effect: an STS has no bus watchdog."""
 
     def protect(self, dt: float) -> None:
         """Updates the status, and reduces the torque or switches it off, as the unloading condition says."""
@@ -237,7 +239,7 @@ class StsServo(Servo):
         return found | (ENCODER if self.encoder_fault else 0)
 
     def reboot(self) -> None:
-        """Restarts as after power-up: what was written while it was locked is lost."""
+        """Restarts as after power-up: values that were written while the servo was locked are lost."""
         self.table.reset(eeprom=False)
         for name, value in self._saved.items():
             self.table.put(name, value)

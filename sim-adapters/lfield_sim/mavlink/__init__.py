@@ -169,9 +169,10 @@ class MavlinkSim:
 
 
 def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
-    """Where a vehicle of a team with a frame is switched on: at its pose, else at a free position.
+    """The place of power-on of a vehicle in a team with a frame: its pose, else a free position.
 
-    Positions of its simulated device in the binding are relative to that, and to the origin if it is given.
+    Positions of the simulated device in the binding are relative to that place, and to the origin if it is
+    given.
     """
     if placement.pose is not None:
         pose = placement.pose

@@ -27,7 +27,7 @@ def answer(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 
 def second_answer(sender: MessageSender, command: MavCommand) -> MavResult | None:
-    """PX4 acknowledges a mode twice: understood, and available."""
+    """PX4's second acknowledgement of a mode: first understood, then available."""
     pilot = sender.autopilot
     if command.number != dialect.MAV_CMD_DO_SET_MODE or not pilot.flavour.submodes:
         return None
@@ -44,7 +44,9 @@ def _arm(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 
 def _takeoff(sender: MessageSender, command: MavCommand) -> CommandAnswer:
-    """The height is above home for ArduPilot; for PX4 above mean sea level, or a parameter when it is NaN."""
+    """Takes off; the height is above home for ArduPilot, above mean sea level for PX4, or a parameter when
+    it is NaN.
+    """
     height = command.given(7)
     if height is not None and sender.autopilot.flavour.takeoff_mode:
         height -= sender.place.altitude - sender.autopilot.home[2]
@@ -58,7 +60,7 @@ def _land(sender: MessageSender, _: MavCommand) -> CommandAnswer:
 
 
 def _loiter(sender: MessageSender, _: MavCommand) -> CommandAnswer:
-    """ArduCopter's mode LOITER."""
+    """Enters ArduCopter's mode LOITER."""
     pilot = sender.autopilot
     loiters = pilot.flies and not pilot.flavour.submodes
     return (pilot.command_mode("LOITER") if loiters else MavResult.UNSUPPORTED), []
@@ -124,7 +126,7 @@ def _orbit(sender: MessageSender, command: MavCommand) -> CommandAnswer:
 
 
 def _set_home(sender: MessageSender, command: MavCommand) -> CommandAnswer:
-    """PX4 in a calibration executes it too, but does not answer."""
+    """Sets home; PX4 in a calibration does so too, but does not answer."""
     here = sender.autopilot.vehicle.place
     place = here if command.whole(1) == 1 else _place(sender, command)
     if place is None:

@@ -27,7 +27,7 @@ SendPacket = Callable[[bytes], None]
 
 
 class LinkServer:
-    """The link and its peers; a peer is known by how it is sent to.
+    """The link and its peers; a peer is identified by the function that sends to it.
 
     `moved` is called whenever a vehicle may have changed.
     """
@@ -39,7 +39,7 @@ class LinkServer:
         self.peers: dict[Hashable, SendPacket] = {}
 
     def received(self, peer: Hashable, send: SendPacket, data: bytes, *, local: bool = False) -> None:
-        """Bytes from a peer; only it gets the answers."""
+        """Handles bytes from a peer; only this peer gets the answers."""
         self.peers.pop(peer, None)
         self.peers[peer] = send
         while len(self.peers) > MAX_PEERS:
@@ -79,20 +79,20 @@ class UdpEndpoint(asyncio.DatagramProtocol):
         self.endpoint = ""
 
     def connection_made(self, transport: Any) -> None:
-        """It is bound."""
+        """Stores the transport of the bound socket."""
         self._transport = transport
         host, port = transport.get_extra_info("sockname")[:2]
         self.endpoint = f"udp:{host}:{port}"
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """A packet of a peer."""
+        """Handles a packet of a peer."""
         self._server.received(addr, lambda packet: self._transport.sendto(packet, addr), data)
 
     def error_received(self, exc: Exception) -> None:
-        """ "Port unreachable" of a peer that is gone; it is removed when others come."""
+        """Ignores "port unreachable" of a peer that is gone; it is removed when others come."""
 
     def close(self) -> None:
-        """Unbind."""
+        """Closes the socket."""
         self._transport.close()
 
 
@@ -105,7 +105,7 @@ class TcpEndpoint:
         self.endpoint = f"tcp:{host}:{port}"
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stops listening."""
         self._listener.close()
 
 

@@ -28,7 +28,7 @@ LOW = 0.2
 class LinkSetup:
     """The vehicles of a link, and their settings: charge, mAh, limits (SI).
 
-    `origin` is where all are switched on, None for the default; `stands` are positions relative to it by
+    `origin` is the place of power-on of all, None for the default; `stands` are positions relative to it by
     system: the others are side by side. `parameters` are by system, 0 for all; `fitted` is their payload;
     `state` is their failsafe ('': factory settings, none). `board` is the board id of the first one,
     incremented for the next; 0 for none.
@@ -110,7 +110,7 @@ class LinkSetup:
         return fake
 
     def place(self, fake: MavlinkFake) -> tuple[float, float, float]:
-        """Position of a vehicle, in metres north, east and up of where simulated devices are switched on.
+        """Position of a vehicle, in metres north, east and up of the place of power-on of simulated devices.
 
         On the ellipsoid for a given origin; else in its autopilot's metres.
         """

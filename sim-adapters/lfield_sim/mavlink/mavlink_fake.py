@@ -57,7 +57,7 @@ STATES = {
     "sticks": "sticks",
     "warm_up": "warm_up",
 }
-#: Its position: initially the origin of its frame, later it is moved.
+#: The position of the vehicle: initially the origin of its frame, later it is moved.
 WHERE = ("north", "east")
 #: Faults that are a state of the air: the attribute of its wind.
 AIR = {"wind": "speed", "wind_from": "source", "gusts": "gusts"}
@@ -98,16 +98,16 @@ class MavlinkFake:
 
     @property
     def silent(self) -> bool:
-        """Whether it neither receives nor sends now."""
+        """Whether the vehicle neither receives nor sends now."""
         return self.wire.silent or self.autopilot.booting
 
     def receive(self, peer: Hashable, data: bytes, *, local: bool = False) -> list[bytes]:
-        """Bytes from a peer; returns the answers. `local` is a peer on a serial line."""
+        """Handles bytes from a peer; returns the answers. `local` is a peer on a serial line."""
         messages = self._readers.feed(peer, data)
         return [packet for message in messages for packet in self.handle(message, local=local)]
 
     def handle(self, message: Any, *, local: bool = False) -> list[bytes]:
-        """A message from a peer; returns the answers."""
+        """Handles a message from a peer; returns the answers."""
         if self.silent or not self._is_meant(message) or not self.wire.receives():
             return []
         if not self.gate.admits(message, local=local):
@@ -274,7 +274,7 @@ def _command(message: Any) -> MavCommand:
 #: Messages with commands.
 COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_INT, dialect.MAVLINK_MSG_ID_COMMAND_LONG)
 
-#: Handlers of messages, in addition to its services.
+#: Handlers of messages, in addition to the services.
 HANDLERS = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: MavlinkFake._on_heartbeat,
     dialect.MAVLINK_MSG_ID_PING: MavlinkFake._on_ping,
@@ -297,7 +297,7 @@ class MavlinkLink:
         self._readers = PacketReaders()
 
     def receive(self, peer: Hashable, data: bytes, *, local: bool = False) -> list[bytes]:
-        """Bytes from a peer; returns the answers. `local` is a peer on a serial line."""
+        """Handles bytes from a peer; returns the answers. `local` is a peer on a serial line."""
         return [
             packet
             for message in self._readers.feed(peer, data)

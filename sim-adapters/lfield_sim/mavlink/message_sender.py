@@ -32,7 +32,7 @@ CHUNK, CHUNKS = 50, 256
 
 
 class MessageSender:
-    """What one vehicle can send, and what is due."""
+    """The messages that one vehicle can send, and those that are due."""
 
     def __init__(self, autopilot: Autopilot, place: GeoOrigin, services: Sequence[VehicleService]) -> None:
         self.autopilot, self.place = autopilot, place
@@ -53,7 +53,7 @@ class MessageSender:
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it is not available now: an unknown position, home or wind, a disabled fence."""
+        """Whether a message is not available now: an unknown position, home or wind, a disabled fence."""
         pilot = self.autopilot
         match kind:
             case dialect.MAVLINK_MSG_ID_HOME_POSITION:
@@ -67,14 +67,14 @@ class MessageSender:
             case dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
                 return not sends_setpoint(pilot)
             case dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT:
-                # A rover sends it only in automatic modes (ap-rover.c-speed).
+                # A rover sends this message only in automatic modes (ap-rover.c-speed).
                 return not pilot.flies and pilot.role in (Role.MANUAL, Role.HOLD)
             case dialect.MAVLINK_MSG_ID_GIMBAL_MANAGER_STATUS:
                 return pilot.payload.gimbal.is_secret
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
             case dialect.MAVLINK_MSG_ID_WIND if not pilot.flies:
-                # A rover needs a wind vane, and has none. A copter sends it from its first position on.
+                # A rover needs a wind vane, and has none. A copter sends its wind from the first position on.
                 return True
             case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
                 return True
@@ -103,7 +103,7 @@ class MessageSender:
             self._streams.set(kind, rate, self.autopilot.now)
 
     def on_peer(self) -> None:
-        """A packet of a peer arrived; PX4 sends the origin to the first one."""
+        """Handles a packet of a peer; PX4 sends the origin to the first one."""
         if self._has_no_peer and self.autopilot.flavour.sent_once:
             self._owes_origin = True
         self._has_no_peer = False
@@ -172,7 +172,7 @@ class MessageSender:
         return True
 
     def reboot(self) -> MavResult:
-        """Restarts the autopilot and its services, unless it is armed."""
+        """Restarts the autopilot and its services, unless the vehicle is armed."""
         result = self.autopilot.reboot()
         if result is MavResult.ACCEPTED:
             self._streams, self._late_acks = self._first_streams(), {}

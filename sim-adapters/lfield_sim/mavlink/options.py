@@ -49,9 +49,9 @@ class VehicleOption:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where a vehicle is switched on: metres north, east and down of the common starting point.
+    """The place of power-on of a vehicle: metres north, east and down of the common starting point.
 
-    `heading` (rad, clockwise) is where its own north points, for one without satellites or compass.
+    `heading` (rad, clockwise) is the direction of its own north, for a vehicle without satellites or compass.
     """
 
     north: float = 0.0

@@ -1,6 +1,6 @@
 """Parameters of a vehicle configured for a computer: failsafes for its failure, a speed limit.
 
-Factory settings have none of it. The values give the shortest time-outs of the autopilots' manuals:
+Factory settings contain none of these. The values give the shortest time-outs of the autopilots' manuals:
 https://ardupilot.org/copter/docs/gcs-failsafe.html, https://docs.px4.io/main/en/config/safety.html.
 """
 
@@ -43,8 +43,8 @@ def setup_parameters(
 ) -> dict[str, float]:
     """Parameters for the action `state` when its computer fails, with the shortest time-out.
 
-    Its setpoints end within twice `ttl` seconds; it is limited to `speed`, in m/s. `station` is the system id
-    of its computer.
+    The setpoints end within twice `ttl` seconds; the vehicle is limited to `speed`, in m/s. `station` is the
+    system id of its computer.
     """
     found = _failsafes(flavour, kind, state, 2.0 * ttl)
     if flavour == "ardupilot":
@@ -62,7 +62,7 @@ def _failsafes(flavour: str, kind: str, state: str, longest: float) -> dict[str,
             "COM_OF_LOSS_T": max(0.25, min(1.0, longest)),
             "COM_OBL_RC_ACT": _PX4_STREAM_ACTIONS[state],
             "COM_FAIL_ACT_T": 0.0,
-            # Its default, and sticks take over in OFFBOARD.
+            # The default, and sticks take over in OFFBOARD.
             "COM_RC_OVERRIDE": 1 | 2,
             "COM_DL_LOSS_T": 5.0,
             "NAV_DLL_ACT": _PX4_ACTIONS[state],

@@ -31,7 +31,7 @@ CAPABILITIES = {
         {"filter": "event", "label": "Events"},
     ],
 }
-#: What begins a command of the terminal in an expression to evaluate: `:time 12.5`.
+#: The prefix of a command of the terminal in an expression to evaluate: `:time 12.5`.
 COMMAND = ":"
 #: Requests that end a search.
 ENDING = frozenset({"cancel", "pause", "disconnect", "terminate"})
@@ -44,7 +44,7 @@ class OpenedDebugger(NamedTuple):
     folder: Path | None
 
 
-#: Opens what an editor asks for in `launch` or `attach`, by the arguments of the request.
+#: Opens the recordings or mission in the arguments of a request `launch` or `attach`.
 OpenDebugger = Callable[[Mapping[str, Any]], OpenedDebugger]
 
 
@@ -81,7 +81,7 @@ class DapSession:
             "disconnect": self._end,
             "terminate": self._end,
         }
-        #: Requests that move: they are answered first, and an event says where the debugger stands then.
+        #: Requests that move: they are answered first, and an event has the position after that.
         self._moves: Mapping[str, Callable[[Debugger], bool]] = {
             "next": lambda debugger: debugger.step_over(),
             "stepIn": lambda debugger: debugger.step_line(),
@@ -126,7 +126,7 @@ class DapSession:
     # --- moves ----------------------------------------------------------------------------------------
 
     def _after(self, command: str, given: Row) -> None:
-        """What follows a response: events, and moves. Raises SearchCancelled."""
+        """Handle the events and moves that follow a response. Raises SearchCancelled."""
         self._is_moving = True
         try:
             self._follow(command, given)

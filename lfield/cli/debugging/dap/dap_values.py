@@ -1,4 +1,4 @@
-"""What the Debug Adapter Protocol refers to by numbers while the debugger stands: frames and values."""
+"""Numbers of the Debug Adapter Protocol for frames and values, while the debugger is at a position."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class DapValues:
         self._sources = {each.name: number for number, each in enumerate(sources, 1)}
 
     def forget(self) -> None:
-        """The debugger has moved: numbers of frames and values are void."""
+        """Discard the numbers of frames and values after a move of the debugger."""
         self._frames.clear()
         self._lists.clear()
 
@@ -64,14 +64,16 @@ class DapValues:
     # --- sources --------------------------------------------------------------------------------------
 
     def source_row(self, at: SourceLine) -> Row:
-        """A source: the file if it is here as it ran, otherwise the text in the bundle by its number."""
+        """A source: the file if its text is that of the recording, otherwise the text in the bundle by its
+        number.
+        """
         path = Path(at.file) if self._folder is None else self._folder / at.file
         if self._is_as_recorded(path, at.file):
             return {"name": path.name, "path": str(path.resolve())}
         return {"name": Path(at.file).name, "path": at.file, "sourceReference": self._sources[at.file]}
 
     def _is_as_recorded(self, path: Path, file: str) -> bool:
-        """Whether a file has the text in the bundle: it may have been changed since."""
+        """Whether a file has the text in the bundle: the file may have been changed since."""
         text = self._debugger.team.table.source(file)
         try:
             return path.is_file() and text is not None and read_within(path, MAX_TEXT) == text.encode()

@@ -1,1 +1,1 @@
-"""Calls of what is a private method of each unit that calls it: the library in L, enums, functions."""
+"""Calls of private methods of each unit that calls them: the library in L, enums, functions."""

@@ -1,8 +1,8 @@
 """Calls of the library that is written in L: methods of arrays (`arrays.L`), and of maps (`map.L`).
 
-`a.sort()` becomes a call of a private method of the unit that has the call, one for each type of elements. So
-a comparison is a call of a method of that unit, which the checker chooses as any other. Elements of maps are
-calls of methods of the class of the map.
+`a.sort()` becomes a call of a private method of the unit that contains the call, one for each type of
+elements. So a comparison is a call of a method of that unit, which the checker selects as usual. Elements of
+maps are calls of methods of the class of the map.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def check_library_call(
 
 
 def check_sort(body: BodyContext, raw: syntax.Call, owner: tree.Expr) -> tree.Expr:
-    """`array.sort()`, or `array.sort(method)` with a method of this unit that gives a key or compares."""
+    """`array.sort()`, or `array.sort(method)` with a method of this unit that returns a key or compares."""
     assert isinstance(owner.type, ArrayType)
     of, arguments = owner.type.element, raw.arguments
     if not arguments:

@@ -1,7 +1,7 @@
 """Rules and hints for calls of functions of the library.
 
 A function that waits has a limit, so that no program waits for a person or a host that never answers. A
-constant that nothing can happen in is a mistake, as that of a `within` is.
+constant that leaves no time for any event is a mistake, as for a `within`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""
 
 
 def check_limit(body: BodyContext, name: str, arguments: Sequence[Expr]) -> None:
-    """Report a constant limit in which nothing can happen."""
+    """Report a constant limit that leaves no time for any event."""
     if name not in _WAITING:
         return
     seconds = _constant(arguments[-1])

@@ -38,7 +38,7 @@ def check_async(body: BodyContext, raw: syntax.Async, call: tree.Expr) -> tree.E
 
 
 def is_future_method(body: BodyContext, name: str, owner: tree.Expr) -> bool:
-    """Whether that name is a method of arrays of futures here."""
+    """Whether a name is a method of arrays of futures in this body."""
     if not (isinstance(owner.type, ArrayType) and isinstance(owner.type.element, FutureType)):
         return False
     internal = name in _INTERNAL and bool(body.symbols.library.parameters)

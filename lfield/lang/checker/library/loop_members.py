@@ -1,7 +1,7 @@
 """Loops of resources: their declarations, and calls of their methods.
 
-A loop is declared with three fields that no name leads to; `running()` and `overruns()` read two of them. The
-statements of its thread are made later, when all loops are known (`checker/loops`).
+A loop is declared with three fields that have no name in L; `running()` and `overruns()` read two of them.
+The statements of its thread are made later, when all loops are known (`checker/loops`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.types import BOOLEAN, INT, VOID
 
-#: How many loops a resource may have: each is a thread, and there must be threads for portals.
+#: The most loops of a resource: each is a thread, and threads for portals must remain.
 MAX_LOOPS = 16
 
 

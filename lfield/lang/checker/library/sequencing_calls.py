@@ -29,10 +29,10 @@ _HEADS: dict[str, tuple[str, Type]] = {
     "end": ("seq_end", STRING),
     "alive": ("seq_alive", BOOLEAN),
 }
-#: Binds no type; while something is bound, a method of the library is checked.
+#: A binding without types: any binding marks that a method of the library is checked.
 _BOUND = {"": VOID}
 _TEXT = Path(instances.__file__).with_name("sequencing.L")
-#: Seconds that no mission lasts: the limit around an `init`, which a stop ends.
+#: Seconds, longer than any mission: the limit around an `init`, which a stop ends.
 _NEVER = 1e9
 
 
@@ -81,7 +81,7 @@ def _instance(body: BodyContext, name: str) -> LibraryBody:
 def make_stoppable(units: Sequence[tree.Unit]) -> None:
     """Put a limit around the `init` of each coordinator, if the program stops any.
 
-    A stop ends that limit, so a coordinator ends as in a `within`: no catch keeps it, each finally runs.
+    A stop ends that limit, so a coordinator ends as in a `within`: no catch prevents it, each finally runs.
     """
     library = (method for unit in units for method in unit.library_methods)
     if not any(method.name == "stop" and method.result == VOID for method in library):

@@ -1,6 +1,7 @@
 """Private methods that a unit has because it calls them: texts of the library in L, and top-level functions.
 
-So they run like any other method, with the object of their caller. A function cannot name it.
+So these methods run like any other method, with the object of their caller. A function cannot name that
+object.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def function_call(
 
 
 def _function_method(body: BodyContext, function: Function) -> tree.Method:
-    """The method of the unit that the function is there; in the function itself, its head."""
+    """The method of the unit for the function; in the function itself, its head."""
     if body.unit.function:
         return function.head
     return body.symbols.library.method((body.unit, function), lambda: _copy(body.unit, function))

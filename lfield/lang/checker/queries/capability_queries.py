@@ -63,7 +63,7 @@ def _checked(body: BodyContext, raw: syntax.Call, constraint: tree.Expr) -> tree
 
 
 def _check(body: BodyContext, query: QueryText) -> None:
-    """Report what is wrong with a constraint, at the very characters."""
+    """Report the mistakes in a constraint, at their characters."""
     assert body.symbols.capabilities is not None
     for mistake in body.symbols.capabilities.mistakes(query.text):
         where = query.place(mistake.start, mistake.end)

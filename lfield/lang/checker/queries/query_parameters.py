@@ -1,7 +1,7 @@
 """Values of the program in a query: `findLift("payload >= $kg && agent != $name")`.
 
-A name behind `$` is a variable, a field or a constant, with fields and elements behind it. Its type decides
-what it is in the query. The call gets the query, with numbers for the names, and the values behind it
+A name after `$` is a variable, a field or a constant, with fields and elements after it. Its type determines
+its sort in the query. The call gets the query, with numbers for the names, and the values after it
 in one string (lfield/capability/query_values.py), a sum of texts like any other.
 """
 
@@ -122,7 +122,7 @@ def _element(body: BodyContext, raw: syntax.Index, place: Span) -> tree.Expr:
 
 
 def _sort(body: BodyContext, value: tree.Expr) -> PlaceholderSort:
-    """What a value is in a query; 'nothing' if it cannot be in one, which is reported."""
+    """The sort of a value in a query; 'nothing' if it cannot be in one, which is reported."""
     if isinstance(value.type, EnumType):
         return "text"
     if value.type not in _SORTS and value.type is not UNKNOWN:
@@ -151,7 +151,7 @@ def _encoded(
 
 
 def _converted(value: tree.Expr, of: PlaceholderValue) -> tree.Expr:
-    """A number in the unit of what it is compared with."""
+    """A number in the unit of the other side of the comparison."""
     if (of.factor, of.offset) == (1.0, 0.0):
         return value
     span = value.span

@@ -1,4 +1,4 @@
-"""The text of a query, where the compiler knows it: a literal, a constant, or a sum of those."""
+"""The text of a query, if the compiler knows it: a literal, a constant, or a sum of those."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lfield.text.source_text import Span
 
 @dataclass(frozen=True, slots=True)
 class QueryText:
-    """A text with the expressions that it is from, each with its first character."""
+    """A text with the expressions of its parts, each with its first character."""
 
     text: str
     pieces: tuple[tuple[int, tree.Literal_], ...]
 
     def place(self, start: int, end: int) -> Span:
-        """Where some characters are in the program.
+        """The place of some characters in the program.
 
         In a literal with escapes the offsets are not those of the file: then the whole literal is marked.
         """

@@ -23,12 +23,12 @@ from lfield.lang.tree import (
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.lang.types import ArrayType
 
-#: What has a name.
+#: A variable or field.
 Named = Local | Field
 
 
 def named(expr: Expr) -> Named | None:
-    """The variable or field that an expression is."""
+    """The variable or field of an expression."""
     match expr:
         case LocalGet():
             return expr.local
@@ -38,7 +38,7 @@ def named(expr: Expr) -> Named | None:
 
 
 def _container(expr: Expr) -> Expr | None:
-    """The array that an expression reads an element of, or removes it from; None for other expressions."""
+    """The array from which an expression reads or removes an element; None for other expressions."""
     match expr:
         case Element():
             return expr.array
@@ -48,7 +48,7 @@ def _container(expr: Expr) -> Expr | None:
 
 
 def base(expr: Expr) -> Expr:
-    """The array in `array[i][j]`; any other expression itself."""
+    """The array in `array[i][j]`; any other expression unchanged."""
     while (array := _container(expr)) is not None:
         expr = array
     return expr
@@ -91,12 +91,12 @@ class Aliases:
         return name
 
     def related(self, name: Named) -> set[Named]:
-        """The representatives of its array, of the arrays in it and of those that contain it."""
+        """The representatives of an array, of the arrays in it and of those that contain it."""
         one = self.of(name)
         return _reached(one, self._around) | _reached(one, self._within)
 
     def _join(self, name: Named, level: int, value: Expr) -> None:
-        """After `name = value` (level 0), or `name[i] = value` (1) and so on."""
+        """Record `name = value` (level 0), or `name[i] = value` (1) and so on."""
         if not isinstance(value.type, ArrayType):
             return
         if isinstance(value, Assign):
@@ -108,7 +108,7 @@ class Aliases:
             self._relate(name, level, source, depth(value))
 
     def _relate(self, name: Named, level: int, source: Named, found: int) -> None:
-        """What is so deep in one is what is so deep in the other."""
+        """Record that the arrays at level `level` of one name are those at level `found` of the other."""
         if level < found:
             self._inside.append((name, source))
         elif level > found:

@@ -1,4 +1,4 @@
-"""Where `together`, `within`, `reserve` and `wait until` are allowed, and their operands."""
+"""The permitted places of `together`, `within`, `reserve` and `wait until`, and their operands."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def check_coordinator_block(body: BodyContext, keyword: Span) -> None:
 
 
 def check_within_seconds(body: BodyContext, raw: syntax.Expr) -> Expr:
-    """The seconds of a `within`; a constant that nothing can end in is reported."""
+    """Check the seconds of a `within`; a constant that leaves no time for any event is reported."""
     return _seconds(body, raw, messages.WITHIN_OVER)
 
 
 def check_wait_seconds(body: BodyContext, raw: syntax.Expr) -> Expr:
-    """The seconds of a `wait until`, likewise."""
+    """Check the seconds of a `wait until`, likewise."""
     return _seconds(body, raw, messages.WAIT_SECONDS)
 
 
@@ -67,7 +67,7 @@ def _seconds(body: BodyContext, raw: syntax.Expr, rule: FindingKind) -> Expr:
 
 
 def check_reserve_operand(body: BodyContext, raw: syntax.Expr) -> Expr:
-    """The target of a `reserve`."""
+    """Check the target of a `reserve`."""
     found = value(body, raw)
     kind = found.type
     while isinstance(kind, ArrayType):
@@ -81,7 +81,7 @@ def check_reserve_operand(body: BodyContext, raw: syntax.Expr) -> Expr:
 
 
 def constant_number(expr: Expr) -> float | None:
-    """The number that an expression of literals is; None for any other one, and for one that throws."""
+    """The number of an expression of literals; None for any other one, and for one that throws."""
     match expr:
         case Literal_(value=int() | float() as number) if expr.type in (INT, REAL):
             return float(number)

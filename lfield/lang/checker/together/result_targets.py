@@ -1,6 +1,7 @@
-"""Where the results of a `together` go: locals declared outside it, or elements of arrays in such locals.
+"""Targets for the results of a `together`: locals declared outside it, or elements of arrays in such locals.
 
-All assignments happen at its end, in the order of the calls. So a local is assigned once, and by one call.
+All assignments happen at the end of the block, in the order of the calls. So a local is assigned once, by one
+call.
 """
 
 from __future__ import annotations

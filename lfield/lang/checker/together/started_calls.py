@@ -1,6 +1,6 @@
-"""Which portal calls a `together` starts: those that are statements, or the right side of an assignment.
+"""Portal calls that a `together` starts: those that are statements, or the right side of an assignment.
 
-The body of a method is checked as if there were no `together`; then each of them takes its calls.
+The body of a method is checked as if it had no `together`; then the calls of each `together` are collected.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> No
 
 
 class _StartedCalls:
-    """The calls of one together; those of one inside it are its own."""
+    """The calls of one `together`, without those of a nested one."""
 
     def __init__(self, symbols: Symbols) -> None:
         self.symbols = symbols
         self.started: list[StartedCall] = []
 
     def collect(self, block: Together) -> list[StartedCall]:
-        """What it begins, in the order of the text."""
+        """The calls that a `together` starts, in the order of the text."""
         waiting = [(block.body, _CallSite())]
         while waiting:
             body, place = waiting.pop()
@@ -82,7 +82,7 @@ class _StartedCalls:
         return sorted(self.started, key=lambda one: one.start.span.start)
 
     def statement(self, one: Stmt, place: _CallSite) -> Stmt:
-        """The statement, or the call that it begins."""
+        """The statement, or the call that it starts."""
         match one:
             case Together():
                 return one
@@ -129,7 +129,7 @@ class _StartedCalls:
 
 
 def _portal_call(value: Expr) -> PortalCall | Call | None:
-    """The call of a portal, or of a portal of an offer, that an expression is; widened or as it is."""
+    """The call of a portal, or of a portal of an offer, in an expression; widened or unchanged."""
     one = value.operand if isinstance(value, ToReal) else value
     if isinstance(one, PortalCall) or (isinstance(one, Call) and is_portal(one.method)):
         return one

@@ -1,4 +1,6 @@
-"""What a `together` must leave alone: targets have no value yet, and arrays are about to get elements."""
+"""Variables that a `together` must not use: targets have no value yet, and arrays are about to get
+elements.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from lfield.lang.types import ArrayType, Type
 
 
 class _Filled(Struct):
-    """An array that a together assigns elements of; `place` counts the calls.
+    """An array to whose elements a together assigns; `place` counts the calls.
 
     `dimensions` are those of the innermost array that is filled: 2 by `a[i]` of a `real[][]`, 1 by `a[i][j]`.
     """
@@ -27,14 +29,14 @@ class _Filled(Struct):
 
 
 class _Read(Struct, frozen=True):
-    """A variable or field in a together. Of `a[i].length()` only what is `depth` deep is read: 1."""
+    """A variable or field in a together. Of `a[i].length()` only the array at level `depth` is read: 1."""
 
     expr: Expr
     name: Named
     depth: int
 
     def is_affected_by(self, filled: _Filled) -> bool:
-        """Whether a together that fills an array changes what this reads, if they are names of one."""
+        """Whether a together that fills an array changes the read value, if both names are of one array."""
         own = _dimensions(self.name.type)
         return own - self.depth < filled.dimensions <= own
 
@@ -76,7 +78,7 @@ def _filled(targets: Sequence[Element], aliases: Aliases) -> dict[Named, _Filled
 
 
 def _dimensions(kind: Type) -> int:
-    """How many `[]` a type has."""
+    """The number of `[]` of a type."""
     found = 0
     while isinstance(kind, ArrayType):
         kind, found = kind.element, found + 1
@@ -84,7 +86,9 @@ def _dimensions(kind: Type) -> int:
 
 
 def _reads(block: Together) -> Iterator[_Read]:
-    """Every variable and field in a together. An array is not read for its length, which never changes."""
+    """Every variable and field in a together. The length of an array is not a read, since it never
+    changes.
+    """
     for one in all_statements(block.body):
         lengths: dict[int, int] = {}
         for part in (part for value in statement_expressions(one) for part in descendants(value)):

@@ -1,1 +1,1 @@
-"""What a program declares beside its units: constants, enums, functions."""
+"""The declarations of a program beside its units: constants, enums, functions."""

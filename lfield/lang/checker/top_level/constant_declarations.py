@@ -56,7 +56,7 @@ class _Constants:
                 waiting.append((following, iter(self._uses[following])))
 
     def _report_cycle(self, cycle: Sequence[str], done: set[str]) -> None:
-        """The constants of a cycle have no value, and are not reported again."""
+        """Report the constants of a cycle, which have no value, once."""
         shown = " - ".join([*cycle, cycle[0]])
         span = self._raw[cycle[0]].span
         self._symbols.report(messages.CONSTANT_CYCLE, span, name=cycle[0], path=shown)

@@ -1,7 +1,7 @@
 """The values of constant expressions, as the machine would compute them.
 
-Only what is the same on every computer: literals, members of enums, and operators. A calculation that would
-throw, or that has no finite result, is a mistake.
+Only values that are the same on every computer are computed: literals, members of enums, and operators. A
+calculation that would throw, or that has no finite result, is a mistake.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _left(expr: tree.Expr) -> tree.Expr | None:
 
 
 def _value(expr: tree.Expr, known: dict[tree.Expr, Value]) -> Value:
-    """The value of an expression whose left operand may be known already."""
+    """The value of an expression; that of its left operand may be known already."""
     match expr:
         case tree.Literal_(value=bool() | int() | float() | str() as value):
             return value

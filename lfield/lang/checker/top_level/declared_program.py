@@ -1,6 +1,6 @@
 """The declarations of a program, before any body is checked: units, enums, constants, functions.
 
-They are in one name space. The order of declarations and files does not matter.
+All declarations are in one name space. The order of declarations and files does not matter.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from lfield.lang.types import UNKNOWN, VOID
 
 
 class DeclaredProgram(Struct, frozen=True):
-    """What the second pass checks: the bodies of units and functions."""
+    """The input of the second pass: the bodies of units and functions."""
 
     units: list[DeclaredUnit]
     functions: list[Function]
@@ -75,7 +75,7 @@ def _function(symbols: Symbols, raw: syntax.Method) -> Function | None:
     others = symbols.functions.get(raw.name, [])
     if not others and not is_new_name(symbols, raw.name, raw.span, "function"):
         return None
-    if raw.name not in LIBRARY_NAMES:  # It is reported already.
+    if raw.name not in LIBRARY_NAMES:  # The mistake is already reported.
         check_callable_name(symbols, raw.name, raw.span)
     unit = function_unit(raw.name, raw.span)
     result = VOID if raw.result is None else visible_type(symbols, unit, raw.result)

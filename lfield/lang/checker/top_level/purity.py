@@ -1,10 +1,10 @@
-"""Purity of functions: the result depends on the arguments alone, and nothing else changes.
+"""Purity of functions: the result depends on the arguments alone, and no other value changes.
 
-A function has no unit, so it has no fields, devices and proxies. What remains is found in its checked body:
+A function has no unit, so it has no fields, devices and proxies. Other effects are found in its checked body:
 output, the clock, random numbers, other threads, objects of classes (their methods may do any of these), and
 changes of an array or object that the caller has. The last is a flow-insensitive taint analysis of the
-parameters, and of every variable that may lead to a part of what they refer to. A function creates no objects
-of classes, so what it catches may be its caller's.
+parameters, and of every variable that may refer to a part of their values. A function creates no objects
+of classes, so an exception that it catches may be its caller's.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lfield.text.source_text import Span
 
 _OUTPUT, _THREADS, _CLOCK = "writes output", "lets other threads run", "reads the clock"
 _RANDOM, _STATE = "uses random numbers", "reads the state of its coordinator"
-#: What instructions of the library do besides computing.
+#: The effects of instructions of the library, besides computing.
 _EFFECTS = {
     **{f"{verb}_{kind}": _OUTPUT for verb in ("print", "write") for kind in ("int", "float", "str", "bool")},
     **{"yield": _THREADS, "sleep": _THREADS, "now": _CLOCK, "lived": _CLOCK, "hops": _STATE},
@@ -32,7 +32,7 @@ _CHANGING = frozenset({"sort", "sortByKey", "set", "remove"})
 
 
 def check_purity(symbols: Symbols, function: Function) -> None:
-    """Report what is not pure in the checked body of a function."""
+    """Report impure expressions in the checked body of a function."""
     name = function.head.name
     changes = _Changes(function.head)
     for statement in all_statements(function.head.body):
@@ -60,7 +60,7 @@ def _place(expr: tree.Expr) -> Span:
 
 
 def _effect(expr: tree.Expr) -> str | None:
-    """What an expression does that no function may do, or None."""
+    """The effect of an expression that no function may have, or None."""
     match expr:
         case tree.LibraryCall(operation=operation):
             return _EFFECTS.get(operation)
@@ -77,7 +77,7 @@ def _is_computed(call: tree.Call) -> bool:
 
 
 class _Changes:
-    """The variables of a function that may refer to what its caller has, or hold it in a part."""
+    """The variables of a function that may refer to values of its caller, or to values that contain them."""
 
     def __init__(self, head: tree.Method) -> None:
         statements = [*all_statements(head.body)]
@@ -95,12 +95,12 @@ class _Changes:
                 self._spread(expr)
 
     def target(self, expr: tree.Expr) -> Span | None:
-        """What of the caller's an expression changes itself."""
+        """The place of a caller's value that an expression itself changes, or None."""
         changed = _changed_by(expr)
         return changed.span if changed is not None and self._is_given(changed) else None
 
     def _spread(self, expr: tree.Expr) -> None:
-        """Follow what an expression stores somewhere."""
+        """Follow the values that an expression stores."""
         match expr:
             case tree.Assign(target=tree.LocalGet(local=local), value=value):
                 self._assign(local, value)
@@ -116,16 +116,16 @@ class _Changes:
             self._given.add(local)
         if self._is_holding(value):
             self._holding.add(local)
-        if local in self._holding:  # what is stored in the one later is in the other, too
+        if local in self._holding:  # a value that is stored in one later is in the other, too
             self._holding.update(_arrays_in(value))
 
     def _put(self, target: tree.Expr, values: Iterable[tree.Expr]) -> None:
-        """Values are stored in a part of something."""
+        """Record values that are stored in a part of a target."""
         if any(map(self._leads, values)):
             self._holding.update(_arrays_in(target))
 
     def _is_given(self, expr: tree.Expr) -> bool:
-        """Whether a value may be something that the caller has."""
+        """Whether a value may belong to the caller."""
         if not _is_mutable(expr.type):
             return False
         match expr:
@@ -144,7 +144,7 @@ class _Changes:
         return False
 
     def _is_holding(self, expr: tree.Expr) -> bool:
-        """Whether a part of a value may be something that the caller has."""
+        """Whether a part of a value may belong to the caller."""
         match expr:
             case tree.LocalGet(local=local):
                 return local in self._holding

@@ -46,7 +46,7 @@ def is_operand_start(token: Token) -> bool:
 
 
 def touches(s: TokenStream, ahead: int) -> bool:
-    """Whether no space separates the token `ahead` places after the current one from the one before it."""
+    """Whether no space separates the token `ahead` places after the current one from its predecessor."""
     return s.ahead(ahead).span.start == s.ahead(ahead - 1).span.end
 
 
@@ -107,7 +107,7 @@ def word_prefix(s: TokenStream) -> Token:
 
 
 def std_member(s: TokenStream) -> SyntaxRecovery:
-    """Report `std::cout` and other names with `::` in an expression; raise what this returns."""
+    """Report `std::cout` and other names with `::` in an expression; raise the returned exception."""
     sign, names = s.current.span, [s.previous.text]
     while s.at("::") and s.ahead(1).text.isidentifier():
         s.advance()
@@ -117,7 +117,7 @@ def std_member(s: TokenStream) -> SyntaxRecovery:
 
 
 def foreign_init(s: TokenStream, module: str) -> SyntaxRecovery:
-    """Report `rclpy.init()`; raise what this returns."""
+    """Report `rclpy.init()`; raise the returned exception."""
     keyword = f"{module}.init"
     return s.fail(messages.FOREIGN_KEYWORD, keyword=keyword, instead=qualified_hint([module, "init"]))
 
@@ -128,7 +128,7 @@ def at_walrus(s: TokenStream) -> bool:
 
 
 def walrus(s: TokenStream) -> SyntaxRecovery:
-    """Report `:=`; raise what this returns."""
+    """Report `:=`; raise the returned exception."""
     return s.fail(messages.FOREIGN_OPERATOR, operator=":=", instead="write =")
 
 
@@ -158,7 +158,7 @@ def semicolon_hint(s: TokenStream) -> str | None:
 
 
 def at_floor_division(s: TokenStream) -> bool:
-    """Whether `// 2;` or `//= 2;` follows the previous token: read as a comment, meant as a division."""
+    """Whether `// 2;` or `//= 2;` follows the previous token: read as a comment, intended as a division."""
     place = s.previous.span
     line = place.source.line_text(place.line)
     return _FLOOR_DIVISION.match(line, place.column - 1 + place.end - place.start) is not None
@@ -208,7 +208,7 @@ def at_cast(s: TokenStream) -> bool:
 
 
 def cast(s: TokenStream) -> SyntaxRecovery:
-    """Report `static_cast<int>(...)` or another call with type arguments; raise what this returns."""
+    """Report `static_cast<int>(...)` or another call with type arguments; raise the returned exception."""
     name = s.current
     instead = _CONVERSIONS if name.text in _CASTS else CONTAINERS.get(name.text, NO_GENERICS)
     s.report(messages.FOREIGN_KEYWORD, name.span, keyword=f"{name.text}<...>", instead=instead)
@@ -266,7 +266,7 @@ def sized_name(s: TokenStream, declared: TypeName, name: str) -> None:
 
 
 def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecovery:
-    """Report `int f() { ... }` or `Foo f(1);` inside a method; raise what this returns."""
+    """Report `int f() { ... }` or `Foo f(1);` inside a method; raise the returned exception."""
     if declared.name == BAD_TYPE and declared.span.text != "void":
         return SyntaxRecovery()  # The type is reported.
     is_class = declared.name not in (*PRIMITIVES, "void", BAD_TYPE) and not declared.dimensions
@@ -282,7 +282,7 @@ def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecover
 
 
 def _each_name(s: TokenStream) -> int:
-    """How far ahead the variable of `for (const auto& x : array)` or `for x in array` is."""
+    """The number of tokens before the variable of `for (const auto& x : array)` or `for x in array`."""
     at = 1 if s.at("(") else 0
     while s.ahead(at).text in _EACH_TYPES and s.ahead(at + 1).text not in ("in", "of", ":", "="):
         at += 1
@@ -341,7 +341,7 @@ def skip_except(s: TokenStream) -> None:
 
 
 def block_ahead(s: TokenStream) -> int:
-    """How far ahead the `{` of `word {` or `word (...) {` is; 0 for neither."""
+    """The number of tokens before the `{` of `word {` or `word (...) {`; 0 for neither."""
     ahead, depth, braces, semicolons = 1, 0, 0, 0
     while depth > 0 or s.ahead(ahead).text == "(":
         token = s.ahead(ahead)

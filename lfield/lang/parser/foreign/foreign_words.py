@@ -122,7 +122,7 @@ FOREIGN_NAMES = {
     "super": "L has no inheritance: put an object of the other class into a field",
 }
 
-#: Functions of other languages, and what to write.
+#: Functions of other languages, and the equivalent in L.
 FOREIGN_FUNCTIONS = {
     **dict.fromkeys(("println", "printf", "echo", "log_info", "loginfo", "puts"), "in L it is print(...)"),
     **dict.fromkeys(
@@ -162,7 +162,7 @@ FOREIGN_FUNCTIONS = {
     **dict.fromkeys(("repeat", "times"), "write for (int i = 0; i < n; i += 1) { ... }"),
 }
 
-#: Methods of text and of arrays in other languages, and what to write.
+#: Methods of text and of arrays in other languages, and the equivalent in L.
 STRING_METHODS = {
     **dict.fromkeys(("equals", "compare", "compareTo", "strcmp"), "write ==, which compares the characters"),
     **dict.fromkeys(("format", "join", "concat", "append", "f"), JOIN),
@@ -305,7 +305,7 @@ FOREIGN_UNITS = {
     **dict.fromkeys(("if", "while", "for", "main"), "a program starts in init(string[] arg) of each agent"),
 }
 
-#: Operators that are words in other languages: the operator of L, or "" for none, and what to write.
+#: Operators that are words in other languages: the operator of L, or "" for none, and the equivalent.
 WORD_OPERATORS = {
     "and": ("&&", "write &&"),
     "or": ("||", "write ||"),
@@ -331,7 +331,7 @@ WORD_PREFIXES = {
     "sizeof": "write a.length()",
     "lambda": "methods are not values: write a method and call it by its name",
 }
-#: What to write instead of a symbol that begins no expression of L.
+#: The correct form instead of a symbol that begins no expression of L.
 FOREIGN_SYMBOLS = {
     ":": "a block is in braces: { ... }",
     "[": "the elements of an array are in braces: new int[] {1, 2}",
@@ -366,24 +366,24 @@ MODULE_MEMBERS = {
 
 
 def type_hint(name: str) -> str | None:
-    """What to write instead of a type of another language, or None."""
+    """The equivalent in L of a type of another language, or None."""
     if name in FOREIGN_TYPES:
         return f"in L it is called {FOREIGN_TYPES[name]}"
     return FOREIGN_TYPE_HINTS.get(name)
 
 
 def variable_hint(name: str, member: str = "") -> str | None:
-    """What to write instead of a name of another language, or of a member of it; None for no hint."""
+    """The equivalent in L of a name of another language, or of a member of it; None for no hint."""
     if name in FOREIGN_VALUES:
         return f"in L it is called {FOREIGN_VALUES[name]}"
     return _member_hint(member) or FOREIGN_NAMES[name] if name in FOREIGN_NAMES else None
 
 
 def qualified_hint(names: list[str]) -> str:
-    """What to write instead of `std::vector` or `ros::spin`, given its parts."""
+    """The equivalent in L of `std::vector` or `ros::spin`, given its parts."""
     namespace, *members = names
     hints = [hint for member in members if (hint := _member_hint(member))]
-    # A pointer is what the last part says, as in rclcpp::Node::SharedPtr: the first one says more.
+    # The last part may only name a pointer, as in rclcpp::Node::SharedPtr: the first part is more specific.
     return hints[0] if hints else FOREIGN_NAMES.get(namespace, "members are reached with a dot: object.name")
 
 

@@ -22,7 +22,7 @@ _TRY = "write try { ... } catch (Exception e) { ... }"
 
 
 def _head_length(s: TokenStream) -> int:
-    """How many tokens precede the `:` or `{` that ends the head on this line; -1 if there is none."""
+    """The number of tokens before the `:` or `{` that ends the head on this line; -1 if there is none."""
     count, depth, line = 0, 0, s.current.span.line
     while (token := s.ahead(count)).span.line == line and token.kind is not TokenKind.END:
         if depth == 0 and token.text in (":", "{"):
@@ -56,7 +56,7 @@ def _in_l(condition: str) -> str:
 
 
 def skip_bare_condition(s: TokenStream) -> None:
-    """To the `:` or `{` behind a condition without parentheses, or past the `)` that is missing its `(`."""
+    """Skip to the `:` or `{` after a condition without parentheses, or past the `)` that lacks its `(`."""
     if (length := _head_length(s)) < 0:
         s.skip_parentheses(1)
     for _ in range(length):
@@ -70,7 +70,7 @@ def report_colon(s: TokenStream) -> None:
 
 
 def skip_python_block(s: TokenStream, head: Span) -> None:
-    """Past the body of the block whose head is on that line, and past its further clauses."""
+    """Skip the body of the block whose head is on that line, and its further clauses."""
     text = head.source.line_text(head.line)
     column, depth = len(text) - len(text.lstrip()) + 1, 0
     s.accept(":")

@@ -1,7 +1,7 @@
 """Event subscriptions of several hosts: one link for each, dialled again after it ends, and one handler.
 
-The I/O shell of `StreamCursor`, which decides what to request. A host sends a message every second, an empty
-one when nothing has happened; a link without messages is closed after a time-out.
+The I/O shell of `StreamCursor`, which selects the requests. A host sends a message every second, an empty
+one without events; a link without messages is closed after a time-out.
 """
 
 from __future__ import annotations
@@ -34,18 +34,20 @@ class StreamHandler(Protocol):
     """Receives the events of hosts."""
 
     def on_linked(self, host: str) -> None:
-        """A host answers, and sends all telemetry again: after each connection, and every minute."""
+        """Called when a host answers, and sends all telemetry again: after each connection, and every
+        minute.
+        """
 
     def on_unlinked(self, host: str, why: str) -> None:
-        """A host has no link. Called after every failed attempt."""
+        """Called after every failed attempt: a host has no link."""
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
-        """New events, none twice. `took`: seconds from the request to its first answer, else None."""
+        """Handles new events, none twice. `took`: seconds from the request to its first answer, else None."""
 
 
 @dataclass(frozen=True, slots=True)
 class FollowOptions:
-    """What an `EventFollower` requests and reports.
+    """The requests and reports of an `EventFollower`.
 
     `since`, `telemetry` (Hz): as in `StreamCursor`. `crl`: a revocation list for hosts with an older one.
     `hint`: a sentence to append when a host is not reachable, or "". `learn`: gets the epochs of each host,
@@ -82,7 +84,7 @@ class EventFollower:
         self._links: dict[str, EventLink] = {}
 
     async def run(self) -> None:
-        """Follow all of them until this is cancelled."""
+        """Follow all hosts until cancelled."""
         async with asyncio.TaskGroup() as group:
             for host in self._hosts:
                 group.create_task(self._follow(host))
@@ -154,18 +156,18 @@ class EventLink(ObserverLink):
         self._host, self._cursor, self._handler = host, cursor, handler
         self._clock, self._crl, self._learn = clock, crl, learn
         self._greeting: Handshake | None = None
-        #: When the unanswered request was sent, and when the next one is due.
+        #: The times when the unanswered request was sent, and when the next one is due.
         self._requested_at: float | None = None
         self._due = 0.0
         self._last_contact = clock.monotonic()
         self._timer: asyncio.TimerHandle | None = None
-        #: Whether the link was closed because nothing arrived.
+        #: Whether the link was closed because no message arrived.
         self.is_silent = False
         #: The link once the host has sent its Hello, the epochs that it sent last, and the orders under way.
         self._link: Link | None = None
         self._epochs = Epochs()
         self._orders: dict[bytes, _SentOrder] = {}
-        #: Why the link has ended.
+        #: The reason why the link has ended.
         self.closed: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     def greet(self, link: Link) -> Handshake:
@@ -182,7 +184,7 @@ class EventLink(ObserverLink):
         return self._greeting
 
     def on_message(self, link: Link, message: Message) -> None:
-        """The Hello first, then batches."""
+        """Handle the Hello first, then batches."""
         greeting = self.greet(link)
         self._last_contact = self._clock.monotonic()
         if greeting.peer is None:
@@ -241,7 +243,7 @@ class EventLink(ObserverLink):
         link.send(self._cursor.watch_request(incarnation))
 
     def _on_batch(self, link: Link, batch: EventBatch) -> None:
-        """A batch; its host may send another one after the acknowledgement."""
+        """Handle a batch; the host may send another one after the acknowledgement."""
         if self.closed.done():
             return
         if batch.snapshot is not None:
@@ -256,7 +258,7 @@ class EventLink(ObserverLink):
             self._watch(link, batch.incarnation)
 
     def _check_silence(self) -> None:
-        """Close the link to a host that sends nothing."""
+        """Close the link to a host that sends no messages."""
         silent = self._clock.monotonic() - self._last_contact
         if silent >= SILENCE_TIMEOUT:
             self.is_silent = True
@@ -274,7 +276,7 @@ class EventLink(ObserverLink):
             self.closed.set_result(why)
 
     def end(self) -> None:
-        """End the link: it is not needed any more."""
+        """End a link that is no longer needed."""
         self.closed.cancel()
         self._fail_orders(AddressError(self._host, "the connection has ended"))
         if self._timer is not None:

@@ -21,7 +21,8 @@ NOT_RUNNING = "the mission may not run there (yet)"
 
 class HostLocator:
     """The hosts of a team. `find` returns the present teams of the same mission; it may read files, and
-    raises LfieldError if nothing is found."""
+    raises LfieldError if none is found.
+    """
 
     def __init__(self, team: TargetTeam, find: Callable[[], Sequence[TargetTeam]]) -> None:
         self._team, self._find = team, find
@@ -30,12 +31,12 @@ class HostLocator:
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Their names, in the order of the team."""
+        """The names of the hosts, in the order of the team."""
         return tuple(self._team.addresses)
 
     @property
     def addresses(self) -> Mapping[str, str]:
-        """Their last known addresses."""
+        """The last known addresses of the hosts."""
         return self._team.addresses
 
     def hint(self) -> str:
@@ -63,8 +64,8 @@ class HostLocator:
         return ()
 
     def _choose(self, parties: Sequence[TargetTeam]) -> None:
-        """Of several runs of the mission, choose the one that was followed, or else the newest, which is the
-        last.
+        """Choose among several runs of the mission the one that was followed, or else the newest, which is
+        the last.
 
         If none was followed yet, any run is of the mission that was named. A run of another user does not
         replace a trusted one.

@@ -1,4 +1,4 @@
-"""Position of a subscriber in a host's event stream: what to request after a link loss. Sans-IO."""
+"""Position of a subscriber in a host's event stream: the requests after a link loss. Sans-IO."""
 
 from __future__ import annotations
 
@@ -57,11 +57,11 @@ class StreamCursor:
         return replace(batch, events=fresh, lost=lost)
 
     def on_unreachable(self) -> None:
-        """The host is not running: one that answers later has started after this subscriber."""
+        """Record that the host is not running: one that answers later has started after this subscriber."""
         self._missed = True
 
     def next_retry(self, *, unreached: bool = False) -> float:
-        """A link failed or closed, or its host is `unreached`: seconds until the next attempt."""
+        """Seconds until the next attempt after a link failed or closed, or its host is `unreached`."""
         self._failures += 1
         return float(
             min(

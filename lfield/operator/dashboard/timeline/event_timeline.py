@@ -1,8 +1,8 @@
 """Merges the events of many hosts into one order by their hybrid timestamps. Pure (decisions 65 and 92).
 
 Events are ordered by (timestamp, host, number). A timestamp is greater than those of all causes, except
-between hosts whose clocks differ by more than `lfield.hybrid_clock` follows. So the merge keeps the causes
-that it knows besides: the numbers of an incarnation, later incarnations after earlier ones, and of a hop
+between hosts whose clocks differ by more than `lfield.hybrid_clock` follows. So the merge also keeps other
+known causes: the numbers of an incarnation, later incarnations after earlier ones, and of a hop
 `left` before `came` before `hopped`.
 """
 
@@ -28,7 +28,7 @@ class HostIncarnation(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """An event by where it happened."""
+    """An event by its host, incarnation and number."""
 
     host: str
     incarnation: int
@@ -50,7 +50,7 @@ class DatedEvent(NamedTuple):
 
     @property
     def within(self) -> float | None:
-        """By how many seconds the timestamp is ahead of the clock of the host; None where it is not."""
+        """Seconds by which the timestamp is ahead of the clock of the host; None if it is not."""
         return self.event.ahead / 1000.0 if self.event.ahead > 0 else None
 
 
@@ -66,15 +66,15 @@ class EventTimeline:
 
     def __init__(self) -> None:
         self._streams: dict[HostIncarnation, deque[_Waiting]] = {}
-        #: The newest incarnation of each host, and the one before of each incarnation.
+        #: The newest incarnation of each host, and the predecessor of each incarnation.
         self._newest: dict[str, HostIncarnation] = {}
         self._previous: dict[HostIncarnation, HostIncarnation] = {}
-        #: Where the parts of hops were recorded, and which of them wait here.
+        #: The events that recorded the parts of hops, and the parts that wait here.
         self._hops: dict[tuple[str, HopKey], Cause] = {}
         self._waiting: set[tuple[str, HopKey]] = set()
 
     def add(self, host: str, incarnation: int, event: Event, received: float = 0.0) -> None:
-        """The next event of an incarnation."""
+        """Add the next event of an incarnation."""
         life = HostIncarnation(host, incarnation)
         stream = self._streams.get(life)
         if stream is None:
@@ -137,7 +137,7 @@ class EventTimeline:
             self._previous.pop(life, None)
 
 
-#: What an event follows of the same hop.
+#: The event of the same hop that an event follows.
 _FOLLOWS: dict[type, str] = {MigrationArrived: "left", MigrationConfirmed: "came"}
 
 

@@ -31,10 +31,10 @@ class TileAddress:
     """A `MapBackground` whose tiles come from `origin`, the server of an address."""
 
     def __init__(self, address: str) -> None:
-        """Raises UsageError for an address that is none of a tile server."""
+        """Raises UsageError for an address that is not one of a tile server."""
         try:
             parts = urlsplit(address)
-            _ = parts.port  # raises for one above 65535, which browsers ignore
+            _ = parts.port  # raises for a port above 65535, which browsers ignore
         except ValueError as error:
             raise _wrong(address, str(error)) from None
         if parts.scheme not in ("http", "https"):
@@ -52,7 +52,7 @@ class TileAddress:
         """None: browsers request the tiles of the server."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Has no effect: no file is open."""
 
 
 def _wrong(address: str, why: str) -> UsageError:
@@ -60,7 +60,7 @@ def _wrong(address: str, why: str) -> UsageError:
 
 
 class PageBackground(NamedTuple):
-    """What the map shows below vehicles: tiles, and drawings of files."""
+    """The background below vehicles: tiles, and drawings of files."""
 
     tiles: MapBackground | None = None
     drawings: Sequence[MapDrawing] = ()

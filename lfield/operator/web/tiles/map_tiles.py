@@ -1,4 +1,4 @@
-"""Tiles of a map as pictures of 256 pixels, and what has them: a file, or a server on a network.
+"""Tiles of a map as pictures of 256 pixels, and their sources: a file, or a server on a network.
 
 Columns are counted from the west and rows from the north, as browsers do (Web Mercator, XYZ).
 """
@@ -20,7 +20,7 @@ OWN_ADDRESS = "tiles/{z}/{x}/{y}"
 class MapTile:
     """A picture and its media type.
 
-    The type follows from the first bytes: nothing else of a file is sent to browsers.
+    The type follows from the first bytes: no other part of a file is sent to browsers.
     """
 
     data: bytes
@@ -30,7 +30,7 @@ class MapTile:
 class MapBackground(Protocol):
     """A source of tiles: a file on this computer, or an address that browsers request themselves."""
 
-    #: Where browsers request them, with {z}, {x} and {y}.
+    #: The address where browsers request tiles, with {z}, {x} and {y}.
     address: str
     #: The server of another address than that of the page, '' for the page's own.
     origin: str

@@ -76,7 +76,7 @@ class PmtilesSource:
 
 
 def _read(step: Callable[[], object]) -> object:
-    """What the library reads; None for damaged bytes, of which it raises many kinds of exceptions."""
+    """A result of the library; None for damaged bytes, for which it raises many kinds of exceptions."""
     try:
         return step()
     except Exception:

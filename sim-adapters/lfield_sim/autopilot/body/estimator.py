@@ -15,9 +15,11 @@ from lfield_sim.autopilot.body.goals import ZERO, Vector
 class BlindRule(NamedTuple):
     """Behaviour of an autopilot without GNSS.
 
-    lasts       seconds for which it trusts its estimate drift       eastward drift in m/s afterwards regains
-    seconds with GNSS until it trusts it again regained    text for that refusal     text for a {mode} that
-    needs a position.
+    lasts       seconds for which the autopilot trusts its estimate
+    drift       eastward drift in m/s afterwards
+    regains     seconds with GNSS until the autopilot trusts its estimate again
+    regained    text for that
+    refusal     text for a {mode} that needs a position
     """
 
     lasts: float

@@ -83,7 +83,7 @@ class Fall:
 
 @dataclass(frozen=True, slots=True)
 class Roll:
-    """Goal of an undriven rover: it rolls out."""
+    """Goal of a rover without drive: it rolls out."""
 
 
 Goal = Rest | Reach | Track | Keep | Orbit | Lean | Rise | Descend | Sink | Fall | Roll

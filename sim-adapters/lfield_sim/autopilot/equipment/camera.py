@@ -89,7 +89,7 @@ class CameraModel:
         return MavResult.ACCEPTED
 
     def set_mode(self, mode: int) -> MavResult:
-        """Changes between pictures and video; refused while it takes either."""
+        """Changes between pictures and video; refused while the camera takes either."""
         if mode not in (IMAGE, VIDEO):
             return MavResult.DENIED
         if mode != self.mode and (self.is_shooting or self.recording_since is not None):

@@ -1,4 +1,4 @@
-"""A gimbal with pitch and yaw, and who controls it. Angles in radians: pitch up, yaw clockwise from the nose.
+"""A gimbal with pitch and yaw, and its controllers. Angles in radians: pitch up, yaw clockwise from the nose.
 
 Control is that of the gimbal protocol, https://mavlink.io/en/services/gimbal_v2.html.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from lfield_sim.autopilot.body.goals import Vector
 from lfield_sim.autopilot.flavours import MavResult
 
-#: Greatest rate in rad/s; range of its angles.
+#: Greatest rate in rad/s; range of the angles.
 GIMBAL_RATE = math.radians(90.0)
 PITCH_RANGE = (math.radians(-90.0), math.radians(30.0))
 YAW_RANGE = (math.radians(-170.0), math.radians(170.0))
@@ -38,7 +38,7 @@ class GimbalModel:
     target: Vector | None = None
     primary: Sender = NO_SENDER
     secondary: Sender = NO_SENDER
-    #: Whether it does not report its controllers.
+    #: Whether the gimbal does not report its controllers.
     is_secret: bool = False
 
     def point(self, pitch: float | None, yaw: float | None, *, locked: bool = False) -> None:
@@ -59,7 +59,7 @@ class GimbalModel:
         self.target = target
 
     def configure(self, source: Sender, primary: Sender, secondary: Sender) -> MavResult:
-        """Changes who controls it; the values are ids, or UNCHANGED, MYSELF or RELEASED."""
+        """Changes the controllers; the values are ids, or UNCHANGED, MYSELF or RELEASED."""
         if not all(RELEASED <= part <= 255 for part in (*primary, *secondary)):
             return MavResult.FAILED
         self.primary = _holder(self.primary, source, primary)

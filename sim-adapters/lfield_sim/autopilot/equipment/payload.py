@@ -42,7 +42,7 @@ class Battery:
 
     @property
     def used(self) -> float:
-        """Charge drawn since it was full, in mAh."""
+        """Charge drawn since the battery was full, in mAh."""
         return (1.0 - self.charge) * self.capacity
 
     def step(self, dt: float, *, armed: bool, flying: bool, load: float = 1.0) -> None:
@@ -78,7 +78,7 @@ class Payload:
         self.wind_to(self.line + length, speed)
 
     def wind_to(self, length: float, speed: float) -> None:
-        """Pays out or in until so much line is out."""
+        """Pays out or in to a length of line."""
         self.line_goal = min(max(length, 0.0), LINE)
         self.line_speed = min(abs(speed) or LINE_SPEED, 5.0)
 

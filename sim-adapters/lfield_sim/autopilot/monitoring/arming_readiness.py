@@ -1,4 +1,4 @@
-"""Whether a vehicle may be armed, why not, and its knowledge during a cold start.
+"""Whether a vehicle may be armed, the reasons against it, and the autopilot's knowledge in a cold start.
 
 `Pilot.warm_up` is the duration of the start in seconds; 0 for a vehicle that is warm. The order of events is
 data (`flavours.StartupTiming`), from the traces `a-cold-start` of the three.
@@ -11,22 +11,22 @@ from dataclasses import dataclass
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
 
-#: Seconds between two warnings that it cannot be armed.
+#: Seconds between two warnings that the vehicle cannot be armed.
 WARNED = 30.0
 
 
 @dataclass(frozen=True, slots=True)
 class ArmingRefusal:
-    """Why a vehicle cannot be armed.
+    """A refusal to arm a vehicle.
 
-    reasons   each in a text; None for a refusal without a text.
+    `reasons` are sent in one text each; None is a refusal without a text.
     """
 
     reasons: tuple[str, ...] | None
 
 
 def startup_progress(pilot: Pilot) -> float:
-    """The progress of its start, 0 to 1."""
+    """The progress of the start, 0 to 1."""
     return 1.0 if pilot.warm_up <= 0.0 else min(1.0, pilot.uptime / pilot.warm_up)
 
 
@@ -41,18 +41,18 @@ def has_home(pilot: Pilot) -> bool:
 
 
 def has_origin(pilot: Pilot) -> bool:
-    """Whether the origin of its frame is known."""
+    """Whether the origin of the local frame is known."""
     return startup_progress(pilot) >= pilot.kind.warming.origin
 
 
 def has_position(pilot: Pilot) -> bool:
-    """Whether it reports its local position."""
+    """Whether the autopilot reports its local position."""
     found = not pilot.gps_lost or pilot.armed or pilot.vehicle.airborne
     return found and startup_progress(pilot) >= pilot.kind.warming.position
 
 
 def new_texts(pilot: Pilot, dt: float) -> list[str]:
-    """The texts of the last `dt` seconds: about its start, and why it cannot be armed."""
+    """The texts of the last `dt` seconds: about the start, and the reasons against arming."""
     found: list[str] = []
     if 0.0 < pilot.uptime - dt < pilot.warm_up:
         before = (pilot.uptime - dt) / pilot.warm_up
@@ -68,13 +68,13 @@ def new_texts(pilot: Pilot, dt: float) -> list[str]:
 
 
 def trusts_position(pilot: Pilot) -> bool:
-    """Whether its estimator trusts the position."""
+    """Whether the estimator trusts the position."""
     blind = pilot.estimate.blind > 0.85 * pilot.flavour.blind.lasts
     return has_position(pilot) and not blind and startup_progress(pilot) >= pilot.kind.warming.estimate
 
 
 def arming_refusal(pilot: Pilot) -> ArmingRefusal | None:
-    """Why it cannot be armed now, None when it can."""
+    """The reason why the vehicle cannot be armed now, None when it can."""
     if reason := pilot.refuse_arming or pilot.ailing:
         return ArmingRefusal((reason,))
     if pilot.gps_lost:

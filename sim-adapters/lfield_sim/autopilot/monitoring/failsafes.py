@@ -48,7 +48,7 @@ class Failsafes:
         self.fences = FenceMonitor(pilot)
 
     def heartbeat(self, system: int, *, station: bool) -> None:
-        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's.
+        """Handles a heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's.
 
         The link does not matter to either.
         """
@@ -69,7 +69,7 @@ class Failsafes:
         return missed and (not self._is_gcs_back or self._rules.gcs.every > 0.0)
 
     def commanded(self) -> None:
-        """Another command was given: pending actions are dropped."""
+        """Drops pending actions because of another command."""
         self._later = None
         self.fences.commanded()
         if self._rules.needs_stream and not self.gcs_lost:
@@ -122,7 +122,7 @@ class Failsafes:
             pilot.say(rule.text)
 
     def _clear_gcs(self) -> None:
-        """The station sends again: the failsafe ends a moment later."""
+        """Handles the return of the station: the failsafe ends a moment later."""
         pilot, rule = self._pilot, self._rules.gcs
         if not self._is_gcs_back:
             return
@@ -146,7 +146,9 @@ class Failsafes:
             self._act_after(pause, role)
 
     def _leave_fence(self, role: Role) -> None:
-        """Outside its fence ArduPilot acts at once and is not critical; PX4 holds for a while first."""
+        """Starts the action outside the fence: ArduPilot's at once and not critical; PX4 holds for a while
+        first.
+        """
         pilot, rule = self._pilot, self._rules.fence
         if not rule.pause:
             if not self._lands_on():
@@ -166,7 +168,7 @@ class Failsafes:
             self._pilot.fall_back(role, pause=LANDING_PAUSE)
 
     def _lands_on(self) -> bool:
-        """Whether it is landing and FS_OPTIONS bit 3 lets it continue."""
+        """Whether the vehicle is landing and FS_OPTIONS bit 3 lets it continue."""
         return self._pilot.role is Role.LAND and self._has_option(CONTINUE_LANDING)
 
     def _has_option(self, bit: int) -> bool:
@@ -174,7 +176,7 @@ class Failsafes:
         return bool(options and int(self._pilot.value(options)) & bit)
 
     def _check_setpoints(self) -> None:
-        """The setpoints end: ArduPilot stops a velocity, PX4 leaves the mode."""
+        """Handles the end of setpoints: ArduPilot stops a velocity, PX4 leaves the mode."""
         pilot = self._pilot
         if not self._is_guided() or not pilot.setpoints_over:
             self._stream_missed = False
@@ -189,7 +191,7 @@ class Failsafes:
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
 
     def _check_sticks(self) -> None:
-        """Moved sticks take over a PX4 in the modes of COM_RC_OVERRIDE.
+        """Gives control to moved sticks on a PX4 in the modes of COM_RC_OVERRIDE.
 
         ArduPilot ignores them in GUIDED.
         """
@@ -202,7 +204,7 @@ class Failsafes:
             pilot.command(BY_STICKS)
 
     def _is_guided(self) -> bool:
-        """Whether setpoints are expected; also while a failsafe of PX4 holds it instead."""
+        """Whether setpoints are expected; also while a failsafe of PX4 holds the vehicle instead."""
         pilot = self._pilot
         holds = (
             self._rules.needs_stream and pilot.critical and pilot.role is Role.HOLD and self._later is None

@@ -33,14 +33,14 @@ class FenceMonitor:
         self.breached_at = 0.0
 
     def accepts(self, place: Vector) -> bool:
-        """Whether it accepts a goal; PX4 sends a text when it does not."""
+        """Whether the autopilot accepts a goal; PX4 sends a text when it does not."""
         beyond = self._pilot.fence_at(place)[0] != NO_BREACH
         if beyond and self._rule.outside_text:
             self._pilot.say(self._rule.outside_text)
         return not (beyond and self._rule.refuses)
 
     def commanded(self) -> None:
-        """Another command was given: outside the fence a text follows."""
+        """Sends a text about a command that was given outside the fence."""
         if self.breach and self._rule.recovery_text:
             self._pilot.say(self._rule.recovery_text)
 
@@ -74,7 +74,7 @@ class FenceMonitor:
         self._acts_at = self._pilot.now + ACTED
 
     def _say_again(self, text: str) -> None:
-        """PX4 repeats its text."""
+        """Repeats PX4's text."""
         if self._says_at is not None and self._pilot.now >= self._says_at:
             self._says_at = None
             self._pilot.say(text)
@@ -85,7 +85,7 @@ class FenceMonitor:
             self._pilot.say(text)
 
     def _corral(self) -> None:
-        """Keeps it inside the circle if avoidance is active."""
+        """Keeps the vehicle inside the circle if avoidance is active."""
         pilot, rule = self._pilot, self._rule
         radius = pilot.value(rule.radius) if pilot.value(rule.enable) else 0.0
         # A copter ignores a goal beyond, but follows a velocity there; a rover follows both.

@@ -114,7 +114,7 @@ ROVER_FLAVOUR = replace(
     unarmable="Mode not armable",
     no_mission=("No Mission. Can't set AUTO.", "Flight mode change failed"),
     setpoint_timeout="",
-    # It streams every group once a second, and nothing faster than half its loop of 50 Hz.
+    # ArduPilot streams every group once a second, and none faster than half its loop of 50 Hz.
     streams=dict.fromkeys((1, 2, 24, 27, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0) | {111: 0.1},
     fastest=49.0,
     # No terminate, no terrain.
@@ -285,7 +285,7 @@ ACKERMANN = VehicleKind(
     {"cruise": ("WP_SPEED", 1.0), "acceleration": ("ATC_ACCEL_MAX", 1.0)},
     RoverPace,
     ROVER_WARMING,
-    # It overshoots its speed: 2.20 of 2 and 3.44 of 3 m/s, for a second or two (ap-rover.deaths-34).
+    # A rover overshoots its speed: 2.20 of 2 and 3.44 of 3 m/s, for a second or two (ap-rover.deaths-34).
     Limits(braking=1.0, jerk=2.0, overshoot=0.43, overshoot_share=0.05, rolls_out=0.5),
     wheels=Wheels(1.4),
     home_altitude=0.19,
@@ -324,7 +324,7 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        # It flies 3.06 of 3 m/s in still air (ap-copter.c-speed).
+        # A copter flies 3.06 of 3 m/s in still air (ap-copter.c-speed).
         Limits(
             braking=2.5,
             jerk=5.0,
@@ -335,7 +335,7 @@ KINDS = {
             takeoff=2.5,
             goal_response=Response(1.02),
         ),
-        # Its missions have low jerk, GUIDED goes straight to its goal.
+        # Missions have low jerk, GUIDED goes straight to its goal.
         mission_limits={"braking": 1.25, "jerk": 1.5},
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),

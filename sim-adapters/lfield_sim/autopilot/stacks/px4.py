@@ -120,7 +120,7 @@ FLAVOUR = Flavour(
 FAST, FAST_GOAL = Response(1.0, 0.45), Response(0.9, 0.5)
 #: The share of its own landing speed at which a copter lands (px4-copter.f-fence-landing).
 SINKS = 0.87
-#: It reports everything at once, and may be armed some seconds later.
+#: PX4 reports all values at once, and may be armed some seconds later.
 WARMING = StartupTiming(
     fix=0.0,
     home=0.0,
@@ -248,8 +248,8 @@ KINDS = {
         {"cruise": ("RO_SPEED_LIM", 1.0), "acceleration": ("RO_ACCEL_LIM", 1.0)},
         Px4Pace,
         WARMING,
-        # It drives 0.5 m/s faster than commanded. It turns back to a position behind it at once, in a circle
-        # of 1.9 m, and brakes from 2.6 m before one (trace l-px4-rover: 33, 42 and 19 s).
+        # The rover drives 0.5 m/s faster than commanded. It turns back to a position behind it at once, in a
+        # circle of 1.9 m, and brakes from 2.6 m before one (trace l-px4-rover: 33, 42 and 19 s).
         Limits(braking=2.4, jerk=5.0, yaw_rate=2.7, goal_response=FAST_GOAL, velocity_response=FAST),
         wheels=Wheels(0.93, tight=2.3, brakes=math.inf, arrives=0.5, returns=True),
     ),

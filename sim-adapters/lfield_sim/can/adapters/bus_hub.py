@@ -80,7 +80,7 @@ class BusAdapter(Protocol):
 
     @property
     def endpoint(self) -> str:
-        """Its endpoint, as in a binding."""
+        """The endpoint of the adapter, as in a binding."""
 
     def plug(self) -> None:
         """Accepts clients."""
@@ -89,4 +89,4 @@ class BusAdapter(Protocol):
         """Disconnects clients."""
 
     def close(self) -> None:
-        """Closes it."""
+        """Closes the adapter."""

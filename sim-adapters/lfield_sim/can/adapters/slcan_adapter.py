@@ -19,7 +19,9 @@ MAX_UNREAD = 1 << 16
 
 
 class SlcanAdapter:
-    """An adapter on a pty, optionally at a symbolic link (which stays when it is plugged in again)."""
+    """An adapter on a pty, optionally at a symbolic link (which stays when the adapter is plugged in
+    again).
+    """
 
     def __init__(self, hub: BusHub, link: str = "") -> None:
         self._hub, self._link = hub, link
@@ -28,11 +30,11 @@ class SlcanAdapter:
 
     @property
     def endpoint(self) -> str:
-        """Its endpoint, as in a binding."""
+        """The endpoint of the adapter, as in a binding."""
         return f"slcan:{self._link or self._path}@115200"
 
     def plug(self) -> None:
-        """Plugs it in. Raises AddressError when the link cannot be created."""
+        """Plugs the adapter in. Raises AddressError when the link cannot be created."""
         # The slave stays open here, so that clients may come and go.
         self._master, self._slave = pty.openpty()
         tty.setraw(self._master)
@@ -49,7 +51,7 @@ class SlcanAdapter:
             _link(self._link, self._path)
 
     def unplug(self) -> None:
-        """Unplugs it: clients get an error."""
+        """Unplugs the adapter: clients get an error."""
         if not self.plugged:
             return
         self.plugged = False
@@ -62,7 +64,7 @@ class SlcanAdapter:
             os.unlink(self._link)
 
     def close(self) -> None:
-        """Closes it."""
+        """Closes the adapter."""
         self.unplug()
 
     def _readable(self) -> None:

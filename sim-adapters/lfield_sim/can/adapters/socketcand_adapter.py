@@ -37,7 +37,7 @@ class SocketcandAdapter:
 
     @property
     def endpoint(self) -> str:
-        """Its endpoint, as in a binding."""
+        """The endpoint of the server, as in a binding."""
         return f"socketcand:{self._address}/{CHANNEL}"
 
     def on_connected(self, transport: asyncio.Transport) -> bool:
@@ -49,7 +49,7 @@ class SocketcandAdapter:
         return self.plugged
 
     def on_disconnected(self, transport: asyncio.Transport) -> None:
-        """A client has disconnected."""
+        """Removes a client that has disconnected."""
         self._clients.discard(transport)
 
     def plug(self) -> None:

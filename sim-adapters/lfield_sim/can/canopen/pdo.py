@@ -29,7 +29,7 @@ class Pdo:
 
     @property
     def identifier(self) -> int | None:
-        """Its COB-ID, or None while it is not valid."""
+        """The COB-ID, or None while it is not valid."""
         value = self._objects.get(self._record, 1)
         return None if value & INVALID else value & 0x7FF
 
@@ -39,7 +39,7 @@ class Pdo:
         return self._objects.get(self._record, 2)
 
     def keys(self) -> list[tuple[Key, int]]:
-        """Its objects, with lengths in bytes."""
+        """The mapped objects, with lengths in bytes."""
         count = self._objects.get(self._map)
         values = [self._objects.get(self._map, n + 1) for n in range(count)]
         return [((value >> 16, value >> 8 & 0xFF), (value & 0xFF) // 8) for value in values]
@@ -83,11 +83,11 @@ class Tpdo(Pdo):
         self._events = b""
 
     def data(self) -> bytes:
-        """Its present content."""
+        """The present content of the PDO."""
         return b"".join(self._objects.encoded(key)[:length] for key, length in self.keys())
 
     def due(self, dt: float) -> bool:
-        """Advances time; returns whether it is due by its timer or an event."""
+        """Advances time; returns whether the PDO is due by its timer or an event."""
         self._since += dt
         if self.kind < 254:
             return False
@@ -100,7 +100,7 @@ class Tpdo(Pdo):
         return True
 
     def due_at_sync(self) -> bool:
-        """Whether it is due at a SYNC. Type 0 is sent at every SYNC."""
+        """Whether the PDO is due at a SYNC. Type 0 is sent at every SYNC."""
         if self.kind > 240:
             return False
         self._syncs += 1

@@ -30,7 +30,7 @@ _VOLTAGE, _WARNING, _REMOTE = 0x10, 0x80, 0x200
 
 
 class Cia402Axis:
-    """`report(code, register)` sends an emergency."""
+    """One axis; `report(code, register)` sends an emergency."""
 
     def __init__(
         self, objects: ObjectDictionary, motor: CanMotor, report: Callable[[int, int], None]
@@ -62,7 +62,7 @@ class Cia402Axis:
         self._report(code, _GENERIC | bit)
 
     def lose_connection(self, code: int, register: int) -> None:
-        """The master is lost: acts as 0x6007 says."""
+        """Acts on the loss of the master as 0x6007 says."""
         option = self.objects.get(0x6007)
         if option == 1:
             self.fail((code, register))
@@ -73,7 +73,7 @@ class Cia402Axis:
             self._enter(goal)
 
     def regain_connection(self) -> None:
-        """The master is back: the error ends, unless it was a fault."""
+        """Ends the error of a lost master, unless it was a fault."""
         if self.state not in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             self._report(0, 0)
 
@@ -122,7 +122,7 @@ class Cia402Axis:
             self.mode.control(self.drive, rising)
 
     def _go(self, goal: DriveState) -> None:
-        """A commanded transition; one that ends operation may ramp down first."""
+        """Makes a commanded transition; one that ends operation may ramp down first."""
         option = END_OPTIONS.get(goal) if self.state is DriveState.OPERATION_ENABLED else None
         if option and self.objects.get(option):
             self._leaving = goal
@@ -144,7 +144,7 @@ class Cia402Axis:
             self.mode.start(self.drive)
 
     def _stop(self, dt: float) -> None:
-        """Quick stop, fault reaction, and the ramp at the end of operation; 0 lets the motor coast."""
+        """Runs a quick stop, fault reaction, or the ramp at the end of operation; 0 lets the motor coast."""
         codes = {DriveState.QUICK_STOP_ACTIVE: 0x605A, DriveState.FAULT_REACTION_ACTIVE: 0x605E}
         option = self.objects.get(codes[self.state]) if self.state in codes else 1
         if option:

@@ -34,15 +34,15 @@ class Cia402Device:
 
     @property
     def id(self) -> str:
-        """Its node id."""
+        """The node id."""
         return str(self.node.node)
 
     def power_up(self) -> list[CanFrame]:
-        """Restarts: the boot-up message."""
+        """Restarts; returns the boot-up message."""
         return self.node.boot()
 
     def power_down(self) -> None:
-        """The motor is no longer driven."""
+        """Stops driving the motor."""
         self.axis.reset()
 
     def on_frame(self, frame: CanFrame) -> list[CanFrame]:
@@ -50,7 +50,7 @@ class Cia402Device:
         return self.node.on_frame(frame)
 
     def step(self, dt: float) -> list[CanFrame]:
-        """Advances time; returns the frames it sends."""
+        """Advances time; returns the frames that the drive sends."""
         self.motor.stuck = bool(self._flaw("stuck"))
         self.motor.overheated = bool(self._flaw("overheat"))
         if self._flaw("overcurrent"):
@@ -61,6 +61,6 @@ class Cia402Device:
         return self.node.step(dt)
 
     def facts(self) -> Facts:
-        """Its state, and `master_lost`: whether the monitored heartbeat (0x1016) is lost."""
+        """The state of the drive, and `master_lost`: whether the monitored heartbeat (0x1016) is lost."""
         moving = abs(self.motor.speed) > STILL
         return {"state": self.axis.state.name, "moving": moving, "master_lost": self.node.master_lost}

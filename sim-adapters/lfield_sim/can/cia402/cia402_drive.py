@@ -59,7 +59,7 @@ class Cia402Drive:
 
     @property
     def velocity(self) -> float:
-        """Its velocity, in increments per second."""
+        """The velocity of the motor, in increments per second."""
         return self.motor.speed * self.scale
 
     @property
@@ -127,7 +127,7 @@ class Cia402Drive:
         self.stop(dt, self.objects.get(0x605D))
 
     def rest(self, dt: float) -> None:
-        """Unpowered: the reference follows the motor."""
+        """Removes the power: the reference follows the motor."""
         self.motor.rest(dt)
         self.profile = Trajectory(self.position)
 

@@ -223,7 +223,7 @@ TRANSITIONS: Mapping[tuple[DriveState, DriveCommand], DriveState] = {
     (DriveState.QUICK_STOP_ACTIVE, DriveCommand.ENABLE_OPERATION): DriveState.OPERATION_ENABLED,
 }
 
-#: How operation ends on the way to these states: 0 lets the motor coast, 1 ramps it down first.
+#: The end of operation on the way to these states: 0 lets the motor coast, 1 ramps it down first.
 END_OPTIONS: Mapping[DriveState, int] = {
     DriveState.READY_TO_SWITCH_ON: 0x605B,
     DriveState.SWITCHED_ON: 0x605C,

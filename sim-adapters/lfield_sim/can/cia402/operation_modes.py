@@ -25,7 +25,7 @@ class OperationMode:
         """Starts the mode."""
 
     def control(self, drive: Cia402Drive, rising: int) -> None:
-        """A controlword was received; `rising` are the newly set bits."""
+        """Handles a received controlword; `rising` are the newly set bits."""
 
     def step(self, drive: Cia402Drive, dt: float) -> None:
         """Moves the reference and the motor."""
@@ -108,7 +108,7 @@ class ProfilePosition(OperationMode):
 
 
 class ProfileVelocity(OperationMode):
-    """Ramps to the target velocity (0x60FF). Bit 12: it is at rest."""
+    """Ramps to the target velocity (0x60FF). Bit 12: the motor is at rest."""
 
     code = cia402_table.PV
 
@@ -144,7 +144,7 @@ class ProfileTorque(OperationMode):
 
     def step(self, drive: Cia402Drive, dt: float) -> None:
         if drive.halted:
-            # A torque of 0 would let it coast.
+            # A torque of 0 would let the motor coast.
             drive.halt(dt)
             drive.torque_demand = 0.0
             return
@@ -169,7 +169,7 @@ class ProfileTorque(OperationMode):
 
 
 class Homing(OperationMode):
-    """Bit 4 starts it; bit 12: home found, bit 13: homing error."""
+    """Homes the drive: bit 4 starts it; bit 12: home found, bit 13: homing error."""
 
     code = cia402_table.HM
 

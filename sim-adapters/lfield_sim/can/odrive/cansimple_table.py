@@ -55,7 +55,7 @@ class ControlMode(IntEnum):
 
 
 class InputMode(IntEnum):
-    """How an input becomes a setpoint (Input_Mode)."""
+    """The conversion of an input into a setpoint (Input_Mode)."""
 
     INACTIVE = 0
     PASSTHROUGH = 1

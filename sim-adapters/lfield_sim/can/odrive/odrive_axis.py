@@ -37,7 +37,9 @@ _CALIBRATIONS = frozenset(
 
 
 class OdriveAxis:
-    """Turns and turns per second. `active` are the present errors, `reason` why it was disarmed."""
+    """An axis in turns and turns per second. `active` are the present errors, `reason` is the cause of the
+    last disarming.
+    """
 
     def __init__(self, motor: CanMotor) -> None:
         self._motor = motor
@@ -45,7 +47,7 @@ class OdriveAxis:
         self.reset()
 
     def reset(self) -> None:
-        """Reboot state: idle, position 0 here."""
+        """Sets the state after a reboot: idle, position 0 at the present place."""
         self.state, self.result = AxisState.IDLE, ProcedureResult.SUCCESS
         self.active = self.reason = AxisError.NONE
         self._control, self._input = ControlMode.POSITION, InputMode.PASSTHROUGH
@@ -60,12 +62,12 @@ class OdriveAxis:
 
     @property
     def position(self) -> float:
-        """Its position in turns."""
+        """The position of the axis in turns."""
         return self._motor.angle / math.tau - self._zero
 
     @property
     def velocity(self) -> float:
-        """Its velocity in turns/s."""
+        """The velocity of the axis in turns/s."""
         return self._motor.speed / math.tau
 
     @property
@@ -74,7 +76,9 @@ class OdriveAxis:
         return self.active | self.reason, self.state, self.result, self._done
 
     def facts(self) -> Facts:
-        """Its log entries; `goal` is its input in thousandths, `errors` why it was disarmed."""
+        """The log entries of the axis; `goal` is its input in thousandths, `errors` the cause of its
+        disarming.
+        """
         inputs = {
             ControlMode.TORQUE: self._torque,
             ControlMode.VELOCITY: self._velocity,
@@ -159,7 +163,7 @@ class OdriveAxis:
         self.feed()
 
     def disarm(self) -> None:
-        """Goes idle."""
+        """Enters idle."""
         self.state = AxisState.IDLE
 
     def fail(self, error: AxisError) -> None:

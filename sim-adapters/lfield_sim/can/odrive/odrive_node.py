@@ -1,5 +1,5 @@
-"""An ODrive axis on the bus (CANSimple). Pure; stepped by time. Without a brake: in IDLE its load moves
-it.
+"""An ODrive axis on the bus (CANSimple). Pure; stepped by time. Without a brake: in IDLE the load moves
+the axis.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ class OdriveNode:
 
     @property
     def id(self) -> str:
-        """Its node id."""
+        """The node id."""
         return str(self._node)
 
     def power_up(self) -> list[CanFrame]:
-        """Restarts, idle; sends nothing at once."""
+        """Restarts, idle; sends no frame at once."""
         self._reset()
         return []
 
     def power_down(self) -> None:
-        """It coasts."""
+        """Disarms the axis: the motor coasts."""
         self.axis.disarm()
 
     def on_frame(self, frame: CanFrame) -> list[CanFrame]:
@@ -62,7 +62,7 @@ class OdriveNode:
         return self._setters[command](self, *values) or []
 
     def step(self, dt: float) -> list[CanFrame]:
-        """Advances time; returns the frames it sends."""
+        """Advances time; returns the frames that the node sends."""
         self.motor.stuck = bool(self._flaw("stuck"))
         self.motor.overheated = bool(self._flaw("overheat"))
         if self._flaw("overcurrent"):

@@ -1,7 +1,7 @@
 """Components beside the autopilot, with component ids and heartbeats of their own: camera, gimbal device.
 
 https://mavlink.io/en/services/camera.html and https://mavlink.io/en/services/gimbal_v2.html. A component
-handles what is addressed to it; the autopilot passes that on.
+handles messages that are addressed to it; the autopilot passes them on.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lfield_sim.mavlink.telemetry import camera_messages, equipment_messages
 BEAT, ATTITUDE = 1.0, 0.2
 #: Pictures whose CAMERA_IMAGE_CAPTURED can be requested again.
 REMEMBERED = 1000
-#: A result, and what follows it.
+#: A result, and the messages that follow it.
 Answer = tuple[MavResult, list[Any]]
 
 
@@ -42,7 +42,7 @@ class Component:
         self._beat_at = 0.0
 
     def answer(self, command: MavCommand) -> Answer:
-        """The result of a command, and what follows it."""
+        """The result of a command, and the messages that follow it."""
         handler = self.commands.get(command.number)
         return handler(command) if handler else (MavResult.UNSUPPORTED, [])
 
@@ -76,7 +76,7 @@ class GimbalDevice(Component):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """Its heartbeat and its attitude."""
+        """The heartbeat and the attitude of the gimbal."""
         messages = super().advance(now)
         if now >= self._attitude_at:
             self._attitude_at = now + ATTITUDE
@@ -118,7 +118,7 @@ class CameraComponent(Component):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """Its heartbeat, the pictures that were taken, and its state when that changes."""
+        """The heartbeat of the camera, the pictures that were taken, and its state when that changes."""
         camera, messages = self.autopilot.payload.camera, super().advance(now)
         first = camera.pictures - len(camera.shot)
         for index in range(first, camera.pictures):

@@ -48,7 +48,7 @@ class EquipmentCommands(VehicleService):
         return result, messages
 
     def _no_information(self) -> list[Any] | None:
-        """ArduPilot accepts the request and sends nothing."""
+        """No information: ArduPilot accepts the request and sends no message."""
         return None if self.autopilot.flavour.submodes else []
 
     def _miss(self, number: int, *, px4: bool) -> CommandAnswer:
@@ -73,7 +73,7 @@ def _servo(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer
 
 
 def _actuators(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    """PX4's actuators: six outputs from -1 to 1, NaN keeps one; 1000 to 2000 us."""
+    """Sets PX4's actuators: six outputs from -1 to 1, NaN keeps one; 1000 to 2000 us."""
     for number in range(1, 7):
         value = command.given(number)
         if value is not None and -1.0 <= value <= 1.0:
@@ -116,7 +116,7 @@ def _digicam(pilot: Autopilot, place: GeoOrigin, command: MavCommand) -> Command
 
 
 def _capture(pilot: Autopilot, place: GeoOrigin, command: MavCommand) -> CommandAnswer:
-    """The autopilot triggers the camera, and reports where."""
+    """Triggers the camera by the autopilot, which reports the place."""
     pilot.payload.camera.set_mode(IMAGE)
     series = command.number == dialect.MAV_CMD_IMAGE_START_CAPTURE
     interval, count = (command.value(2), command.whole(3)) if series else (0.0, 1)

@@ -70,7 +70,7 @@ class GimbalService(VehicleService):
         self.messages = messages
 
     def _no_information(self) -> list[Any] | None:
-        """ArduPilot accepts the request and sends nothing."""
+        """No information: ArduPilot accepts the request and sends no message."""
         return None if self._px4 else []
 
     # -- commands -------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ class GimbalService(VehicleService):
         return (None if self._px4 else MavResult.FAILED), []
 
     def _obeys(self, source: Sender) -> bool:
-        """Whether it obeys a sender; the autopilot's own missions have none."""
+        """Whether the manager obeys a sender; the autopilot's own missions have none."""
         return not self._px4 or source in (NO_SENDER, self.autopilot.payload.gimbal.primary)
 
     def _is_mine(self, device: int) -> bool:
@@ -116,7 +116,7 @@ class GimbalService(VehicleService):
         return result, [] if gimbal.is_secret else [status]
 
     def _watch(self, command: MavCommand) -> CommandAnswer:
-        """A region of interest, and its end."""
+        """Sets a region of interest, or ends it."""
         if not self._is_mine(command.whole(1)):
             return MavResult.FAILED, []
         target = None

@@ -59,7 +59,7 @@ class RadioLink:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is transmitted."""
+        """Whether no packet is transmitted."""
         return bool(self._faults.get("silence", self._system))
 
     def receives(self) -> bool:

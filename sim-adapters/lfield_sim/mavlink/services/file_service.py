@@ -16,7 +16,7 @@ from lfield_sim.mavlink.services.ftp import ARDUPILOT, PX4, FtpServer
 from lfield_sim.mavlink.services.parameters import ParameterType, parameter_table
 from lfield_sim.mavlink.services.service import VehicleService
 
-#: Placeholder contents: no zeros, whose checksum is 0 as well.
+#: Placeholder contents: no zeros, whose checksum would be 0 as well.
 FILLING = bytes(range(256)) * 64
 ARDUPILOT_FILES: Mapping[str, bytes] = {
     "/APM/LOGS/00000001.BIN": FILLING[:10240],
@@ -77,7 +77,7 @@ class FileService(VehicleService):
         return [_message(peer, payload) for peer, payload in self._server.advance()]
 
     def reboot(self) -> None:
-        """Closes everything; the files stay."""
+        """Closes all files; their contents stay."""
         self._server.forget()
 
     def _on_request(self, message: Any) -> list[Any]:

@@ -42,8 +42,8 @@ class FileTreeError(Exception):
 class GeneratedFile:
     """A file that is generated when it is read, as ArduPilot's @PARAM/param.pck.
 
-    `reported_size` is the size reported before that. `checks`: its checksum matches what was read; one
-    generated for each read differs.
+    `reported_size` is the size reported before that. `checks`: its checksum matches the bytes that were read;
+    a file generated for each read differs.
     """
 
     content: Callable[[], bytes]
@@ -184,7 +184,9 @@ class FileTree:
 
 
 def _plain(path: str) -> str:
-    """Without repeated and trailing slashes. Raises FileTreeError if it leads out, or is too long."""
+    """The path without repeated and trailing slashes. Raises FileTreeError if it leads out, or is too
+    long.
+    """
     parts = [part for part in path.split("/") if part not in ("", ".")]
     if len(path) > MAX_PATH or ".." in parts or any("\t" in part for part in parts):
         raise FileTreeError(FtpError.NOT_FOUND)

@@ -65,7 +65,7 @@ class FtpPacket:
 
     @classmethod
     def read(cls, payload: bytes) -> FtpPacket | None:
-        """From the payload of message 110; None if invalid."""
+        """The packet in the payload of message 110; None if invalid."""
         if len(payload) < HEADER.size:
             return None
         number, session, opcode, size, of, over, offset = HEADER.unpack_from(payload)
@@ -97,7 +97,7 @@ class FtpPacket:
 
 @dataclass(slots=True)
 class _Session:
-    """An open file: its content when it was opened, or where to write."""
+    """An open file: its content when it was opened, or the place to write to."""
 
     path: str
     content: bytes | None = None
@@ -126,11 +126,14 @@ class _Burst:
 class FtpStyle:
     """File service of an autopilot.
 
-    own_sessions     it assigns session numbers, else the client does unknown          the error for an
-    unknown opcode unknown_text     its text for that, '' for none busy             the error for too many
-    open files no_session       the error for an unknown session; `lenient`: closing one is accepted
-    empty_is_root    an empty folder name is the root, else invalid entry_end        terminator of a list
-    entry creates          opening a file to write creates it; creating and writing return a size.
+    own_sessions     the autopilot assigns session numbers, else the client does
+    unknown          the error for an unknown opcode
+    unknown_text     the text for an unknown opcode, '' for none
+    busy             the error for too many open files
+    no_session       the error for an unknown session; `lenient`: closing one is accepted
+    empty_is_root    an empty folder name is the root, else invalid
+    entry_end        terminator of a list entry
+    creates          opening a file to write creates it; creating and writing return a size
     """
 
     own_sessions: bool
@@ -207,7 +210,7 @@ class FtpServer:
         return [(key[0], packet.write()) for key in list(self._bursts) for packet in self._next_of_burst(key)]
 
     def forget(self) -> None:
-        """Closes everything."""
+        """Closes all files."""
         self._sessions.clear()
         self._bursts.clear()
         self._last.clear()

@@ -60,7 +60,7 @@ class InformationService(VehicleService):
         return [_log(0)]
 
     def reboot(self) -> None:
-        """Pending log requests are dropped."""
+        """Drops pending log requests."""
         self._logs_at = None
 
     # -- commands -------------------------------------------------------------------------------------
@@ -75,7 +75,7 @@ class InformationService(VehicleService):
         return (MavResult.ACCEPTED if self._px4 else MavResult.UNSUPPORTED), []
 
     def _camera_information(self, _: MavCommand) -> CommandAnswer:
-        """PX4 does not answer for other components."""
+        """Refuses a request for camera information; PX4 does not answer for other components."""
         return (None if self._px4 else MavResult.UNSUPPORTED), []
 
     # -- messages -------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ class InformationService(VehicleService):
         return [dialect.MAVLink_mission_item_reached_message(self.autopilot.mission.last_reached)]
 
     def _fence(self) -> list[Any]:
-        """ArduPilot reports its fence only while it is enabled."""
+        """The state of the fence, which ArduPilot reports only while the fence is enabled."""
         enabled = self.autopilot.parameters[self.autopilot.flavour.fence.enable]
         return [fence_status(self.autopilot, self.place)] if enabled else []
 

@@ -1,7 +1,7 @@
 """DO_MOTOR_TEST (209) of ArduPilot: a motor turns for a while, and the vehicle reports armed meanwhile.
 
-On an armed vehicle on the ground it disarms, and until a restart every arming is accepted without effect. PX4
-does not support the command.
+On an armed vehicle on the ground, the command disarms, and until a restart every arming is accepted without
+effect. PX4 does not support the command.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class MotorTest(VehicleService):
         self._until = None
 
     def _test(self, command: MavCommand) -> CommandAnswer:
-        """param4 is its duration in seconds."""
+        """Starts a test; param4 is its duration in seconds."""
         pilot = self.autopilot
         if pilot.flavour.submodes:
             return MavResult.UNSUPPORTED, []

@@ -102,7 +102,7 @@ class ParameterService(VehicleService):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """Looked-up names, changed counters, and the next values of a list."""
+        """Values of looked-up names, changed counters, and the next values of a list."""
         found: list[Any] = []
         while self._requested and now >= self._requested[0][0]:
             found.append(self._value(self._requested.popleft()[1], named=True))

@@ -53,7 +53,7 @@ WAYPOINT, TAKEOFF, VTOL_TAKEOFF = 16, 22, 84
 #: Commands with a position of both autopilots: waypoint, loiter (unlimited, for a time, to a height), land,
 #: takeoff, and VTOL landing and takeoff.
 BOTH_PLACES = frozenset({WAYPOINT, 17, 19, 21, TAKEOFF, 31, VTOL_TAKEOFF, 85})
-#: Those of ArduPilot only: turns, change of height, arc, spline, payload placement.
+#: The same of ArduPilot only: turns, change of height, arc, spline, payload placement.
 ARDUPILOT_PLACES = BOTH_PLACES | {18, 30, 36, 82, 94}
 PLACE_COMMANDS = ARDUPILOT_PLACES
 #: Immediate or delaying commands of both: return, delays, distance; jump, speed, home, region of interest,
@@ -102,7 +102,7 @@ class PlanItem:
 
     @classmethod
     def read(cls, message: Any) -> PlanItem:
-        """From MISSION_ITEM_INT 73, or the old MISSION_ITEM 39 with float degrees."""
+        """The item in MISSION_ITEM_INT 73, or in the old MISSION_ITEM 39 with float degrees."""
         x, y = message.x, message.y
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_ITEM:
             x, y = _tenths_of_micro(x), _tenths_of_micro(y)
@@ -112,7 +112,7 @@ class PlanItem:
     def write(
         self, peer: tuple[int, int], number: int, kind: PlanType, *, current: bool, whole: bool = True
     ) -> Any:
-        """As MISSION_ITEM_INT, or as MISSION_ITEM unless `whole`."""
+        """The item as MISSION_ITEM_INT, or as MISSION_ITEM unless `whole`."""
         head = (*peer, number, self.frame, self.command, int(current), self.autocontinue, *self.values)
         if whole:
             return dialect.MAVLink_mission_item_int_message(*head, self.x, self.y, self.z, int(kind))

@@ -225,7 +225,7 @@ class PlanProtocol:
         return self._end(upload, result)
 
     def _refuse_fence(self, items: list[PlanItem]) -> PlanResult:
-        """ArduPilot has one result for all mistakes of a fence, and a text with the reason."""
+        """Refuses a fence: ArduPilot has one result for all mistakes, and a text with the reason."""
         corners = next((item.values[0] for item in items if is_too_small(item)), None)
         if corners is not None:
             self._speak(f"Invalid vertex count ({corners:.0f})")
@@ -276,7 +276,7 @@ class PlanProtocol:
         return [item.write(peer, number, kind, current=is_current, whole=whole)]
 
     def _on_ack(self, message: Any, kind: PlanType, _: float) -> list[Any]:
-        """The end of a download needs no action; anything but ACCEPTED cancels an upload."""
+        """Handles the end of a download without an action; any result but ACCEPTED cancels an upload."""
         upload = self._upload
         self._listed.pop(_peer(message), None)
         if upload is not None and (upload.peer, upload.kind) == (_peer(message), kind) and message.type:

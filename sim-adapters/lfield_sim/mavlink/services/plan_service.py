@@ -88,7 +88,9 @@ class PlanService(VehicleService):
         return self._protocol.receive(message, self.autopilot.now)
 
     def _on_guided(self, message: Any) -> list[Any]:
-        """An item that is not part of a mission but a goal (2) or a new height (3, without effect)."""
+        """Handles an item that is not part of a mission but a goal (2) or a new height (3, without
+        effect).
+        """
         place = self._place(PlanItem.read(message))
         accepted = message.current == GUIDED_HEIGHT
         if message.current == GUIDED_PLACE and place is not None and is_near(place):
@@ -98,7 +100,7 @@ class PlanService(VehicleService):
         return [dialect.MAVLink_mission_ack_message(*peer, int(result), int(PlanType.MISSION))]
 
     def _changed(self, kind: PlanType, whole: bool) -> None:
-        """A plan has changed: a `whole` one is flown on command, or enforced from now on."""
+        """Handles a changed plan: a `whole` one is flown on command, or enforced from now on."""
         items = self._protocol.items[kind]
         if COUNTS[kind] in self.autopilot.parameters:
             self.autopilot.parameters[COUNTS[kind]] = float(len(items))
@@ -111,7 +113,9 @@ class PlanService(VehicleService):
             self.autopilot.homing.rally = [point for point in points if point is not None]
 
     def _change_mission(self, items: list[MissionItem], whole: bool) -> None:
-        """In a mission ArduPilot continues with its current item, and restarts it if it has changed."""
+        """Changes the mission: ArduPilot in it continues with the current item, and restarts it if it has
+        changed.
+        """
         pilot = self.autopilot
         if not (self._home_first and pilot.armed and pilot.role is Role.MISSION):
             pilot.mission.items = items
@@ -159,14 +163,14 @@ class PlanService(VehicleService):
 
     @property
     def _mission_mode(self) -> int:
-        """1 in a mission mode; in others PX4 reports 2 and ArduPilot nothing."""
+        """The reported mode: 1 in a mission mode; in others PX4 reports 2 and ArduPilot 0."""
         if self._flies_missions:
             return 1
         return 0 if self._home_first else 2
 
     @property
     def _flies_missions(self) -> bool:
-        """Whether it is in a mission mode; for PX4 that includes takeoff and landing."""
+        """Whether the vehicle is in a mission mode; for PX4 that includes takeoff and landing."""
         role = self.autopilot.role
         flies = role is Role.MISSION and (self._home_first or bool(self.autopilot.mission.items))
         return flies or (not self._home_first and role in (Role.TAKEOFF, Role.LAND))
@@ -196,7 +200,7 @@ class PlanService(VehicleService):
         return int(dialect.MISSION_STATE_PAUSED if has_started else dialect.MISSION_STATE_NOT_STARTED)
 
     def _on_set_current(self, message: Any) -> list[Any]:
-        """ArduPilot reports the new item at once, PX4 in its stream."""
+        """Sets the current item; ArduPilot reports it at once, PX4 in its stream."""
         if self._jump_to(message.seq):
             self._reported = self._progress
             return [self._current()] if self._home_first else []
@@ -205,7 +209,7 @@ class PlanService(VehicleService):
         return []
 
     def _jump_to(self, number: int) -> bool:
-        """Item 0 of ArduPilot is home: 1 is meant."""
+        """Jumps to an item; 0 of ArduPilot is home, and 1 is meant."""
         mission = self.autopilot.mission
         return mission.jump(max(number, 1) if self._home_first and len(mission.items) > 1 else number)
 
@@ -219,18 +223,19 @@ class PlanService(VehicleService):
         return MavResult.ACCEPTED, [self._current()]
 
     def _start(self, command: MavCommand) -> CommandAnswer:
-        """PX4 restarts on the ground for item 0; else 0 means continue."""
+        """Starts a mission: PX4 restarts on the ground for item 0; else 0 means continue."""
         first, pilot = command.whole(1), self.autopilot
         has_started = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
         goes_on = first < 0 or (first == 0 and has_started)
         result = pilot.start_mission(None if goes_on else first)
         if result is MavResult.ACCEPTED:
-            # A copter reports it once more than a rover; an armed one starts the item, and reports that.
+            # A copter reports the item once more than a rover; an armed one starts the item, and reports the
+            # start.
             self._report_started(int(pilot.flies) + int(not pilot.armed))
         return result, []
 
     def _report_started(self, times: int) -> None:
-        """ArduPilot reports the started item in AUTO, even if it is disarmed and starts nothing."""
+        """Reports the started item of ArduPilot in AUTO, even if it is disarmed and starts none."""
         item = self.autopilot.mission.item
         if item is None or not self._home_first or self.autopilot.role is not Role.MISSION:
             return
@@ -250,7 +255,7 @@ class PlanService(VehicleService):
         return self.autopilot.command_role(Role.HOLD), []
 
     def _enable_fence(self, command: MavCommand) -> CommandAnswer:
-        """ArduPilot's command for its fence; PX4 has only the parameter of its action."""
+        """Enables ArduPilot's fence; PX4 has only the parameter of its action."""
         if not self._home_first:
             return MavResult.UNSUPPORTED, []
         if command.whole(1) not in (0, 1):

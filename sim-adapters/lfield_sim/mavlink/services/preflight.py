@@ -1,6 +1,6 @@
 """Calibrations and pre-arm checks as seen by clients: results, texts and arming restrictions.
 
-Nothing is calibrated. ArduPilot answers at the end of a calibration, PX4 at its start, followed by texts
+No sensor is calibrated. ArduPilot answers at the end of a calibration, PX4 at its start, followed by texts
 about its progress. One that needs manual motion (ArduPilot's accelerometer, PX4's magnetometer and
 accelerometer) never ends by itself; nor does PX4's barometer, as in its simulator.
 """
@@ -65,7 +65,7 @@ class PreflightService(VehicleService):
         return []
 
     def reboot(self) -> None:
-        """Nothing is running."""
+        """Ends a running calibration."""
         self._to_say.clear()
         self._end()
 
@@ -86,7 +86,7 @@ class PreflightService(VehicleService):
         return MavResult.ACCEPTED, []
 
     def _turn_compass(self, command: MavCommand) -> CommandAnswer:
-        """ArduPilot's compass calibration: once started, it requires a restart, even if cancelled."""
+        """Runs ArduPilot's compass calibration: once started, it requires a restart, even if cancelled."""
         pilot = self.autopilot
         if pilot.flavour.submodes:
             return MavResult.UNSUPPORTED, []
@@ -157,7 +157,7 @@ class PreflightService(VehicleService):
                 self._say_later(seconds, text)
 
     def _cancel(self) -> CommandAnswer:
-        """A magnetometer calibration can be cancelled; the barometer's continues."""
+        """Cancels the calibration of a magnetometer; the barometer's continues."""
         if self._running == "baro":
             return MavResult.TEMPORARILY_REJECTED, []
         if self._running:

@@ -4,41 +4,40 @@ file.
 A service belongs to one vehicle and handles messages, not packets. Four tables define what it handles:
 
 - `handles`: message id -> handler. Called with the message (addressed to this vehicle or to all); returns
-  the messages that answer it, which go to the asking peer alone.
-- `commands`: MAV_CMD -> handler. Called with the `MavCommand`; returns the result (`DelayedResult`: one that
-comes later,
-  None: silence) and messages that follow the acknowledgement. A command of a service goes before one of
-  `commands.py`.
-- `messages`: message id -> builder. What can be asked for with REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL
-  (511) and, for PX4, is streamed.
-- `requests`: message id -> what answers REQUEST_MESSAGE instead: several messages, none (it is accepted all
-  the same), or None, which refuses it.
+  the messages that answer it, which are sent to the requesting peer only.
+- `commands`: MAV_CMD -> handler. Called with the `MavCommand`; returns the result (`DelayedResult`: a
+  later one, None: silence) and messages that follow the acknowledgement. A command of a service has
+  priority over one of `command_handlers.py`.
+- `messages`: message id -> builder. Messages that can be requested by REQUEST_MESSAGE (512) and
+  SET_MESSAGE_INTERVAL (511) and, for PX4, are streamed.
+- `requests`: message id -> the answer to REQUEST_MESSAGE instead: several messages, none (the request is
+  accepted), or None, which refuses it.
 
-`advance(now)` is called after every step of the model (`now` is `autopilot.now`, in seconds; it goes on over
-a reboot); what it returns goes to every peer. Long answers (a parameter list, a burst read) belong there,
-some per step.
-Handlers get foreign values: they never raise, and what they keep is bounded. `reboot` forgets what the
-real one would forget.
+`advance(now)` is called after every step of the model (`now` is `autopilot.now`, in seconds, which continues
+over a reboot); its messages are sent to every peer. Long answers (a parameter list, a burst read) are sent
+there, some per step.
+Handlers get foreign values: they never raise, and their stored data is bounded. `reboot` discards the data
+that the real autopilot would discard.
 
-What the autopilot offers to services (`lfield_sim.autopilot.autopilot`):
+The interface of the autopilot to services (`lfield_sim.autopilot.autopilot`):
 
-- `parameters`: name -> float; after a change call `apply_parameters()`. The defaults that the autopilot acts
-  by are `autopilot.kind.parameters` (`autopilot.stacks`). `flavour.name` is `ardupilot`
+- `parameters`: name -> float; after a change call `apply_parameters()`. The defaults of the
+  autopilot are `autopilot.kind.parameters` (`autopilot.stacks`). `flavour.name` is `ardupilot`
   or `px4`, `kind.name` `copter` or `rover`.
 - `mission`: an `autopilot.plans.Mission`. Set `mission.items` (a list of `MissionItem`: MAV_CMD, seven
   values, and the place in the local frame, or None), then `autopilot.start_mission(first)` enters the
-  mission mode. `mission.current` is the index that is being flown, `mission.take_reached()` gives the
+  mission mode. `mission.current` is the index that is being flown, `mission.pop_reached()` returns the
   indexes reached since the last call. `mission.jump(index)` sets the current one.
 - `fence`: an object with `breached(place) -> int`: a FENCE_BREACH type (0 none, 1 floor, 2 ceiling, 3
-  boundary) for a place in the local frame. It knows uploaded polygons and circles only; the fences that are
-  parameters (FENCE_RADIUS, FENCE_ALT_MAX, GF_MAX_HOR_DIST, GF_MAX_VER_DIST) and whether fences are on
-  (FENCE_ENABLE, GF_ACTION) are the autopilot's own business, as is what a breach leads to.
+  boundary) for a place in the local frame. It contains uploaded polygons and circles only. The autopilot
+  itself handles the fences that are parameters (FENCE_RADIUS, FENCE_ALT_MAX, GF_MAX_HOR_DIST,
+  GF_MAX_VER_DIST), whether fences are on (FENCE_ENABLE, GF_ACTION), and the effect of a breach.
 - `say(text)`: a STATUSTEXT. `armed`, `mode`, `vehicle.place`, `home`, `battery.charge`, `flavour`.
 
-Places: `GeoOrigin.at(north, east)` and `GeoOrigin.local(latitude, longitude)` (1e-7 degrees) translate.
+Places: `GeoOrigin.at(north, east)` and `GeoOrigin.local(latitude, longitude)` (1e-7 degrees).
 
-Mission items that are not flown (speed, servo, camera) are carried out as the commands of that number. A
-result is an `autopilot.flavours.Result`. How severe a text is: `autopilot.stacks.severities`.
+Mission items that are not flown (speed, servo, camera) are executed as the commands of that number. A
+result is an `autopilot.flavours.MavResult`. The severity of a text is in `autopilot.stacks.text_severity`.
 """
 
 from __future__ import annotations
@@ -71,4 +70,4 @@ class VehicleService:
         return []
 
     def reboot(self) -> None:
-        """The autopilot restarts: resets volatile state."""
+        """Resets volatile state when the autopilot restarts."""

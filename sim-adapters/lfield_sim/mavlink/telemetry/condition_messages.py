@@ -46,7 +46,7 @@ def heartbeat(autopilot: Autopilot, _: GeoOrigin) -> Any:
 
 
 def _base_mode(autopilot: Autopilot) -> int:
-    """MAV_MODE_FLAG of its mode; guided for an ArduCopter with position control."""
+    """MAV_MODE_FLAG of the mode; guided for an ArduCopter with position control."""
     flags = autopilot.kind.modes[autopilot.mode].flags
     if autopilot.flies and not autopilot.flavour.submodes:
         if startup_progress(autopilot) < BOOTED:
@@ -168,14 +168,14 @@ def home_position(autopilot: Autopilot, place: GeoOrigin) -> Any:
 
 
 def extended_sys_state(autopilot: Autopilot, _: GeoOrigin) -> Any:
-    """EXTENDED_SYS_STATE 245: its landed state."""
+    """EXTENDED_SYS_STATE 245: the landed state."""
     multicopter = autopilot.flies and not autopilot.flavour.submodes
     vtol = dialect.MAV_VTOL_STATE_MC if multicopter else dialect.MAV_VTOL_STATE_UNDEFINED
     return dialect.MAVLink_extended_sys_state_message(vtol, int(landed_state(autopilot)))
 
 
 def fence_status(autopilot: Autopilot, _: GeoOrigin) -> Any:
-    """FENCE_STATUS 162; fence avoidance limits its speed."""
+    """FENCE_STATUS 162; fence avoidance limits the speed."""
     avoids = autopilot.vehicle.corral is not None
     mitigation = dialect.FENCE_MITIGATE_VEL_LIMIT if avoids else dialect.FENCE_MITIGATE_NONE
     watch = autopilot.failsafes.fences

@@ -21,7 +21,7 @@ GIMBAL_ABILITIES = (
     | dialect.GIMBAL_DEVICE_CAP_FLAGS_HAS_YAW_FOLLOW
     | dialect.GIMBAL_DEVICE_CAP_FLAGS_HAS_YAW_LOCK
 )
-#: What the manager can do besides: point at a place.
+#: A further ability of the manager: to point at a place.
 POINTS_AT_PLACE = dialect.GIMBAL_MANAGER_CAP_FLAGS_CAN_POINT_LOCATION_GLOBAL
 WINCH_HEALTHY = 1
 
@@ -72,7 +72,7 @@ def gimbal_manager_information(autopilot: Autopilot) -> Any:
 
 
 def gimbal_manager_status(autopilot: Autopilot) -> Any:
-    """GIMBAL_MANAGER_STATUS 281: who controls it."""
+    """GIMBAL_MANAGER_STATUS 281: the controllers."""
     gimbal, device = autopilot.payload.gimbal, device_of(autopilot)
     return dialect.MAVLink_gimbal_manager_status_message(
         millis(autopilot), _gimbal_flags(autopilot), device, *gimbal.primary, *gimbal.secondary

@@ -6,8 +6,8 @@ position; a copter reports its setpoint as 85 in GUIDED (`ModeGuided::get_wp` an
 `send_position_target_local_ned` of ArduCopter 4.7). PX4 reports the goal of an automatic mode as 87, and its
 setpoint as 85, with NaN without one (ap-rover.c-speed, px4-copter.c-speed, px4-copter.d-velocity).
 
-So a driver can detect that another station has sent it elsewhere: an ArduCopter follows the last setpoint of
-any sender.
+So a driver can detect that another station has sent the vehicle elsewhere: an ArduCopter follows the last
+setpoint of any sender.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def goal_of(autopilot: Autopilot) -> Vector | None:
     silent = not autopilot.armed or not isinstance(goal, Reach) or goal is autopilot.risen_to
     if silent or not isinstance(goal, Reach) or (guided and px4):
         return None
-    # For a curve it reports the end.
+    # For a curve, the end is reported.
     curve = autopilot.mission.curve if autopilot.role is Role.MISSION else []
     return curve[-1] if curve else goal.place
 
@@ -50,7 +50,9 @@ def distance_of(autopilot: Autopilot) -> int:
 
 
 def sends_setpoint(autopilot: Autopilot) -> bool:
-    """Whether it reports its setpoint now: PX4 always, an ArduCopter in GUIDED except for an attitude."""
+    """Whether the autopilot reports its setpoint now: PX4 always, an ArduCopter in GUIDED except for an
+    attitude.
+    """
     if autopilot.flavour.needs_stream:
         return True
     follows = not isinstance(autopilot.vehicle.goal, Lean)
@@ -75,7 +77,7 @@ def position_target_local_ned(autopilot: Autopilot, _: GeoOrigin) -> Any:
         case Track(place, speed):
             position, velocity, mask = place, speed, 0
         case Reach():
-            # Its own trajectory, slightly ahead of it.
+            # The autopilot's own trajectory, slightly ahead of the vehicle.
             position, velocity, mask = autopilot.vehicle.place, autopilot.vehicle.velocity, 0
         case Keep(speed):
             velocity, mask = speed, 0x7
