@@ -67,7 +67,7 @@ class LiveBench:
 
     @property
     def latched(self) -> str:
-        """Why the device is latched in its safe state, '' when it is not."""
+        """The reason why the device is latched in its safe state, '' when it is not."""
         return self._guard.latched_devices.latched.get(self.binding.name, "")
 
     @property

@@ -60,7 +60,7 @@ class DeviceGuards:
         self._has_progressed = has_progressed
         self.on_event, self.on_lock_out = on_event, on_lock_out
         self._guards: list[GuardProcess] = []
-        #: Why programs may not release devices, '' while they may; also for devices opened later.
+        #: The reason why programs may not release devices, '' while they may; also for devices opened later.
         self._barred = ""
         #: One for each running emergency stop: several may run at a time.
         self._stopping: list[asyncio.Event] = []
@@ -179,7 +179,7 @@ class DeviceGuards:
         return found[0].snapshots.last(device, quantity) if found else None
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now, None when it can."""
+        """The reason why a device cannot be called now, None when it can."""
         found = self._by_device.get(device)
         return found[0].trouble(device) if found else Unavailability(f"{device}: not open on this host")
 
@@ -231,7 +231,7 @@ class DeviceGuards:
         return table
 
     async def _release(self, name: str) -> str:
-        """Why a device could not be released, '' when it is."""
+        """The reason why a device could not be released, '' when it is."""
         answered: asyncio.Future[DeviceValue | DeviceError] = asyncio.get_running_loop().create_future()
         agent, _, field = name.rpartition(".")
 
@@ -277,7 +277,7 @@ class DeviceGuards:
 
     @property
     def latched(self) -> Mapping[str, str]:
-        """Why devices are latched in their safe states, by device name."""
+        """The reason why devices are latched in their safe states, by device name."""
         return {
             name: reason for guard in self._guards for name, reason in guard.latched_devices.latched.items()
         }
@@ -291,7 +291,7 @@ class DeviceGuards:
 
     @property
     def last_contact(self) -> Mapping[str, float]:
-        """When each device last sent something, on the monotonic clock; absent before the first time."""
+        """The time of the last message of each device, on the monotonic clock; absent before it."""
         return {name: when for guard in self._guards for name, when in guard.snapshots.last_contact.items()}
 
     @property
@@ -337,7 +337,7 @@ def _recording_of(bus: Sequence[DeviceBinding], recording: GuardRecording, limit
 
 
 def _unconfirmed(guard: GuardProcess, name: str) -> str:
-    """Why an emergency stop is not confirmed for a device; '' when it is."""
+    """The reason why an emergency stop is not confirmed for a device; '' when it is."""
     if name not in guard.latched_devices.confirmed:
         return f"its safe state was not confirmed in {STOP_TIMEOUT:g} s"
     if guard.snapshots.silent_since(name) is not None:

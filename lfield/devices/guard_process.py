@@ -60,7 +60,7 @@ HURRIED_TIMEOUT = 1.0
 #: is restarted at once: an autopilot's failsafe waits no more than 2 s.
 FIRST_RESTART_DELAY, MAX_RESTART_DELAY = 0.2, 5.0
 
-#: Why devices are made safe in an orderly stop of the host.
+#: The reason why devices are made safe in an orderly stop of the host.
 STOPPING = "the host is stopping"
 
 
@@ -286,7 +286,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         return self._ready
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why the device cannot be called now; None when it can."""
+        """The reason why the device cannot be called now; None when it can."""
         binding = self._devices[device]
         if not self._ready:
             return Unavailability(f"{binding.field}: its guard has died and is restarting")

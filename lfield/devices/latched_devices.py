@@ -42,17 +42,17 @@ class LatchedDevices:
         #: What devices do in their safe states, where that differs from the name of the state.
         self._actions: Mapping[str, Mapping[str, str]] = {}
         self._requests: dict[str, RequestSafeState] = {}
-        #: Why no device may be released, '' while all may.
+        #: The reason why no device may be released, '' while all may.
         self.barred = ""
         #: Whether the host is stopping: an ordinary stop is logged once, when it is done.
         self.stopping = False
-        #: Why a device is held in its safe state, by name; absent while it accepts calls.
+        #: The reason why a device is held in its safe state, by name; absent while it accepts calls.
         self.latched: dict[str, str] = {}
         #: The latched devices whose safe states are confirmed.
         self.confirmed: set[str] = set()
         #: How a latched device still moves in its safe state, by name; '' once it is at rest.
         self.moving: dict[str, str] = {}
-        #: Why a driver requires an inspection of its device, by name; absent for one that may move.
+        #: The reason why a driver requires an inspection, by device; absent for a device that may move.
         self.locked_out: dict[str, str] = {}
         #: Called with each device that is locked out, and why.
         self.on_lock_out: Callable[[str, str], None] = lambda device, reason: None

@@ -118,7 +118,7 @@ class JitterMonitor:
         return self.max_since(now - WINDOW)
 
     def explain_silence(self, now: float, due: float) -> str:
-        """Why a guard has missed the heartbeat that was `due`: this computer is the cause, not the
+        """The reason why a guard has missed the heartbeat that was `due`: this computer is the cause, not the
         vehicle.
         """
         late = max(self.max_since(now - self.limit.silence - MAX_REPORT_DELAY), now - due)
@@ -155,7 +155,7 @@ class HeartbeatJitter:
         self._due = math.inf
 
     def explain(self, reason: str, now: float) -> str:
-        """Why a guard has made a device safe; with the cause if this host was silent."""
+        """The reason why a guard has made a device safe; with the cause if this host was silent."""
         if reason != host_silent(self._jitter.limit.silence):
             return reason
         return f"{reason}, since {self._jitter.explain_silence(now, self._due)}"

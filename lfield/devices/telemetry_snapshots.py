@@ -40,7 +40,7 @@ class Snapshots:
         }
         self._observations: dict[tuple[str, str], Observation] = {}
         self._readings: dict[tuple[str, str], Reading] = {}
-        #: When each device last sent something, by name; absent before the first time.
+        #: The time of the last message of each device, by name; absent before the first one.
         self.last_contact: dict[str, float] = {}
         #: Devices under foreign control, such as a pilot's.
         self.received: set[str] = set()

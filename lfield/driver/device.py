@@ -301,7 +301,7 @@ class Device:
         raise NotImplementedError
 
     def _in_use(self) -> str:
-        """Why its settings must not be changed now, such as `its motors are on`; '' if they may."""
+        """The reason why the settings must not change now, such as `its motors are on`; '' if they may."""
         return ""
 
 

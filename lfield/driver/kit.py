@@ -96,7 +96,7 @@ class Bench(Protocol):
 
     @property
     def latched(self) -> str:
-        """Why the device is latched in its safe state, '' when it is not."""
+        """The reason why the device is latched in its safe state, '' when it is not."""
 
     @property
     def confirmed(self) -> bool:

@@ -155,7 +155,7 @@ def _check_cancels(top: YamlFields, instructions: Mapping[str, Instruction]) -> 
 
 
 def _cannot_end(instruction: Instruction, instructions: Mapping[str, Instruction]) -> str:
-    """Why the instruction named by `cancel` is not suitable; '' when it is."""
+    """The reason why the instruction named by `cancel` is not suitable; '' when it is."""
     if instruction.cancel in (NEVER, LEAVE):
         return ""
     end = instructions.get(instruction.cancel)

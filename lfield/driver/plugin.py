@@ -143,7 +143,7 @@ class Plugin:
         return self._load(self.kit)
 
     def why_no_endpoint(self, text: str) -> str:
-        """Why a text is not a valid endpoint; '' when it is, or when only opening it would show.
+        """The reason why a text is not a valid endpoint; '' when it is, or when only opening it would show.
 
         Raises PluginError if the driver itself fails.
         """
@@ -271,7 +271,7 @@ def mistakes_in(known: DriverInfo, option: str, file: str) -> list[Diagnostic]:
 
 
 def why_no_endpoint(known: DriverInfo, text: str) -> str:
-    """Why a text is not a valid endpoint of a driver; '' when it is, or the driver is not installed."""
+    """The reason why a text is no valid endpoint of a driver; '' if it is, or the driver is not installed."""
     plugin = _installed(known)
     return plugin.why_no_endpoint(text) if plugin is not None else ""
 

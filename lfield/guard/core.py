@@ -124,7 +124,7 @@ class GuardCore:
         return [*effects, *stopped, Execute(call)]
 
     def mark_started(self, call: GuardCall) -> str:
-        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
+        """The reason why the driver must not start an accepted call any more; '' when the call starts now."""
         if (running := self._running(call.token)) is not None:
             running.mark_started()
         return self._expiry_reason(call)
@@ -277,7 +277,7 @@ class GuardCore:
         return effects + self._end_if_over(now)
 
     def due(self) -> float | None:
-        """When the next tick is needed, on the injected clock; None without a deadline."""
+        """The time when the next tick is needed, on the injected clock; None without a deadline."""
         if self._ended:
             return None
         times = [device.due() for device in self._devices.values()]
@@ -287,7 +287,7 @@ class GuardCore:
     # -- decisions ------------------------------------------------------------------------------------
 
     def _expiry_reason(self, call: GuardCall) -> str:
-        """Why a call is too late to start; '' when it is not."""
+        """The reason why a call is too late to start; '' when it is not."""
         now = self._clock.monotonic()
         if now < call.until or self._devices[call.device].instruction_of(call).only_asks:
             return ""
@@ -296,17 +296,17 @@ class GuardCore:
 
     @property
     def _silent_at(self) -> float:
-        """When the host counts as silent without another heartbeat."""
+        """The time when the host counts as silent without another heartbeat."""
         return self._last_beat + self._silence
 
     def _silence_due(self) -> float | None:
-        """When the next action for a silent host is due; None when all is done."""
+        """The time when the next action for a silent host is due; None when all is done."""
         if any(device.is_actuated and not device.latched for device in self._devices.values()):
             return self._silent_at
         return None if self._muted else self._mute_at()
 
     def _mute_at(self) -> float:
-        """When a silent host's bus is muted: at once if nothing remains to be sent."""
+        """The time when a silent host's bus is muted: at once if nothing remains to be sent."""
         if all(d.confirmed or not (d.latched or d.is_actuated) for d in self._devices.values()):
             return max(self._silent_at, self._rest.under_way_until())
         return self._silent_at + MUTE_AFTER

@@ -87,7 +87,7 @@ class GuardDevice(Struct):
         return before
 
     def expiry(self) -> float | None:
-        """When the first setpoint in effect expires. A running actuation replaces it, unless it fails."""
+        """The time when the first setpoint expires. A running actuation replaces it unless it fails."""
         if self.latched or not (self.setpoints or self.active):
             return None
         times = [until for channel, until in self.setpoints.items() if channel not in self.active]
@@ -98,7 +98,7 @@ class GuardDevice(Struct):
         return min(times, default=None)
 
     def due(self) -> float | None:
-        """When the next deadline of this device is due; None without any."""
+        """The time when the next deadline of this device is due; None without any."""
         if not (self.setpoints or self.active):
             return self.retry_at
         times = (self.expiry(), self.retry_at, self.cancel_deadline())
@@ -115,7 +115,7 @@ class GuardDevice(Struct):
         self.active = {channel: other for channel, other in self.active.items() if other is not running}
 
     def cancel_deadline(self) -> float | None:
-        """When the first cancelled call must have ended; None without any."""
+        """The time when the first cancelled call must have ended; None without any."""
         ends = (running.deadline for running in self.active.values() if running.cancelled is not None)
         return min(ends, default=None)
 

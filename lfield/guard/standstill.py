@@ -124,7 +124,7 @@ class Standstill:
         return self._is_skipped or all(self._is_settled(way, now) for way in self._devices.values())
 
     def under_way_until(self) -> float:
-        """When the time of the confirmed devices that are not at rest is over; minus infinity without any."""
+        """The last time limit of the confirmed devices not at rest; minus infinity without any."""
         ends = (
             way.confirmed_at + way.bound
             for way in self._devices.values()
@@ -145,7 +145,7 @@ class Standstill:
         return found
 
     def due(self) -> float | None:
-        """When the next action is due, on the clock of the events."""
+        """The time when the next action is due, on the clock of the events."""
         times = [way.check_at for way in self._devices.values() if way.check_at is not None]
         if self._stopped_at is not None:
             waited = [way.bound for way in self._devices.values() if not self._is_at_rest(way)]

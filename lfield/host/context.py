@@ -150,7 +150,7 @@ class Part:
     handles: Mapping[type[Control], MessageHandler] = {}
     #: The events that this part handles, in the order of the core's list of parts.
     observes: Mapping[type[HostEvent], EventHandler] = {}
-    #: When `on_tick` is due, in seconds of the host's clock; None for never.
+    #: The time when `on_tick` is due, in seconds of the host's clock; None for never.
     due: float | None = None
     #: Whether `on_tick` is called in each turn of the host, also before `due`.
     is_polled: bool = False

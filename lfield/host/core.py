@@ -114,7 +114,7 @@ class HostCore:
         self.locator = Locator(context, self.coordinators, self.leases, self.commands)
         self.reachability = Reachability(context, membership, mobility)
         self.call_watch = CallWatch(context, machine, self.reachability)
-        #: When the coordinators of this host start, and what a new start waits for.
+        #: The time when the coordinators of this host start, and what a new start waits for.
         self.startup = Startup(context, self.coordinators, self.leases, membership)
         #: In the order in which they receive events and are polled.
         self._parts: list[Part | QueryRelay[Effect]] = [
@@ -252,7 +252,7 @@ class HostCore:
         self._publish(WriteFailed(why))
 
     def on_disk_space(self, trouble: str) -> None:
-        """Why the journal should admit nothing more, or '': announced to the other hosts."""
+        """The reason why the journal should admit nothing more, or '': announced to the other hosts."""
         accepted = log_messages.MIGRATIONS_ACCEPTED.line(host=self.name)
         rejected = log_messages.MIGRATIONS_REJECTED.line(host=self.name, reason=trouble)
         self._log(rejected if trouble else accepted)

@@ -165,7 +165,7 @@ def _compile_failure(why: str) -> EngineUnavailable:
 
 
 def _exit_reason(status: int, said: bytes) -> str:
-    """Why a process has ended, from the last line of its output."""
+    """The reason why a process has ended, from the last line of its output."""
     last = said.decode(errors="replace").strip().rpartition("\n")[2]
     how = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
     return how + (f": {last}" if last else "")

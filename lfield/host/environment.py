@@ -66,7 +66,7 @@ class HostEnvironment:
         return self._links.down_since
 
     def last_contact_at(self, host: str) -> float | None:
-        """When something last arrived from a host."""
+        """The time when something last arrived from a host."""
         return self._links.last_contact_at(host)
 
     def round_trip(self, host: str) -> float | None:
@@ -82,7 +82,7 @@ class HostEnvironment:
         return self._guards.last(device, quantity)
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now."""
+        """The reason why a device cannot be called now."""
         return self._guards.trouble(device)
 
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:

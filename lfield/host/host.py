@@ -280,7 +280,7 @@ class Host:
 
     @property
     def failure(self) -> HostFailure | None:
-        """Why the host has failed, None if it has not."""
+        """The reason why the host has failed, None if it has not."""
         return self._failures.failure
 
     def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

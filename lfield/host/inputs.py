@@ -70,7 +70,7 @@ class BatchDurable(HostInput, frozen=True, tag=5):
 
 
 class DiskSpaceChanged(HostInput, frozen=True, tag=6):
-    """Why the journal should admit nothing more, or ''."""
+    """The reason why the journal should admit nothing more, or ''."""
 
     trouble: str
 

@@ -57,7 +57,7 @@ class JournalWriter:
 
     @property
     def times(self) -> Mapping[RecordKey, float]:
-        """When each record was written, in Unix time, in seconds."""
+        """The time when each record was written, in Unix time, in seconds."""
         return self._journal.times if self._journal else {}
 
     @property

@@ -82,7 +82,7 @@ class ObserverSessions:
         self._dispatch, self._note, self._flush = dispatch, note, flush
         self.subscriptions = SubscriptionServer(core, guards, clock, status, links.monitor.latest)
         self.order_executor = OrderExecutor(core, guards, dispatch, note, flush)
-        #: When the status of the devices was last requested.
+        #: The time when the status of the devices was last requested.
         self._last_request = -OBSERVED_WITHIN
         #: The links that wait for a snapshot, with the whole directory or not; when the last one was sent.
         self._waiting: dict[Link, bool] = {}

@@ -47,7 +47,7 @@ class CapabilityQueries:
         return self._results.find_teams(capability, constraint, size)
 
     def explain_others(self, caller: str, capability: str, constraint: str | None) -> str:
-        """Why the other agents do not match, a line each. Raises ConstraintError."""
+        """The reason why the other agents do not match, a line each. Raises ConstraintError."""
         self._refresh(caller)
         return self._results.explain_others(capability, constraint)
 

@@ -133,13 +133,13 @@ class TeamDirectory(Part):
         return self._codec.encode(delta, self._clock.monotonic())
 
     def refusals(self) -> dict[str, str]:
-        """Why each resource of the team cannot be called, '' if it can, as of the last sample."""
+        """The reason why each resource of the team cannot be called, '' if it can, as of the last sample."""
         self.directory.answer_for("")
         known = {candidate.agent: candidate.refusal for candidate in self.directory.all_candidates()}
         return known | {agent.id: self._refusal(agent) for agent in self._others}
 
     def _refusal(self, agent: DeployedMember) -> str:
-        """Why a resource outside the registry cannot be called, as far as this host knows."""
+        """The reason why a resource outside the registry cannot be called, as far as this host knows."""
         if agent.host == self._here:
             why = self._sampler.unavailability(agent.id) or self._holder_of(agent.id)
         else:

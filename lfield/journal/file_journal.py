@@ -27,7 +27,7 @@ _DISK_NEARLY_FULL = "its disk has room for what is here, and for no more"
 RESULT = 1024
 _FREE_SPACE = "make room on that disk"
 
-#: Why writing failed, and the remedy, by SQLite's result codes.
+#: The reason why writing failed, and the remedy, by SQLite's result codes.
 _REASONS = {
     sqlite3.SQLITE_FULL: ("no space is left on its disk", _FREE_SPACE),
     sqlite3.SQLITE_READONLY: ("its disk is read-only", "mount it for writing, or name another --state"),

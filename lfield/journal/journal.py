@@ -36,7 +36,7 @@ class Journal(Protocol):
 
     @property
     def trouble(self) -> str:
-        """Why no new coordinator should be admitted, '' if there is no reason.
+        """The reason why no new coordinator should be admitted, '' if there is no reason.
 
         `persist` may still succeed as long as reserved space is left.
         """
@@ -46,7 +46,7 @@ class Journal(Protocol):
 
     @property
     def times(self) -> Mapping[RecordKey, float]:
-        """When each record was written, in Unix time, in seconds."""
+        """The time when each record was written, in Unix time, in seconds."""
 
     async def change(self, changes: Sequence[Change]) -> None:
         """Make changes in order, all or none. Raises JournalError, as `persist`."""

@@ -83,7 +83,7 @@ def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None],
 
 
 def unusable_reason(path: Path) -> str:
-    """Why the path cannot be a journal; '' for a regular file or a missing one."""
+    """The reason why the path cannot be a journal; '' for a regular file or a missing one."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):

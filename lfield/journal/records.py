@@ -133,7 +133,7 @@ class PauseFlag(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
 
 
 class EmergencyStopFlag(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
-    """Why an emergency stop locks the devices of this host, '' after it was lifted.
+    """The reason why an emergency stop locks the devices of this host, '' after it was lifted.
 
     `order` is the id of the last stop or lift order, b"" for a lock-out and in records of version 1.
     """

@@ -73,7 +73,7 @@ class LinkManager:
         self._required_until: dict[str, float] = {}
         #: The diallers, by host.
         self._diallers: dict[str, Dialler] = {}
-        #: When each host last dialled, and the banned hosts.
+        #: The time when each host last dialled, and the banned hosts.
         self._last_incoming, self._bans = dict[str, float](), TemporaryBans()
         self._links: dict[str, Session] = {}
         self.monitor = LinkMonitor(

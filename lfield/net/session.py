@@ -88,10 +88,10 @@ class Session:
         self._owner, self._now, self._was_standby = owner, owner.now, was_standby
         self.dialled = dialled
         self.connected = False
-        #: When the link was made, and when the peer accepted it.
+        #: The time when the link was made, and when the peer accepted it.
         self.made, self.linked_at = self._now(), math.inf
         self.hello: Hello | None = None
-        #: When data last arrived, and when this host last had no use for the link.
+        #: The time when data last arrived, and when this host last had no use for the link.
         self.last_received = self.last_idle = 0.0
         self.reason = ""
         self.closed = asyncio.Event()

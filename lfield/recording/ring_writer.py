@@ -56,7 +56,7 @@ class RingWriter:
         #: The files of the ring with their sizes, oldest first.
         self._files: deque[list[int]] = deque()
         self._closing, self._wake, self._failing = False, threading.Event(), threading.Lock()
-        #: Why the ring has ended, '' while it is written.
+        #: The reason why the ring has ended, '' while it is written.
         self.failure = ""
         self._thread = threading.Thread(target=self._run, name=f"recorder {stem}", daemon=True)
         self._thread.start()

@@ -42,7 +42,7 @@ def frame(record: bytes) -> bytes:
 
 
 def format_problem(data: bytes) -> str:
-    """Why a file that begins like this cannot be read, '' if it can; a shorter one has no record."""
+    """The reason why a file with this beginning cannot be read, '' if it can; a shorter one has no record."""
     own = MAGIC[-1]
     if not data.startswith(MAGIC[:-1]):
         return "" if MAGIC.startswith(data) else "it is no recording"

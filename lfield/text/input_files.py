@@ -63,7 +63,7 @@ def read_up_to(stream: BinaryIO, most: int) -> bytes:
 
 
 def error_reason(error: OSError | ValueError) -> str:
-    """Why a file cannot be read, in a few words."""
+    """The reason why a file cannot be read, in a few words."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return "not a file name"

@@ -78,7 +78,7 @@ class ResourceLoops(Struct):
 
     #: The threads of the loops by their method's index.
     threads: dict[int, int]
-    #: When they started, in ns of the resource.
+    #: The time when the loops started, in ns of the resource.
     started: int = 0
     #: The threads whose bodies are suppressed, with the reason.
     suppressed: dict[int, str] = field(default_factory=dict)
@@ -139,19 +139,19 @@ class Agent:
     called_resource = ""
     #: ... and its portal, by index; -1 for none.
     called_portal = -1
-    #: Why an expired limit was thrown late.
+    #: The reason why an expired limit was thrown late.
     lateness_reason = ""
     #: Threads of a resource that have left its monitor in a `wait until`, each with its state.
     monitor_waits: dict[int, int] = {}
-    #: Why a departure that would arrive late was refused.
+    #: The reason why a departure that would arrive late was refused.
     unreachable_reason = ""
     #: The loops of a resource; None without any.
     loops: ResourceLoops | None = None
-    #: Whether it, a coordinator, waits here for the first of several calls ...
+    #: Whether this coordinator waits here for the first of several calls ...
     waits_for_any = False
     #: ... and the numbers of those elsewhere that have ended, as their hosts report.
     ended_elsewhere: frozenset[int] = frozenset()
-    #: Why it, a coordinator, is being stopped; '' if it is not.
+    #: The reason why this coordinator is being stopped; '' if it is not.
     stop_reason = ""
 
     # Written out, with rare fields in the class: an instance is created at every hop.

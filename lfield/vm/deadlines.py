@@ -52,7 +52,7 @@ class CallView(Protocol):
         """The instruction of a `together` at which it is; '' for none."""
 
     def wait_reason(self, agent: Agent) -> str:
-        """Why a suspended one cannot continue at once."""
+        """The reason why a suspended one cannot continue at once."""
 
     def is_heartbeat_pending(self, agent: Agent) -> bool:
         """Whether a heartbeat of the destination host of a suspended one is still awaited."""

@@ -59,7 +59,7 @@ class Reading:
 
 
 class EngineExit(Struct, frozen=True):
-    """Why an engine returned. A struct, since one is made in every turn (see `mobility.effects`)."""
+    """The reason for the return of an engine. A struct, as every turn makes one (see `mobility.effects`)."""
 
 
 class ThreadDone(EngineExit, frozen=True):

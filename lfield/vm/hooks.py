@@ -16,7 +16,8 @@ from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.block import Block
 from lfield.vm.turns.run_limit import RunLimit
 
-#: Why a call must not start, '' when it may, by the ids of coordinator and resource, and the portal's index.
+#: The reason why a call must not start, '' when it may. The arguments are the ids of coordinator and
+#: resource, and the portal's index.
 CallRules = Callable[[str, str, int], str]
 
 

@@ -181,7 +181,7 @@ class HostInterface(Protocol):
         """Combinations of that many offers without common agents, best first. Raises what `offers` does."""
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why each other agent is no offer, a line each; '' for none. Raises ConstraintError."""
+        """The reason why each other agent is no offer, a line each; '' for none. Raises ConstraintError."""
 
     def ended(self, agent: Agent) -> None:
         """A coordinator has ended, or an agent died of an uncaught exception (`agent.report`)."""

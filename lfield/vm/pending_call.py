@@ -82,5 +82,5 @@ class PendingCall:
 
     @property
     def ended(self) -> str:
-        """Why it must not be served any more; '' while it runs (`Agent.ended`)."""
+        """The reason why it must not be served any more; '' while it runs (`Agent.ended`)."""
         return "dropped" if self.dropped else ""

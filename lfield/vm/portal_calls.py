@@ -107,7 +107,7 @@ def target_resource(
 
 
 def _outdated_reason(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[int, int]) -> str:
-    """Why a copy older than the newest is refused; '' when the newest is of a stopped start."""
+    """The reason why a copy older than the newest is refused; '' when the newest is of a stopped start."""
     generation, _ = resource.newest_callers[caller.id]
     if generation == copy[0]:
         what = "copy"

@@ -169,8 +169,9 @@ class SerialPort:
             port.close()
 
     def _reason(self, error: Exception) -> str:
-        """Why a port cannot be used, with the remedy if there is one; pyserial reports it in its text
-        only.
+        """The reason why a port cannot be used, with the remedy if there is one.
+
+        pyserial reports the reason in the text of its exception only.
         """
         number, text = getattr(error, "errno", None), str(error)
         if "exclusively lock" in text:

@@ -23,7 +23,7 @@ from lfield.recording.folders import guard_folders, segments_of
 from lfield.recording.segments import SegmentEnd, SegmentReader
 from lfield.text.input_files import error_reason
 
-#: Why a file without a record is of no use.
+#: The reason why a file without a record is of no use.
 NO_RECORD = "it has no record"
 _DAMAGED = "it has a record that is damaged or of another version of lfield"
 

@@ -23,7 +23,7 @@ class RecordedCore:
 
     def __init__(self, core: GuardCore, clock: TurnClock, recorder: GuardRecorder | None) -> None:
         self._core, self._clock, self._recorder = core, clock, recorder
-        #: When the next timer must expire; None without a deadline.
+        #: The time when the next timer must expire; None without a deadline.
         self.due = core.due
         #: The accepted calls that the driver has not started, by token: a segment must contain them.
         self._unstarted: dict[int, GuardCall] = {}
@@ -46,7 +46,7 @@ class RecordedCore:
         return effects
 
     def start_call(self, call: GuardCall) -> str:
-        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
+        """The reason why the driver must not start an accepted call any more; '' when the call starts now."""
         now = self._clock.latch()
         refusal = self._core.mark_started(call)
         if self._recorder is not None:

@@ -32,7 +32,7 @@ class DeviceReadings(Protocol):
         """The last value of a telemetry quantity, however old; None for none yet."""
 
     def trouble(self, device: str) -> Unavailability | None:
-        """Why a device cannot be called now; None when it can."""
+        """The reason why a device cannot be called now; None when it can."""
 
 
 class PortalReadings(Protocol):
@@ -84,7 +84,7 @@ class AgentSampler:
         return AgentCondition(trouble, {**samples, **bound}, unknown)
 
     def unavailability(self, agent: str) -> Unavailability | None:
-        """Why an agent of this host cannot be called now; None when it can."""
+        """The reason why an agent of this host cannot be called now; None when it can."""
         running = self._agents.get(agent)
         if running is None:
             return Unavailability("its host does not run it")

@@ -82,7 +82,7 @@ class EventRecorder:
         self._on_shell_event: Callable[[StateEvent], None] | None = None
         self._limiters: list[EventRateLimiter] = []
         self._sources: list[Callable[[], None]] = []
-        #: When budgets are refilled next, on the monotonic clock.
+        #: The time when budgets are refilled next, on the monotonic clock.
         self.due = 0.0
         self._portals, self._commands = self.new_limiter(PORTALS), self.new_limiter(INSTRUCTIONS)
         self._prints = self.new_limiter(PRINTS)

@@ -59,10 +59,10 @@ class EventSubscription:
         self._pending_telemetry: dict[str, Event] = {}
         self._known: dict[str, object] = {}
         self._every = 1.0 / request.telemetry if request.telemetry else 0.0
-        #: When telemetry is sampled next for it, None for never.
+        #: The time when telemetry is sampled next for this subscription, None for never.
         self.sample_due: float | None = up if self._every else None
-        #: When the unacknowledged batches were sent; the one of them with telemetry, 0 for none; the round
-        #: trip in seconds, and when telemetry may be sent again.
+        #: The times at which the unacknowledged batches were sent; the batch of them with telemetry, 0 for
+        #: none; the round trip in seconds; and the time when telemetry may be sent again.
         self._sent: dict[int, float] = {}
         #: For each of these batches, the bytes that the link had carried for subscriptions before it.
         self._positions: dict[int, int] = {}
@@ -71,7 +71,7 @@ class EventSubscription:
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
         self._rest_until = up
-        #: When the next batch may be sent.
+        #: The time when the next batch may be sent.
         self.next_batch_at = up
         self._last_ack_at = up
 
@@ -112,7 +112,7 @@ class EventSubscription:
 
     @property
     def due(self) -> float:
-        """When `next_batch` is due if nothing else happens, or `has_gone` becomes true."""
+        """The time when `next_batch` is due if nothing else happens, or `has_gone` becomes true."""
         if self._is_behind:
             return self._last_ack_at + READ_TIMEOUT
         if not self._batch or self._snapshot or self._event_log.latest > self._after:

@@ -30,7 +30,7 @@ class InitBarrier(Part):
 
     def __init__(self, agents: Mapping[str, Agent], log: Callable[[LogLine], None]) -> None:
         self._agents, self._log = agents, log
-        #: When each wait was first noticed, by coordinator and resource, and which of them were logged.
+        #: The time when each wait was first noticed, by coordinator and resource; the waits that were logged.
         self._since: dict[tuple[str, str], float] = {}
         self._reported: set[tuple[str, str]] = set()
 

@@ -63,7 +63,7 @@ class WriteAheadQueue:
         self._number = 1
         self._blocked: dict[str, deque[tuple[int, Effect]]] = {}
         self._urgent = False
-        #: When lazy records are written at the latest, None without any; seconds on the host's clock.
+        #: The latest time for writing the lazy records, None without any; seconds on the host's clock.
         self.due: float | None = None
 
     def put(self, effects: Iterable[Effect], now: float) -> list[Effect]:
@@ -198,7 +198,7 @@ class JournalContents:
         )
         #: Whether this host is paused.
         self.paused = any(page.on for page in records if isinstance(page, PauseFlag))
-        #: Why an emergency stop locks the devices here, '' for none.
+        #: The reason why an emergency stop locks the devices here, '' for none.
         self.stopped = next((page.reason for page in records if isinstance(page, EmergencyStopFlag)), "")
         #: The last start that was made here, None if none is recorded.
         self.last_start = next((page.count for page in records if isinstance(page, StartCounter)), None)
@@ -219,7 +219,7 @@ class JournalContents:
         return ended.issuperset(coordinators) and all(row.state == "EXITED" for row in rows)
 
     def restart_blocker(self, agent: str, known: Iterable[CoordinatorState]) -> str:
-        """Why a coordinator of this host is not started again, '' if it may be."""
+        """The reason why a coordinator of this host is not started again, '' if it may be."""
         rows = [row for row in known if row.agent == agent]
         if any(page.agent == agent for page in self.parked):
             return "waits for the program and deployment that it belongs to"

@@ -36,7 +36,9 @@ class CallLimits:
         self._callers: dict[str, TokenBucket] = {}
 
     def refusal(self, caller: str, running: int, own: int, now: float) -> str:
-        """Why a caller may not start a call while so many `running` ones exist, `own` ones of the caller."""
+        """The reason why a caller may not start a call; `running` calls exist, `own` of them are the
+        caller's.
+        """
         if own >= RUNNING_OF_ONE:
             return f"{caller} has {own} calls running on this host, the most of one caller"
         if running >= RUNNING:

@@ -162,7 +162,7 @@ class PersonCalls(Part):
     def _refusal(
         self, order: PortalCallRequest, caller: PersonCaller, now: float
     ) -> tuple[RefusalCode, str] | None:
-        """Why a call may not start, by code and sentence."""
+        """The reason why a call may not start, by code and sentence."""
         if self._team.is_halted:
             return "stopping", f"{self._here} is stopping"
         member = self._members.get(order.resource)

@@ -62,7 +62,7 @@ class RecordedEnvironment:
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
         self._asked: set[tuple[str | int, ...]] = set()
-        #: When something last arrived from a host: the answers of this turn, and the last ones.
+        #: The time when something last arrived from a host: the answers of this turn, and the last ones.
         self._contacts: dict[str, float | None] = {}
         self._known_contacts: dict[str, float | None] = {}
         self._changes: list[RecordedAnswer] = []

@@ -22,9 +22,9 @@ from lfield.wire.observer_messages import (
     Pause,
 )
 
-#: Why devices are held while the mission is paused.
+#: The reason why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
-#: Why an order to end a stop or a pause is refused, by what it would end.
+#: The reason why an order to end a stop or a pause is refused, by what it would end.
 HOLD_NAMES = {"stop": "emergency stop", "pause": "pause"}
 NEWER_ORDER = "a newer {} arrived before this order to end the {}: check the state, then repeat the order"
 #: The answer to an order that was executed and ended by a later order.

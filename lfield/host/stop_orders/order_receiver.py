@@ -117,7 +117,7 @@ class OrderReceiver:
         #: The verified datagrams, by their digest.
         self._verified: OrderedDict[bytes, VerifiedCertificate] = OrderedDict()
         self._orders: OrderedDict[bytes, _VerifiedOrder] = OrderedDict()
-        #: When each datagram was last relayed.
+        #: The time when each datagram was last relayed.
         self._relayed: OrderedDict[bytes, float] = OrderedDict()
         self._checking: set[bytes] = set()
 

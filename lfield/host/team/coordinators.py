@@ -75,12 +75,12 @@ class Coordinators(Part):
         #: An operator has paused the mission, and the ballot that holds it (b"": none); either of them has.
         self.is_pause_ordered, self.ballot = self.recovery.paused, b""
         self.paused = self.is_pause_ordered
-        #: Why an emergency stop locks the devices here, '' for none.
+        #: The reason why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
-        #: Why the disk should admit nothing more, '' if it may.
+        #: The reason why the disk should admit nothing more, '' if it may.
         self.space_trouble = ""
         self._has_record = self.recovery.last_start is not None
-        #: Why records cannot be written now, '' if they can.
+        #: The reason why records cannot be written now, '' if they can.
         self.write_trouble = ""
         #: The starts whose pending call may have started before the restart of this host, and were informed.
         self.restart_notified: set[tuple[str, int]] = set()
@@ -90,7 +90,7 @@ class Coordinators(Part):
         self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
         #: Numbers the packed blocks; the last one, 0 if it has waited since then.
         self._packs = self._packed = 0
-        #: When mobility may have a time-out. New deadlines are later, so one that is set stays.
+        #: The time when mobility may have a time-out. New deadlines are later, so one that is set stays.
         self._deadline: float | None = None
         self.handles = {
             **dict.fromkeys(get_args(MobilityMessage), self._on_message),
@@ -130,7 +130,7 @@ class Coordinators(Part):
         self.stopped = reason
 
     def set_space_trouble(self, trouble: str) -> None:
-        """Why the journal should admit nothing more, '' if it may."""
+        """The reason why the journal should admit nothing more, '' if it may."""
         self.space_trouble = trouble
 
     @property

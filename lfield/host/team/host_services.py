@@ -207,7 +207,7 @@ class HostServices:
         return self._parts.offers.find_teams(agent.id, capability, constraint, size)
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why the other agents do not match."""
+        """The reason why the other agents do not match."""
         return self._parts.offers.explain_others(agent.id, capability, constraint)
 
     def ended(self, agent: Agent) -> None:

@@ -38,7 +38,7 @@ from lfield.wire.quorum_messages import QuorumMessage
 #: The caller of a portal: a coordinator that waits here for it, or a pending call that it has started here.
 Caller = Agent | PendingCall
 
-#: Why calls of coordinators fail on a host without a lease.
+#: The reason why calls of coordinators fail on a host without a lease.
 ENDED = "the lease of {0} has ended: no majority of the members responds"
 #: A host without a lease may have missed a termination, and a coordinator that it resumes could not act.
 NO_MAJORITY = (
@@ -226,13 +226,13 @@ class TeamLeases(Part):
         return self.quorum.is_fenced(agent, generation)
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start may not act any more, as far as is known here; '' if it may."""
+        """The reason why a start may not act any more, as far as is known here; '' if it may."""
         if self.is_fenced(agent, generation):
             return f"this start of {agent} is fenced"
         return self._team.mobility.end_reason(agent, generation)
 
     def recovery_blocker(self, agent: str, generation: int) -> str:
-        """Why an operator may not recover a coordinator here from its start `generation`; '' if they may."""
+        """The reason why an operator may not recover a start of a coordinator here; '' if they may."""
         ended = self._team.mobility.termination(agent)
         if agent in self.leased_agents and (
             known := self.quorum.terminations.covering_termination(agent, generation)

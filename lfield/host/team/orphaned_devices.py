@@ -81,7 +81,7 @@ class DeadmanMonitor:
         self._users: dict[str, set[str]] = {}
         self._coordinators: dict[str, _Coordinator] = {}
         self._turn = 0
-        #: When `check` is due; None while no device depends on a coordinator.
+        #: The time when `check` is due; None while no device depends on a coordinator.
         self.due: float | None = None
 
     def on_used(self, device: str, coordinator: str, now: float) -> None:

@@ -41,7 +41,7 @@ class HostReachability(Protocol):
         """Whether a host is linked."""
 
     def lost_reason(self, host: str) -> str:
-        """Why a call need not wait for a host, '' if it may be reached in time."""
+        """The reason why a call need not wait for a host, '' if it may be reached in time."""
 
     def down_for(self, host: str) -> float:
         """For how many seconds a formerly linked host has had no link; 0 for one never linked."""
@@ -109,7 +109,7 @@ class LeaseRules(Protocol):
         """Whether a coordinator may begin a portal call now; otherwise it waits or is stopped."""
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start of a coordinator may not act any more; empty if it may."""
+        """The reason why a start of a coordinator may not act any more; empty if it may."""
 
     def actuation_deadline(self, caller: Agent | PendingCall, device: str) -> float:
         """Until when a device may be actuated for a caller. Raises DeviceError if it may not."""

@@ -163,7 +163,7 @@ class PendingCallStore(Part):
                 self._cancel_start(start, why, starts)
 
     def _end_reason(self, start: StartId) -> str:
-        """Why a start will not fetch its calls, '' if it may."""
+        """The reason why a start will not fetch its calls, '' if it may."""
         return self._leases.end_reason(*start)
 
     def _cancel_start(self, start: StartId, why: str, pending: set[StartId]) -> None:

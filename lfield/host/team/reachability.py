@@ -44,7 +44,7 @@ class Reachability(Part):
         self._out, self._hosts = context.effects.append, context.team.hosts
         self.due = membership.due
         self.handles = {GossipUpdate: self._on_gossip}
-        #: When each host was last probed.
+        #: The time when each host was last probed.
         self._probed_at: dict[str, float] = {}
 
     def _on_gossip(self, host: str, message: GossipUpdate) -> None:
@@ -145,7 +145,7 @@ class Reachability(Part):
         return self._membership.missing_for(host, self._clock.monotonic())
 
     def lost_reason(self, host: str) -> str:
-        """Why a call need not wait for a host, '' if it may be reached in time."""
+        """The reason why a call need not wait for a host, '' if it may be reached in time."""
         if self._membership.is_linked(host):
             return ""
         if host in self._membership.ended:

@@ -66,7 +66,7 @@ class ReservationService(Part):
         self._retried_persons: list[StartKey] = []
         #: The reservations whose records are being written, with the number of the batch.
         self._unwritten: deque[tuple[int, str, int]] = deque()
-        #: When the reservations of each coordinator here were last renewed.
+        #: The time when the reservations of each coordinator here were last renewed.
         self._renewed: dict[str, tuple[Agent, float]] = {}
         #: Whether a coordinator was resumed since the last `poll_resumed`.
         self._moved = False

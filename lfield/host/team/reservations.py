@@ -145,7 +145,7 @@ class Reservations:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is due next, None for never."""
+        """The time when `tick` is due next, None for never."""
         return min(self._dues(), default=None)
 
     def _dues(self) -> Iterator[float]:
@@ -362,7 +362,7 @@ class Reservations:
     # --- messages -------------------------------------------------------------------------------------
 
     def _denial_text(self, resource: str, found: _Resource, now: float, start: StartKey) -> str:
-        """Why a coordinator cannot have a resource."""
+        """The reason why a coordinator cannot have a resource."""
         if found.holder is not None:
             return f"{resource} is {ReservedBy(found.holder[0], found.since).sentence(now)}"
         ahead = next((each for each in found.queue if each.purpose == "take" and each.start != start), None)
@@ -371,7 +371,7 @@ class Reservations:
         return f"{resource} is executing calls of others, and can be reserved only after these"
 
     def _loss_reason(self, resource: str, found: _Resource, start: StartKey, number: int, now: float) -> str:
-        """Why a number is not valid any more."""
+        """The reason why a number is not valid any more."""
         if found.holder is not None and found.holder != start:
             return f"{resource} was reserved by {found.holder[0]} {now - found.since:.1f} s ago"
         if found.ended is not None and found.ended[0] == start:

@@ -32,7 +32,7 @@ QUERY_EVERY = 1.0
 
 
 class LinkRefusal(NamedTuple):
-    """Why no link with a host can be made, and its bundle, b"" if unknown."""
+    """The reason why no link with a host can be made, and its bundle, b"" if unknown."""
 
     reason: str
     bundle: bytes
@@ -60,12 +60,12 @@ class Readiness:
         self._without_by_command: set[str] = set()
         #: The hosts that cannot be linked.
         self.refusals: dict[str, LinkRefusal] = {}
-        #: When each host lost its link before the start.
+        #: The time when each host lost its link before the start.
         self._lost: dict[str, float] = {}
-        #: Why the start needs an operator's command, '' if it does not.
+        #: The reason why the start needs an operator's command, '' if it does not.
         self.held = ""
-        #: When each host was queried for its vehicles, the hosts whose vehicles are all on the ground, and by
-        #: host the vehicles that have not reported whether they are.
+        #: The time when each host was queried for its vehicles; the hosts whose vehicles are all on the
+        #: ground; and by host the vehicles that have not reported whether they are.
         self._queried_at: dict[str, float] = {}
         self._on_ground: set[str] = set()
         self._unknown: dict[str, list[str]] = {}
@@ -182,7 +182,7 @@ class Readiness:
         return [UnlinkableHost(h, truncate(r.reason), r.bundle) for h, r in sorted(self.refusals.items())]
 
     def reasons(self, now: float) -> Mapping[str, str]:
-        """Why the start waits for each of these hosts."""
+        """The reason why the start waits for each of these hosts."""
         return {host: self._reason(host, now) for host in self.waited_for}
 
     def _reason(self, host: str, now: float) -> str:
@@ -202,7 +202,7 @@ class Readiness:
 
     @property
     def due(self) -> float | None:
-        """When something is to be logged or queried again, None for never."""
+        """The time when something is to be logged or queried again, None for never."""
         asked = [
             self._queried_at[host] + QUERY_EVERY for host in self._unknown_hosts() if host in self._queried_at
         ]

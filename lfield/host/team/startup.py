@@ -20,10 +20,10 @@ from lfield.wire.coordinator_messages import CoordinatorState
 from lfield.wire.messages import GroundQuery, GroundReport
 from lfield.wire.observer_messages import StartResponse, StartStatus
 
-#: Why an emergency stop during the wait holds the start.
+#: The reason why an emergency stop during the wait holds the start.
 EMERGENCY_STOPPED = "an emergency stop holds ('lfield estop --lift' ends it)"
 PAUSED = "the mission is paused; 'lfield resume' continues it"
-#: Why the vote about an activation holds the start.
+#: The reason why the vote about an activation holds the start.
 VOTE_OPEN = "the result of a vote about an activation is not known; 'lfield status' shows it"
 #: Minimum seconds between two checks.
 CHECK_EVERY = 0.25
@@ -281,7 +281,7 @@ class Startup(Part):
                 self._team.apply_effects(self._team.mobility.start(agent, self._gate.next_generation))
 
     def _blocking_reason(self, agent: str, known: list[CoordinatorState]) -> str:
-        """Why a coordinator of this host is not started now, '' if it may be."""
+        """The reason why a coordinator of this host is not started now, '' if it may be."""
         alive = "is alive on another host" if self._gate.is_alive(agent, known) else ""
         parked = self._gate.parked_on(agent, known)
         elsewhere = (

@@ -57,7 +57,7 @@ class StandbyConnection:
         #: Events: the peer has answered or closed it; it is closed, or made the link.
         self.settled, self.ended = asyncio.Event(), asyncio.Event()
         self._traffic, self._round_trip = LinkTraffic(), SmoothedRtt()
-        #: When the last keep-alive was sent or received, and whether it awaits an answer.
+        #: The time when the last keep-alive was sent or received, and whether it awaits an answer.
         self._last, self._is_awaiting, self._token = now, dialled, 0
 
     def open(self, link: Link, own: Hello) -> None:

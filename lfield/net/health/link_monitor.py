@@ -58,7 +58,7 @@ class LinkFigures(NamedTuple):
 
 
 class LinkActivity:
-    """When a link last carried work, and when it last began to after an idle period. Times are in seconds."""
+    """The times when a link last carried work, and last began to after an idle period, in seconds."""
 
     def __init__(self, now: float) -> None:
         self._work, self._worked_at, self._busy_since = -1, now, now

@@ -60,8 +60,8 @@ class _Account:
     #: CPU time not yet repaid.
     level: float = 0.0
     held_until: float = -math.inf
-    #: When the next probe may start; when the present one ends without further messages; and the CPU time
-    #: used since that was set, in seconds.
+    #: The time when the next probe may start; the time when the present one ends without further messages;
+    #: the CPU time used since that was set, in seconds.
     probe_due: float = -math.inf
     probe_ends: float | None = None
     probed: float = 0.0
@@ -116,7 +116,7 @@ class CpuBudgets:
         return BudgetState.FLOOD if now - account.connecting_since >= MAX_EXCESS_TIME else BudgetState.OVER
 
     def probe_ends(self, member: str) -> float | None:
-        """When the probe of a member ends without further messages, in seconds; None without a probe."""
+        """The end of a member's probe without further messages, in seconds; None without a probe."""
         account = self._accounts.get(member)
         return None if account is None else account.probe_ends
 
@@ -134,7 +134,7 @@ class CpuBudgets:
         account.probe_ends, account.probe_due = None, -math.inf
 
     def held_until(self, member: str) -> float:
-        """When reading of a member resumes, in seconds of the same clock."""
+        """The time when reading of a member resumes, in seconds of the same clock."""
         account = self._accounts.get(member)
         return -math.inf if account is None else account.held_until
 

@@ -14,9 +14,9 @@ class QueueRank(IntEnum):
 
     #: In round-robin order.
     FIRST = 0
-    #: When no identity of the first rank waits.
+    #: Only while no identity of the first rank waits.
     BEHIND = 1
-    #: Not before its rank changes.
+    #: Only after a change of its rank.
     HELD = 2
 
 

@@ -97,7 +97,7 @@ class HandshakeScheduler(Generic[G]):
         self._level += max(0.0, seconds)
 
     def due(self, now: float) -> float:
-        """When the next step may start; infinite if none waits."""
+        """The time when the next step may start; infinite if none waits."""
         self._refill(now)
         if not self._waiting:
             return math.inf

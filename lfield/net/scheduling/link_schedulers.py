@@ -157,7 +157,7 @@ class MemberScheduler:
         #: The open links of each member.
         self._links: dict[str, set[MemberLink]] = {}
         self._waiting: dict[MemberLink, str] = {}
-        #: When a message was last processed, and the next planned slice.
+        #: The time when a message was last processed, and the next planned slice.
         self._processed_at = -math.inf
         #: Seconds used by messages that were processed at once in this turn of the event loop.
         self._spent_at_once = 0.0

@@ -98,7 +98,7 @@ class ZenohEndpoint:
             raise ValueError(reason)
         self._loop = asyncio.get_running_loop()
         self.is_open = asyncio.Event()
-        #: Why the session is not open.
+        #: The reason why the session is not open.
         self.failure = ""
         self._session: ZenohSession = ZenohSession(
             config, self._in_loop(self.is_open.set), self._in_loop(self._on_failure)

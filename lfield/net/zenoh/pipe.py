@@ -51,7 +51,7 @@ class ZenohPipe(asyncio.Transport):
         self._high, self._low = DEFAULT_HIGH_WATER, DEFAULT_HIGH_WATER // 4
         self._is_writing_paused = self._is_closing = self._is_reading = False
         self._timer: asyncio.Handle | None = None
-        #: When the timer fires. uvloop's handle of a timer that is due at once does not say it.
+        #: The time when the timer fires. uvloop's handle of a timer that is due at once does not say it.
         self._timer_due = 0.0
         #: Done when the peer has accepted the stream; with the reason if it ended before.
         self.opened: asyncio.Future[str] = self._loop.create_future()

@@ -83,8 +83,8 @@ class NumberedStream:
         #: Sizes of the packets that the peer has not read, and their sum.
         self._unread_sizes: deque[int] = deque()
         self.in_flight = 0
-        #: When the peer is asked for the first of them; the number of the last question, and of the packet
-        #: that was to be sent then.
+        #: The time when the peer is asked for the first of these packets; the number of the last question,
+        #: and of the next packet at that time.
         self._check_at, self._question, self._asked_next = 0.0, 0, 0
         #: Packets before this one are repeated, each when the one before was acknowledged; and how many
         #: acknowledgements brought nothing new.
@@ -199,7 +199,7 @@ class NumberedStream:
 
     @property
     def deadline(self) -> float | None:
-        """When `on_time` is due; None after the end."""
+        """The time when `on_time` is due; None after the end."""
         if self.is_closed:
             return None
         if not self.is_open:
@@ -218,7 +218,7 @@ class NumberedStream:
 
     @property
     def _silence_end(self) -> float:
-        """When silence ends the stream."""
+        """The time when silence ends the stream."""
         if self._suspected_at is not None:
             return self._suspected_at + SUSPECTED_SILENCE
         is_answer_due = bool(self._sent) or not self.is_open
@@ -226,7 +226,7 @@ class NumberedStream:
 
     @property
     def _ask_at(self) -> float:
-        """When to ask the peer for a sign of life, or whether it has read meanwhile."""
+        """The time at which to ask the peer for a sign of life, or whether it has read meanwhile."""
         stalled = (
             bool(self._pending) or self._suspected_at is not None or self._last_received < self._asked_at
         )

@@ -163,7 +163,7 @@ class ZenohTransport:
                 raise AddressError(address, f"the stream was not opened: {reason}")
 
     def _why_closed(self, endpoint: ZenohEndpoint) -> str:
-        """Why there is no session."""
+        """The reason why there is no session."""
         where = " or ".join(self._config.connect) or "the network"
         detail = f" ({endpoint.failure})" if endpoint.failure else ""
         return f"no Zenoh router answers at {where}{detail}; lfield retries"

@@ -101,7 +101,7 @@ class Quorum:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is due; None before `start`."""
+        """The time when `tick` is due; None before `start`."""
         if self._next_heartbeat is None:
             return None
         other = self._failover.due

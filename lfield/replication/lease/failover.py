@@ -71,11 +71,11 @@ class Failover:
         self._members, self._hosts, self._copies, self._fences = members, hosts, copies, fences
         self._agents, self._rng = agents, rng
         self._attempts: dict[str, FailoverAttempt] = {}
-        #: When a holder was last known, or the coordinator was here.
+        #: The time when a holder was last known, or the coordinator was here.
         self._last_holder: dict[str, float] = {}
         #: No new suspicion before this time: the last attempt has just failed.
         self._back_off_until: dict[str, float] = {}
-        #: When each agent becomes suspected without news of a holder.
+        #: The time when each agent becomes suspected without news of a holder.
         self._suspected: dict[str, float] = {}
         #: What was logged of each agent since its holder was last known, and when.
         self._explained: dict[str, dict[str, float]] = {agent: {} for agent in agents}
@@ -93,7 +93,7 @@ class Failover:
 
     @property
     def due(self) -> float | None:
-        """When `tick` is next due, as far as known."""
+        """The time when `tick` is next due, as far as known."""
         dues = [attempt.due for attempt in self._attempts.values()]
         suspected = [at for agent, at in self._suspected.items() if agent not in self._attempts]
         return min([*dues, *suspected], default=None)

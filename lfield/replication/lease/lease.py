@@ -23,7 +23,7 @@ class Lease:
         self._sent: deque[tuple[int, float]] = deque()
         #: The time of sending of the newest heartbeat that each other member has acknowledged.
         self._acknowledged: dict[str, float] = {}
-        #: When the lease ends, in seconds on this host's clock.
+        #: The time when the lease ends, in seconds on this host's clock.
         self.valid_until = math.inf if self._alone else -math.inf
 
     @property

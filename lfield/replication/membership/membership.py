@@ -35,7 +35,7 @@ class LinkContacts(Protocol):
         """Since when each host without a link has had none."""
 
     def last_contact_at(self, host: str) -> float | None:
-        """When something last came from a host; None for never."""
+        """The time when something last came from a host; None for never."""
 
 
 class HighestCounters:
@@ -94,7 +94,7 @@ class Membership:
         self._gossipers: set[str] = set()
         #: Probes whose heartbeats have not arrived yet.
         self._owed_counters: dict[str, LivenessCounter] = {}
-        #: When each host last gave evidence of life, and when it was first missed.
+        #: The time when each host last gave evidence of life, and when it was first missed.
         self._last_evidence: dict[str, float] = {}
         self._since = dict.fromkeys(neighbours.neighbours, now)
         #: Hosts with an open link.
@@ -108,7 +108,7 @@ class Membership:
         self._first_incarnations: dict[str, int] = {}
         #: Hosts that did not answer the last cluster query.
         self.suspected: set[str] = set()
-        #: When `next_gossip` is due; None if it has no recipients.
+        #: The time when `next_gossip` is due; None if it has no recipients.
         self.due: float | None = now if len(hosts) > 2 else None
 
     @property
@@ -132,7 +132,7 @@ class Membership:
         return self._contacts.down_since
 
     def last_contact(self, host: str) -> float | None:
-        """When something last came from a host itself; None for never.
+        """The time when something last came from a host itself; None for never.
 
         Heartbeats that other hosts pass on do not count: they show that the host is alive, and not that a
         message would reach it.

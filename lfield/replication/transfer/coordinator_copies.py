@@ -24,7 +24,7 @@ CopyPhase = Literal["ABSENT", "RUN", "FROZEN", "PREPARED", "MOVED", "EXITED"]
 #: States of a copy here that runs or may have to run again.
 LIVE_STATES: tuple[CopyPhase, ...] = ("RUN", "FROZEN", "PREPARED")
 
-#: Why a copy with an unreadable block cannot be resumed.
+#: The reason why a copy with an unreadable block cannot be resumed.
 UNREADABLE = "its stored copy here cannot be read"
 
 #: The most starts of one coordinator that a host records; the first ended one is dropped for a new one.

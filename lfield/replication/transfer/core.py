@@ -302,7 +302,7 @@ class Mobility:
         self._sender.postpone(now)
 
     def next_deadline(self) -> float | None:
-        """When `tick` is due next, or None."""
+        """The time when `tick` is due next, or None."""
         waiting = (self._sender.due(c) for c in self._copies if c.is_alive and c.state != "RUN")
         return min(waiting, default=None)
 
@@ -353,7 +353,7 @@ class Mobility:
         return copy is not None and copy.state in ("PREPARED", "MOVED", "EXITED")
 
     def end_reason(self, agent: str, generation: int) -> str:
-        """Why a start may not continue, as far as is known here; '' if it may."""
+        """The reason why a start may not continue, as far as is known here; '' if it may."""
         copy = self._copies.find(agent, generation)
         if copy is None or copy.state != "EXITED":
             return ""

@@ -134,7 +134,7 @@ Effect = (
 
 
 class TransferRefusal(Struct, frozen=True):
-    """Why a coordinator was refused: an L exception's name and a sentence."""
+    """The reason why a coordinator was refused: an L exception's name and a sentence."""
 
     kind: str
     reason: str

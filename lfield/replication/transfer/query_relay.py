@@ -54,7 +54,7 @@ class QueryRelay(Generic[E]):
     ) -> None:
         self._hosts, self._here, self._incarnation = hosts, here, incarnation
         self._clock, self._out, self._membership, self._mobility = clock, out, membership, mobility
-        #: When `on_tick` is due, in seconds; None while no transfer from here awaits an answer.
+        #: The time when `on_tick` is due, in seconds; None while no transfer from here awaits an answer.
         self.due: float | None = None
         self._count = 0
         self._handled = HighestCounters()

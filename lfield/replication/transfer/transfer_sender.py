@@ -36,7 +36,7 @@ RESTARTED = "RestartException"
 #: What is known of a call that was interrupted by a restart.
 NOT_STARTED, MAYBE_STARTED = "this call has not begun", "this call may have begun"
 LIMIT = "LimitException"
-#: Why a paused host admits no coordinator.
+#: The reason why a paused host admits no coordinator.
 PAUSED = "the mission is paused there"
 #: Minimum time in seconds until an unanswered transfer is in doubt. A link may be silent for 8 s until it is
 #: closed; then the answer comes over other hosts. An earlier doubt could be reported by both hosts at once.
@@ -191,7 +191,7 @@ class TransferSender:
                 copy.postpone(now + self._unreachable_after)
 
     def due(self, copy: CoordinatorCopy) -> float:
-        """When `on_deadline` has something to do for a live copy that is not running."""
+        """The time when `on_deadline` has something to do for a live copy that is not running."""
         return copy.deadline + self._doubt_grace if copy.state == "PREPARED" else copy.deadline
 
     def on_deadline(self, copy: CoordinatorCopy, now: float) -> list[Effect]:

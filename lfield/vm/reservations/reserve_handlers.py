@@ -117,7 +117,9 @@ class ReserveHandlers:
         )
 
     def _barred_reason(self, agent: Agent, resource: TeamMember) -> str:
-        """Why a coordinator may not reserve a resource: it may call nothing of it; '' if it may."""
+        """The reason why a coordinator that may call no portal of a resource may not reserve it; '' if it
+        may.
+        """
         rules, methods = self._scheduler.hooks.rules, self._scheduler.program.core.methods
         if rules is None:
             return ""

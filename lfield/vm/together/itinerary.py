@@ -290,7 +290,7 @@ class Itinerary:
         return signs is not None and bool(awaited) and signs.is_heartbeat_pending(self.resource(awaited[0]))
 
     def wait_reason(self, agent: Agent) -> str:
-        """Why a suspended coordinator cannot continue at once: it may have left, or is being stored."""
+        """The reason why a suspended coordinator cannot continue at once: it has left or is being stored."""
         called = self.current_target(agent)
         if called is None or called[0].host == self._here:
             return "it was being written to disk"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MAX_LINE = MAX_INPUT
 #: The number of lines that are kept while no thread waits.
 MAX_KEPT = 16
-#: Why a line was not accepted.
+#: The reason why a line was not accepted.
 NO_READER = "{agent} does not wait for a line any more"
 TOO_MANY = f"{MAX_KEPT} lines are kept already, and no agent of this host reads them"
 

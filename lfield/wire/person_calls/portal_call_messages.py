@@ -56,7 +56,7 @@ class PortalCallResult(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     value: Annotated[bytes, Meta(max_length=MAX_RESULT)] = b""
 
 
-#: Why a call was refused, or its outcome is unknown.
+#: The reason why a call was refused, or its outcome is unknown.
 RefusalCode = Literal[
     "not-permitted",
     "paused",
