@@ -1,8 +1,9 @@
 """Selects the engine of a host, and provides machine code: cached in the user's files, compiled in a child
 process.
 
-The memory for compiling is freed when that process ends, and its failure (address-space limit, no memory)
-does not affect the host. Only the output of that very process, read from its pipe, is used.
+The memory for compiling is freed when that process ends, and a failure of the process (address-space limit,
+no memory) does not affect the host. The host uses only the output that it reads from the pipe of this
+process.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from lfield.vm.engine_interface import Engine, Engines
 from lfield.vm.reference import ReferenceEngine as Reference
 from lfield.vm.wasm.engine_selection import MISSING, has_wasm, wasm_engine
 
-#: Larger than the code of any program.
+#: A limit that is larger than the code of any program.
 _MAX_BYTES = 256 << 20
 #: The number of cached programs, most recently compiled.
 MAX_PROGRAMS = 64
@@ -127,7 +128,7 @@ def compile_in_process(
     # Import the modules of this host and nothing from the working directory: the host executes the output.
     command = (sys.executable, "-P", "-m", _COMPILER, str(reservation), str(os.getpid()))
     modules = os.pathsep.join(folder for folder in sys.path if folder)
-    # The last line of its output is the reason; a traceback would hide it.
+    # The last line of the output is the reason; a traceback would hide it.
     environment = {**os.environ, "PYTHONPATH": modules, "RUST_BACKTRACE": "0"}
     try:
         ended = subprocess.run(

@@ -1,8 +1,8 @@
 """Directory of the team's agents: a host samples its own, reports them, and receives the reports of others.
 
 Every host samples its agents once in LOOK_EVERY seconds and sends the changes, in one message for all agents.
-A newly linked host receives everything once. In a program without capabilities of a registry none of this
-happens: the condition of agents outside a registry is derived on demand from what this host knows anyway.
+A newly linked host receives everything once. A program without capabilities of a registry needs no samples:
+the condition of agents outside a registry is derived on demand from the data of this host.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ SAMPLE_EVERY = 1.0
 
 
 class TeamDirectory(Part):
-    """Keeps the `directory` of a host up to date. Only agents in the `registry` are in it; whether other
-    resources of the team can be called follows from their devices here, and from the links.
+    """Keeps the `directory` of a host up to date. Only agents in the `registry` are in it; the devices here
+    and the links determine whether other resources of the team can be called.
 
     `machine` runs the agents of this host, `holder_of` returns the holder of a reservation. `liveness` is the
     membership of the team.

@@ -1,14 +1,14 @@
 """One subscription to a host's events: which batches of states and telemetry are sent, and when. Sans-IO.
 
-A subscriber receives every state in order as long as the log has it. One that falls behind is not served from
-the oldest end, where it would lose more with every batch: it receives the rare events and the counts of the
-lost ones, and continues with live events. Telemetry is sent when there is room and no state is pending: only
-the newest value of each device and agent, with a count of the replaced ones. At most WINDOW batches are in
+A subscriber receives every state in order as long as the log has it. A slow subscriber is not served from the
+oldest end, where it would lose more with every batch: it receives the rare events and the counts of the lost
+events, and continues with live events. Telemetry is sent when there is room and no state is pending: only the
+newest value of each device and agent, with a count of the replaced values. At most WINDOW batches are in
 flight; a subscriber that does not read costs its host only this bookkeeping.
 
 On a slow path, batches leave most of the measured rate to other messages (`path_rate`). At most one batch
-with telemetry is in flight, and after one that was acknowledged late there is a pause of several times the
-delay beyond the round trip.
+with telemetry is in flight, and after a batch that was acknowledged late there is a pause of several times
+the delay beyond the round trip.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from lfield.wire.events import Event, TelemetryEvent
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, EventBatch, Subscribe
 
-#: Maximum bytes of the events of a batch, unless one alone has more; and of the first batch. The limit
-#: doubles with each acknowledgement on a path that is not slow: the first batches do not fill a slow one.
+#: Maximum bytes of the events of a batch, unless one event alone has more; and of the first batch. The limit
+#: doubles with each acknowledgement on a path that is not slow: the first batches do not fill a slow path.
 BATCH_BYTES, FIRST_BATCH_BYTES = 48 << 10, 4 << 10
 #: Minimum seconds between two batches; and the maximum, after which an empty batch shows that the host lives.
 MIN_INTERVAL, QUIET_INTERVAL = 0.05, 1.0
@@ -39,7 +39,7 @@ TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
 class EventSubscription:
     """A subscription by `request`, received `up` seconds after the start of the host.
 
-    `incarnation` is that of the host. All times are seconds since its start.
+    `incarnation` is that of the host. All times are seconds since the start of the host.
     """
 
     def __init__(self, event_log: EventLog, incarnation: int, request: Subscribe, up: float) -> None:
@@ -48,8 +48,8 @@ class EventSubscription:
             self._after = event_log.latest
         else:
             self._after = min(request.after, event_log.latest) if request.incarnation == incarnation else 0
-        #: The newest state when it started or fell behind; and the one after which it receives frequent
-        #: events.
+        #: The newest state when the subscription started or fell behind; and the state after which it
+        #: receives frequent events.
         self._caught_up_at, self._frequent_after = event_log.latest, 0
         self._snapshot = request.incarnation != incarnation or self._after < event_log.last_dropped
         #: Whether the last batch was a snapshot.
@@ -100,7 +100,7 @@ class EventSubscription:
         self._positions = {number: at for number, at in self._positions.items() if number > batch}
 
     def _rest(self, took: float) -> float:
-        """The pause of telemetry after a batch that was acknowledged after so many seconds."""
+        """The pause of telemetry after a batch whose acknowledgement took this number of seconds."""
         if self._round_trip is not None:
             return min(LONGEST_REST, REST * max(0.0, took - self._round_trip))
         # The next batch has no telemetry and measures the round trip.
@@ -153,10 +153,10 @@ class EventSubscription:
         if self._is_behind or up < self.due:
             return None
         if self._acknowledged == self._batch:
-            # The acknowledgement is awaited from here on.
+            # The wait for the acknowledgement begins here.
             self._last_ack_at = up
         after, events, shown = self._after, list[Event](), None
-        # A subscriber receives something after a snapshot, however slowly it reads.
+        # Even a subscriber that reads slowly receives a batch after a snapshot.
         if self._snapshot or (not self._last_snapshot and self._skip_lost()):
             shown, self._snapshot, self._last_snapshot = snapshot(), False, True
         else:

@@ -1,7 +1,7 @@
 """The rate of a path, measured by the sender of small batches, and the pause that keeps to a share. Sans-IO.
 
-A batch that is acknowledged later than a small one took longer on a slow channel. The median of several such
-measurements ignores batches that were lost and repeated.
+On a slow channel, a batch is acknowledged later than a small one. The median of several such measurements
+ignores batches that were lost and repeated.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from statistics import median
 SAMPLES, MIN_EXTRA = 9, 48
 #: Above this rate in bytes/s a path is not slow, and nothing is limited.
 FAST_RATE = 100_000.0
-#: The share of the rate that events and telemetry of one subscription may use, and the bytes of a batch and
-#: its acknowledgement beside its content: headers of IP, TCP and TLS, and TCP's own acknowledgements.
+#: The share of the rate that events and telemetry of one subscription may use; and the bytes of a batch and
+#: its acknowledgement in addition to the content: headers of IP, TCP and TLS, and TCP's own acknowledgements.
 SHARE, OVERHEAD = 0.08, 280
 #: The longest pause in seconds, and the smallest limit of a batch in bytes.
 MAX_PAUSE, MIN_BATCH = 5.0, 1 << 10
