@@ -158,7 +158,7 @@ class RetryPace:
     """The addresses of one transport that have not answered. Times are in seconds of one clock."""
 
     def __init__(self) -> None:
-        #: Since when each is silent, and when it was tried last.
+        #: The time since when each is silent, and when it was tried last.
         self._silent: dict[str, tuple[float, float]] = {}
 
     def on_attempt(self, address: str, now: float) -> float:

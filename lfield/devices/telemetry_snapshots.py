@@ -90,7 +90,7 @@ class Snapshots:
         return self._observations.get((device, quantity))
 
     def silent_since(self, device: str) -> float | None:
-        """Since when a device is silent, if that is too long; else None.
+        """The time since when a device is silent, if that is too long; else None.
 
         Too long is the shortest `max_age` of its quantities, at least SILENCE_LIMIT. A device that has never
         sent anything is not lost: some never do.

@@ -76,7 +76,7 @@ class LinkActivity:
         self._work, self._worked_at = work, now
 
     def expected_silence(self, silent: float, now: float) -> float:
-        """The silence since heartbeats have been frequent."""
+        """The silence since heartbeats have become frequent."""
         return silent if self.is_idle(now) else min(silent, now - self._busy_since)
 
 
@@ -84,7 +84,7 @@ class LinkMonitor:
     """The links of host number `here`; `hosts` are all hosts with their numbers, and `now` is a monotonic
     clock, in seconds.
 
-    Heartbeats of hosts carry the timestamps of `hybrid_clock`; those of idle links are `idle_interval`
+    Heartbeats of hosts carry the timestamps of `hybrid_clock`; heartbeats of idle links are `idle_interval`
     seconds apart.
     """
 

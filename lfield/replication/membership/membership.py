@@ -32,7 +32,7 @@ class LinkContacts(Protocol):
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """Since when each host without a link has had none."""
+        """The time since when each host without a link has had none."""
 
     def last_contact_at(self, host: str) -> float | None:
         """The time when something last came from a host; None for never."""
@@ -128,7 +128,7 @@ class Membership:
 
     @property
     def down_since(self) -> Mapping[str, float]:
-        """Since when each host without a link has had none."""
+        """The time since when each host without a link has had none."""
         return self._contacts.down_since
 
     def last_contact(self, host: str) -> float | None:
