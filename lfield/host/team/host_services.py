@@ -166,15 +166,17 @@ class HostServices:
             parts.pending_calls.on_departing(agent)
 
     def contact_age(self, member: TeamMember) -> float:
-        """Seconds since the last message from its host; infinite without a link."""
+        """Seconds since the last message from the host of an agent; infinite without a link."""
         return self._parts.reachability.contact_age(self._hosts[member.host])
 
     def is_silent(self, member: TeamMember) -> bool:
-        """Whether no message arrives from its host, although there is a link."""
+        """Whether no message arrives from the host of an agent, although there is a link."""
         return self._parts.reachability.is_silent(self._hosts[member.host])
 
     def request_heartbeat(self, member: TeamMember, within: float) -> None:
-        """Request a heartbeat from its host, unless a message arrived in the last `within` seconds."""
+        """Request a heartbeat from the host of an agent, unless a message arrived in the last `within`
+        seconds.
+        """
         self._parts.reachability.request_heartbeat(self._hosts[member.host], within)
 
     def is_heartbeat_pending(self, member: TeamMember) -> bool:
@@ -182,7 +184,7 @@ class HostServices:
         return self._parts.reachability.is_heartbeat_pending(self._hosts[member.host])
 
     def transit_time(self, member: TeamMember) -> float:
-        """The expected transit time to its host, in seconds."""
+        """The expected transit time to the host of an agent, in seconds."""
         return self._parts.reachability.arrival_time(self._hosts[member.host])
 
     def call_device(
