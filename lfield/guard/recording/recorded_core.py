@@ -1,6 +1,6 @@
 """A GuardCore with one time per input, whose inputs and decisions are recorded.
 
-The core reads its clock several times in one event. With one time for all of them, that time is an input
+The core reads its clock several times in one event. With one time for all readings, this time is an input
 like the others, and a replay is bit-exact.
 """
 
@@ -15,7 +15,7 @@ from lfield.recording.turn_clocks import TurnClock
 
 
 class RecordedCore:
-    """The core of a guard; `clock` is that of the core. Nothing is recorded without a `recorder`.
+    """The core of a guard; `clock` is the clock of the core. Without a `recorder`, no data is recorded.
 
     Each input reads the clock once. A recording is a sequence of segments, each of which begins with the
     state of the core and the accepted calls that the driver has not started.
