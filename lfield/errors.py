@@ -30,7 +30,7 @@ class ReportableFinding(Protocol):
 
 
 class LfieldError(Exception):
-    """A bug in lfield; also the root of the tree. `exit_status` is that of a command which it ends."""
+    """A bug in lfield; also the root of the tree. `exit_status` is the status of a command that it ends."""
 
     exit_status = exit_status.SOFTWARE
     code, remedy = "bug", "run again with LFIELD_TRACEBACK=1 and report what it prints"
@@ -84,8 +84,8 @@ class ProgramError(LfieldError):
 class BindingError(LfieldError):
     """A devices file is invalid; `problems` has a sentence for each mistake.
 
-    `findings` are those with a position in a file, in the order of the first `problems`. `cure` is a sentence
-    about what to do, or ''.
+    `findings` are the mistakes with a position in a file, in the order of the first `problems`. `cure` is a
+    sentence with the remedy, or ''.
     """
 
     exit_status = exit_status.DATA
@@ -100,7 +100,7 @@ class BindingError(LfieldError):
 class DevicesError(BindingError):
     """The bindings are valid, and devices cannot be opened: no library, port or answer.
 
-    `not_set_up` are those of the `problems` that `lfield setup` solves.
+    `not_set_up` are the `problems` that `lfield setup` solves.
     """
 
     exit_status = exit_status.UNAVAILABLE
@@ -202,7 +202,7 @@ class DamagedFileError(InputFileError):
 class MissionFileError(InputFileError):
     """A mission, area or parameter file is invalid: `file`, `reason`, and the item it is about.
 
-    `item` is the item's number as ground stations show it, None for the file as a whole; `where` names
+    `item` is the item's number as shown by ground stations, None for the file as a whole; `where` names
     another place, such as `line 3`.
     """
 
@@ -288,7 +288,7 @@ class HandshakeError(LfieldError):
 class CpuBudgetExceeded(WireError):
     """The messages of a member of the team take more processing time than its budget.
 
-    `share` is its part of one processor; `closes` says that its link is closed after `seconds` over budget.
+    `share` is its part of one processor; `closes`: its link is closed after `seconds` over budget.
     """
 
     code, remedy = "cpu-budget", "find out why that host sends so much; restart it"
@@ -382,7 +382,7 @@ class NoMissionRunning(LfieldError):
 
 
 class PortalCallError(LfieldError):
-    """A portal call of a person has not returned: `portal` is AGENT.PORTAL, `reason` why.
+    """A portal call of a person has not returned: `portal` is AGENT.PORTAL, `reason` the reason.
 
     `kind` is the exception of L that it has thrown, or the code of the reason.
     """
@@ -412,7 +412,7 @@ class PortalFailed(PortalCallError):
 
 
 class CallOutcomeUnknown(PortalCallError):
-    """It is not known whether a portal was executed: its host has stopped or restarted, or is unreachable."""
+    """A portal may have been executed: its host has stopped or restarted, or is unreachable."""
 
     exit_status = exit_status.UNKNOWN_OUTCOME
     code, remedy = "portal-call-unknown", "check the state of the resource before calling again"
@@ -435,7 +435,7 @@ class HostFailure(LfieldError):
         if isinstance(cause, MemoryError):
             self.reason = "out of memory; its devices go to their safe states"
         else:
-            import traceback  # seldom needed, and every command starts faster without it
+            import traceback  # rarely needed, and every command starts faster without it
 
             frames = traceback.extract_tb(cause.__traceback__)
             where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
@@ -466,7 +466,7 @@ class PluginError(LfieldError):
 class DeviceError(PluginError):
     """A device refused a command, failed, or went away.
 
-    `device` is its name in L (`fc`), `kind` the L exception it becomes (`DeviceException`,
+    `device` is its name in L (`fc`), `kind` the L exception that it becomes (`DeviceException`,
     `DeviceTimeoutException` or `CancelledException`), `reason` the device's own words.
     """
 
