@@ -1,7 +1,7 @@
 """The exceptions of lfield, one tree: each class has a stable `code`, and the exit status of a command.
 
 `lfield/docs/messages.md` lists the codes with their meaning and remedy; it is generated from this file. Data
-is kept in attributes; `str()` is one sentence: what is wrong, and what to do.
+is kept in attributes; `str()` is one sentence: the problem, and the remedy.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ class OutputFileError(LfieldError):
 
 
 class JournalError(LfieldError):
-    """A journal cannot be opened or written: `path`, `reason`, and `advice` on what to do."""
+    """A journal cannot be opened or written: `path`, `reason`, and `advice` on the remedy."""
 
     exit_status = exit_status.NO_OUTPUT
     code, remedy = "journal", "check the disk; `lfield inspect JOURNAL` prints what can be read"
@@ -338,14 +338,14 @@ class ZenohUnreachable(AddressError):
 
 
 class MissionTestError(LfieldError):
-    """A mission test asks for something that does not exist, or does something that a test must not do."""
+    """A mission test uses an object that does not exist, or an action that a test must not use."""
 
     exit_status = exit_status.USAGE
     code, remedy = "mission-test", "correct the test"
 
 
 class Stuck(MissionTestError):
-    """A mission test waits for something that cannot happen; `standing` has the position of every agent."""
+    """A mission test waits for an event that cannot occur; `standing` has the position of every agent."""
 
     code, remedy = "mission-test-stuck", "correct the program or the test"
 
@@ -484,7 +484,7 @@ class DeviceNotSetUp(DeviceError):
 
 
 class ProvisionError(LfieldError):
-    """A robot cannot be provisioned: `host` (empty: none of them), `reason`, and `advice` on what to do."""
+    """A robot cannot be provisioned: `host` (empty: none of them), `reason`, and `advice` on the remedy."""
 
     exit_status = exit_status.UNAVAILABLE
     code, remedy = "provision", "follow the advice in the message, and run `lfield provision` again"

@@ -22,7 +22,7 @@ _LISTED = 12
 
 
 class FilePlan(Struct, frozen=True):
-    """The changes of a device by a file. Nothing is written."""
+    """The changes of a device by a file, before any write."""
 
     file: str
     found: FoundDevice

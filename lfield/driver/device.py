@@ -199,7 +199,7 @@ class Device:
         return await self._settings()
 
     async def check_settings(self) -> None:
-        """Raises DeviceNotSetUp if stored settings do not match the binding; writes nothing."""
+        """Raises DeviceNotSetUp if stored settings do not match the binding, without a write."""
         if not_right := mismatched(await self._settings()):
             for setting in not_right:
                 self.note(log_messages.SETTING_MISMATCH.line(setting=setting, reason=setting.why))

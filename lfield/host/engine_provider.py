@@ -79,7 +79,7 @@ def code_folder() -> Path | None:
 class UserCodeCache:
     """Machine code of programs in files that only this user can write (`lfield.text.secure_files`).
 
-    Without such a folder everything is compiled at each start.
+    Without such a folder every program is compiled at each start.
     """
 
     def __init__(self, folder: Path | None, note: LogSink) -> None:
@@ -152,7 +152,7 @@ def compile_in_process(
 
 
 def _split_modules(data: bytes) -> list[bytes]:
-    """Parse a line of sizes, followed by that many bytes each; empty if malformed."""
+    """Parse a line of sizes, followed by the bytes of each size; empty if malformed."""
     line, _, rest = data.partition(b"\n")
     with suppress(ValueError):
         ends = list(accumulate(map(int, line.split()), initial=0))

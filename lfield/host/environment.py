@@ -68,7 +68,7 @@ class HostEnvironment:
         return self._links.down_since
 
     def last_contact_at(self, host: str) -> float | None:
-        """The time when something last arrived from a host."""
+        """The time of the last message from a host."""
         return self._links.last_contact_at(host)
 
     def round_trip(self, host: str) -> float | None:

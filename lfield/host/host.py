@@ -186,7 +186,7 @@ class Host:
         await self.journal_writer.flush()
 
     async def _open_control_socket(self, path: str) -> None:
-        """Open the control socket; without it the host runs all the same."""
+        """Open the control socket; the host also runs without it."""
         try:
             if path:
                 await self.peers.open_control_socket(path)
@@ -194,7 +194,8 @@ class Host:
             self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self, on_rest: Callable[[dict[str, str]], None] = lambda unsafe: None) -> dict[str, str]:
-        """Make the devices safe, wait until they are at rest, then close everything. Meanwhile no agent runs.
+        """Make the devices safe, wait until they are at rest, then close all sockets and files. No agent runs
+        during this time.
 
         Returns the devices that were not confirmed at rest, also passed to `on_rest` before the run ends.
         """
@@ -231,7 +232,7 @@ class Host:
     def dispatch(
         self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
     ) -> None:
-        """Pass an input to the core, or none, and run it; `on_result` gets what `HostInput.enter` returns.
+        """Pass an input to the core, or none, and run it; `on_result` gets the result of `HostInput.enter`.
 
         An input caused by an effect waits until all effects are executed.
         """
@@ -260,7 +261,7 @@ class Host:
             self._is_dispatching = False
 
     def _schedule_step(self, pause: float | None) -> None:
-        """Schedule the next turn after so many seconds; an earlier timer is kept."""
+        """Schedule the next turn after `pause` seconds; an earlier timer is kept."""
         if pause is None:
             return
         due = self._loop.time() + pause

@@ -56,7 +56,8 @@ START_TIMEOUT = 3.0
 SNAPSHOT_INTERVAL = 0.05
 #: The most links to which the result of one portal call is sent, and the most calls with such links.
 MAX_ANSWERS, MAX_WAITING = 4, 1024
-#: An observer that asked within so many seconds may be monitoring devices, and gets one more answer in time.
+#: The seconds after a request for which an observer may be monitoring devices: it then gets one more answer
+#: in time.
 OBSERVED_WITHIN, LINGER = 3.0, 1.5
 
 

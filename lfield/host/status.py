@@ -55,7 +55,7 @@ def status_of(
     clock: Clock,
     persist_error: str,
 ) -> Status:
-    """The status of a host that has been `up` for so many seconds, to the millisecond."""
+    """The status of a host that has been `up` for that number of seconds, to the millisecond."""
     now = clock.monotonic()
     lateness = guards.lateness if guards.telemetry else None
     return Status(

@@ -214,7 +214,7 @@ class FramedLink:
             self._on_error(error)
 
     def receive_frame(self, data: Buffer) -> bool:
-        """Process these bytes if they are exactly one frame; otherwise do nothing."""
+        """Process these bytes if they are exactly one frame; otherwise without effect."""
         if self.closed or (frame := self._decoder.decode_single_frame(data)) is None:
             return False
         kind, payload = frame

@@ -218,7 +218,7 @@ class LinkManager:
             now - max(self.down_since.get(host, now), self._last_incoming.get(host, 0.0)) >= BOTH_CALL_AFTER
         )
 
-    # --- what diallers ask ----------------------------------------------------------------------------
+    # --- queries of diallers --------------------------------------------------------------------------
 
     def link_of(self, host: str) -> Session | None:
         """See `DialOwner.link_of`."""
@@ -273,7 +273,7 @@ class LinkManager:
                 session.suspect()
                 self._dial(host)
 
-    # --- what sessions report -------------------------------------------------------------------------
+    # --- reports of sessions --------------------------------------------------------------------------
 
     def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
         if dialled is None:

@@ -5,7 +5,7 @@ stop: they can enter the folder of a service's run, and of a run started by root
 no permission.
 
 A client accepts answers only from its own user, root, and members of the group `lfield`, since an answer may
-claim that everything is stopped. Root accepts answers from all users: it lists the hosts of every user, and
+claim that all hosts are stopped. Root accepts answers from all users: it lists the hosts of every user, and
 has checked the owner of the folder.
 """
 

@@ -64,9 +64,7 @@ class EventBatch(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class EventAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=42):
-    """From an observer: it has processed events up to a batch. At most WINDOW batches are sent beyond
-    that.
-    """
+    """From an observer: it has processed events up to a batch. At most WINDOW batches are sent beyond it."""
 
     batch: Ordinal
 

@@ -70,7 +70,7 @@ class EventRateLimiter:
         self._filled = now
 
     def restart(self) -> None:
-        """A full budget, and nothing is counted as dropped."""
+        """Restore the full budget, and clear the count of dropped events."""
         self._tokens, self._filled, self._reported_at = self._allowed.burst, 0.0, 0.0
         self._skipped = Counter()
 

@@ -30,7 +30,7 @@ MIN_INTERVAL, QUIET_INTERVAL = 0.05, 1.0
 #: After telemetry that was acknowledged late, the pause as a multiple of the delay, and its maximum in
 #: seconds. The gain of the smoothed round trip for samples above it.
 REST, LONGEST_REST, CREEP = 8.0, 10.0, 1 / 64
-#: A subscriber that has not acknowledged for so many seconds is dropped.
+#: The seconds without an acknowledgement after which a subscriber is dropped.
 READ_TIMEOUT = 60.0
 #: A telemetry sample: by subject, a value that changes with the content, and the content.
 TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
@@ -112,7 +112,7 @@ class EventSubscription:
 
     @property
     def due(self) -> float:
-        """The time when `next_batch` is due if nothing else happens, or `has_gone` becomes true."""
+        """The time when `next_batch` is due without further events, or `has_gone` becomes true."""
         if self._is_behind:
             return self._last_ack_at + READ_TIMEOUT
         if not self._batch or self._snapshot or self._event_log.latest > self._after:
@@ -172,7 +172,7 @@ class EventSubscription:
         )
 
     def on_sending(self, position: int) -> None:
-        """The last batch is sent on a link that has carried so many bytes for subscriptions."""
+        """The last batch is sent on a link that has carried `position` bytes for subscriptions."""
         self._positions[self._batch] = position
 
     def final_batch(self, at: float, up: float) -> EventBatch:

@@ -1,8 +1,7 @@
 """Events about the coordinators of a host: migrations, starts and ends. Sans-IO.
 
-A hop appends one tuple with the time to `hops` at each of its steps, and does nothing else then. The events
-are made from these tuples before the next event of another kind, when a subscriber reads the log, and four
-times a second.
+A hop only appends one tuple with the time to `hops` at each of its steps. The events are made from these
+tuples before the next event of another kind, when a subscriber reads the log, and four times a second.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""The failure of a host, by a bug of lfield or a lack of memory: nothing more runs, and the process ends."""
+"""The failure of a host, by a bug of lfield or a lack of memory: no agent runs any more, and the process
+ends.
+"""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class CallWatch(Part):
         return {host for wait in self._waits.values() if self._is_current(wait) for host in wait.calls}
 
     def on_tick(self, now: float) -> None:
-        """Ask again, and give up hosts that are not reachable."""
+        """Ask again, and end the waits for hosts that are not reachable."""
         self._waits = {name: wait for name, wait in self._waits.items() if self._is_current(wait)}
         for wait in list(self._waits.values()):
             if now < wait.repeat_at:

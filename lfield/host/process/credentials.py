@@ -102,7 +102,7 @@ def require_signature(
 
 
 def validate_startup(mission: Mission, host: str, credentials: HostCredentials | None, clock: Clock) -> None:
-    """Check that a host without stored state may start, before anything is created.
+    """Check that a host without stored state may start, before any file is created.
 
     Raises UsageError, KeysError and SignatureError.
     """

@@ -33,15 +33,15 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
-#: A failover takes at most so many seconds and so many leases after the interval of its coordinator.
+#: The maximum duration of a failover after the interval of its coordinator: seconds, and leases in addition.
 FAILOVER_TIME, FAILOVER_LEASES = 5.0, 3.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
     """The outcomes of all coordinators. The function does not wait for a host without contact for
     `lost_after` seconds. It waits for a host that has not started yet as long as a portal call to that host
-    waits, if that is longer. A coordinator that has not started yet is waited for until a host that its start
-    needs has certainly ended, and a coordinator that a majority may recover until a failover would have
+    waits, if that is longer. It waits for a coordinator that has not started yet until a host that its start
+    needs has certainly ended, and for a coordinator that a majority may recover until a failover would have
     ended.
     """
     unmet = max(lost_after, host.options.unreachable_after)

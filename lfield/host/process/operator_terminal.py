@@ -1,7 +1,7 @@
 """Reads the operator's input from standard input: a terminal, a pipe or a file.
 
 A thread reads, since a regular file has no readiness and a blocked read would stop the event loop. A process
-in the background of a terminal reads nothing until it is in the foreground: the kernel would stop the
+in the background of a terminal does not read until it is in the foreground: the kernel would stop the
 process, and with it the heartbeats to the guards.
 """
 

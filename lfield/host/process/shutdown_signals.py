@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from lfield.clock import Clock
 
-#: Requests within so many seconds of the first are the same request.
+#: The seconds after the first request within which further ones are the same request.
 REPEAT_WINDOW = 1.0
 
 

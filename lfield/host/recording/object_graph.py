@@ -227,7 +227,7 @@ class GraphWriter:
 
 
 class GraphReader:
-    """Decodes what a GraphWriter wrote; `resolve` returns the known object of a reference."""
+    """Decodes the output of a GraphWriter; `resolve` returns the known object of a reference."""
 
     def __init__(
         self,

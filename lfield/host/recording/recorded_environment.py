@@ -62,7 +62,7 @@ class RecordedEnvironment:
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
         self._asked: set[tuple[str | int, ...]] = set()
-        #: The time when something last arrived from a host: the answers of this turn, and the last ones.
+        #: The time of the last message from each host: the answers of this turn, and the last ones.
         self._contacts: dict[str, float | None] = {}
         self._known_contacts: dict[str, float | None] = {}
         self._changes: list[RecordedAnswer] = []
@@ -197,7 +197,7 @@ class RecordedEnvironment:
             # The word is recorded at the beginning of a turn, and this turn is under way.
             self._change(key, number, [number, found.word, found.until])
         elif self._known.get(key) != number:
-            # The reading was lost meanwhile, or was known as the reading of another call.
+            # The reading was lost, or was known as the reading of another call.
             self._change(key, number, number)
         return found
 

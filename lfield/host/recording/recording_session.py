@@ -69,7 +69,7 @@ def _bundle_of(mission: Mission) -> bytes:
 
 
 class RecordingSession:
-    """The recording of one incarnation; without `target` nothing is recorded.
+    """The recording of one incarnation; without `target` there is no recording.
 
     `note` writes a log line.
     """

@@ -24,7 +24,7 @@ from lfield.wire.observer_messages import (
 
 #: The reason why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
-#: The reason why an order to end a stop or a pause is refused, by what it would end.
+#: The reason why an order to end a stop or a pause is refused, by the stop or pause that it would end.
 HOLD_NAMES = {"stop": "emergency stop", "pause": "pause"}
 NEWER_ORDER = "a newer {} arrived before this order to end the {}: check the state, then repeat the order"
 #: The answer to an order that was executed and then ended by a later order.
@@ -58,8 +58,8 @@ class Dispatch(Protocol):
 class OrderExecutor:
     """Executes stop, pause and lift orders on one host.
 
-    `dispatch` passes an event to the core; `flush` waits until everything is on disk, at most so many
-    seconds, and returns whether it is.
+    `dispatch` passes an event to the core; `flush` waits until all records are on disk, at most the given
+    seconds, and returns whether they are.
     """
 
     def __init__(
@@ -162,7 +162,9 @@ class OrderExecutor:
             self._answer(message, answer, devices, STILL_HELD if is_held else "")
 
     async def _end_pause(self, end: HostInput, *, is_last: bool) -> dict[str, str]:
-        """Release the devices unless something else still pauses the mission, then resume the agents."""
+        """Release the devices unless there is another reason for a pause of the mission, then resume the
+        agents.
+        """
         team = self._core.coordinators
         # A resumed agent must find its devices in use.
         devices = await self._guards.release_held(PAUSED) if is_last and team.paused else {}
@@ -175,8 +177,8 @@ class OrderExecutor:
     # --- votes ----------------------------------------------------------------------------------------
 
     def on_ballot_hold(self, message: BallotHold, answer: OrderCallback) -> None:
-        """The service of this robot votes: nothing arms until the result is known. A person cannot end this
-        hold.
+        """The service of this robot votes: no vehicle arms until the result is known. A person cannot end
+        this hold.
         """
         spawn(self._hold(message, answer))
 

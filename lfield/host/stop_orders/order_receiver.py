@@ -131,8 +131,9 @@ class OrderReceiver:
         return self._limits.may_decode(sender, self._now())
 
     def on_datagram(self, data: bytes, origin: Origin) -> None:
-        """A datagram arrived. Anything that is neither an order for this host nor to be relayed is
-        dropped."""
+        """A datagram arrived. A datagram that is neither an order for this host nor to be relayed is
+        dropped.
+        """
         try:
             signed = wire.decode_datagram(data)
             if not isinstance(signed, SignedOrder):

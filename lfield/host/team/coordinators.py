@@ -1,6 +1,6 @@
 """The coordinators of one host: their hops, with the effects of the transfer protocol. Sans-IO.
 
-Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal nothing
+Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal no effect
 waits.
 """
 

@@ -190,7 +190,7 @@ class HostServices:
     def call_device(
         self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
-        """A device instruction: telemetry is answered here, anything else by the guard."""
+        """A device instruction: telemetry is answered here, other instructions by the guard."""
         return self._parts.commands.call_device(agent, thread, call, values)
 
     def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:

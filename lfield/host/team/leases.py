@@ -177,7 +177,7 @@ class TeamLeases(Part):
         """The hosts with which links are needed."""
         return self.quorum.needed_hosts if self.leased_agents else set()
 
-    # --- what coordinators may do ---------------------------------------------------------------------
+    # --- permissions of coordinators ------------------------------------------------------------------
 
     @property
     def has_to_wait(self) -> bool:

@@ -116,7 +116,7 @@ class PendingCallStore(Part):
         self._durable_batch = event.number
         while self._completed and self._completed[0][0] <= event.number:
             _, key = self._completed.popleft()
-            # The calls of its start may have been cancelled meanwhile.
+            # The calls of the start may have been cancelled during the write.
             if key in self._records:
                 self._machine.pending_calls.on_persisted(key)
 

@@ -39,7 +39,7 @@ class HeldReservation(Struct, frozen=True):
 class PersistHolder(Struct, frozen=True):
     """Record the holder of a resource (`holder` None: free), then call `Reservations.on_durable`.
 
-    With `is_lazy` it may be written together with other records: nothing depends on it.
+    With `is_lazy` it may be written together with other records: no effect depends on it.
     """
 
     resource: str

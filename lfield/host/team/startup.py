@@ -134,7 +134,7 @@ class Startup(Part):
             self.check()
 
     def on_halted(self) -> None:
-        """The host stops: nothing starts any more."""
+        """The host stops: no coordinator starts any more."""
         self.due = None
 
     def _update_due(self) -> None:

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class TrafficKind(IntEnum):
     """In order of priority.
 
-    Stops with their answers precede everything. Messages about coordinators and their reservations are of the
-    same kind as the coordinators, because they must not overtake them. The last message of a link is of this
-    kind too; everything else between hosts is control.
+    Stops with their answers precede all other traffic. Messages about coordinators and their reservations are
+    of the same kind as the coordinators, because they must not overtake them. The last message of a link is
+    of this kind too; all other messages between hosts are control.
     """
 
     STOP = 0

@@ -121,7 +121,7 @@ class StandbyConnection:
             self._traffic.record(self.link.counts(), now)
         return PathState(delivery, self._round_trip.mean or 0.0, self._traffic.loss or 0.0)
 
-    # --- what the link reports ------------------------------------------------------------------------
+    # --- reports of the link --------------------------------------------------------------------------
 
     def on_message(self, link: Link, message: Message) -> None:
         """Process a keep-alive, or a Hello. Raises HandshakeError and WireError."""

@@ -155,7 +155,7 @@ class StandbyLinks:
             return "", ""
         return _network(session.link), _network(paths.standby.link) if paths.standby is not None else ""
 
-    # --- what standby connections report --------------------------------------------------------------
+    # --- reports of standby connections ---------------------------------------------------------------
 
     def on_ready(self, connection: StandbyConnection) -> None:
         """See `StandbyOwner.on_ready`: of two connections, the last one is kept."""

@@ -104,7 +104,7 @@ class TlsLink(StreamLink):
         return True
 
     def _deliver_left_over(self, channel: TlsChannel) -> Iterator[None]:
-        """Process what `receive_frame` has decrypted and kept."""
+        """Process the text that `receive_frame` has decrypted and kept."""
         records, self._left_over = self._left_over, None
         error, self._tls_error = self._tls_error, None
         for plain in records or ():

@@ -123,7 +123,7 @@ class LinkMonitor:
         self.latest.pop(host, None)
 
     def check(self, host: str, silent: float) -> Silence:
-        """Check a link that has been `silent` for that many seconds, and send a heartbeat if due."""
+        """Check a link that has been silent for `silent` seconds, and send a heartbeat if due."""
         beats, now = self._heartbeats[host], self._now()
         link, traffic, activity = self._links[host]
         if traffic.is_due(now):

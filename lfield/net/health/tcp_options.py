@@ -120,7 +120,7 @@ def read_delivery(made: TcpSocket) -> Delivery | None:
     """The data that the kernel has delivered; None if the counters are incomplete (before Linux 5.4).
 
     Data is pending while it is in flight, or unsent although the peer has a window for it: without a route
-    the kernel sends nothing.
+    the kernel sends no data.
     """
     try:
         info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _DELIVERY_SIZE)

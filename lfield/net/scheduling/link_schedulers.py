@@ -53,7 +53,7 @@ class MemberLink(PendingInput, Protocol):
         """The amount of data that has arrived since answers are withheld: see `FramedLink.weight`."""
 
     def receive_frame(self, data: bytes) -> bool:
-        """Process these bytes if they are exactly one frame; otherwise do nothing."""
+        """Process these bytes if they are exactly one frame; otherwise without effect."""
 
     def withhold(self, *, on: bool) -> None:
         """Withhold coordinators and answers from now on, or send the withheld ones."""

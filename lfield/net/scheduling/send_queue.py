@@ -1,7 +1,7 @@
 """Send queue of a connection: priorities and shares by kind of traffic, adaptive fragmentation. Sans-IO.
 
-Frames of one kind keep their order. Stops precede everything. Each of the other waiting kinds gets its share
-of the data that the connection accepts (start-time fair queueing).
+Frames of one kind keep their order. Stops precede all other frames. Each of the other waiting kinds gets its
+share of the data that the connection accepts (start-time fair queueing).
 
 Kernel and transport hold little unsent data (`TCP_NOTSENT_LOWAT`, `HIGH_WATER`), so that a stop order waits
 behind at most this data and one fragment. Long frames are sent in fragments, short ones on a slow radio (low

@@ -169,7 +169,7 @@ class Quorum:
             return None
         return saved.position if saved.is_alive or not saved.is_final else None
 
-    # --- what coordinators may do ---------------------------------------------------------------------
+    # --- permissions of coordinators ------------------------------------------------------------------
 
     def is_fenced(self, agent: str, generation: int) -> bool:
         """Whether this start is fenced, on any host."""

@@ -38,7 +38,7 @@ PHASE_TIMEOUT = 2.0
 class FailoverAttempt(Struct):
     """An attempt to resume an agent from `checkpoint`, with its next step at `due` and its end at `deadline`.
 
-    Hosts that have not answered by `answer_deadline` are not waited for. The new start begins before
+    The attempt does not wait for answers after `answer_deadline`. The new start begins before
     `promises_valid_until` or not at all: until that time, members that promised do not store terminations of
     earlier starts.
     """

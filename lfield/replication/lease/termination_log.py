@@ -61,7 +61,7 @@ class TerminationLog:
             if agent not in self._promised:
                 self.on_promise_given(agent, fence, "", now)
 
-    # --- what is known --------------------------------------------------------------------------------
+    # --- known terminations ---------------------------------------------------------------------------
 
     def termination_of(self, agent: str) -> Terminated | None:
         """The newest known termination of a coordinator, on disk or not; None without one."""
@@ -95,7 +95,7 @@ class TerminationLog:
         text = "\n".join([str(self._fences.digest), *known])
         return int.from_bytes(blake2b(text.encode(), digest_size=8).digest(), "big") >> 1
 
-    # --- what waits -----------------------------------------------------------------------------------
+    # --- waiting terminations -------------------------------------------------------------------------
 
     def on_promise_given(self, agent: str, fence: int, host: str, now: float) -> None:
         """This host has promised `host` to let it recover an agent as start `fence`."""

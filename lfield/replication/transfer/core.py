@@ -141,8 +141,8 @@ class Mobility:
     def cancel_departure(self, agent: str, generation: int) -> bool:
         """Cancel the departure of a coordinator.
 
-        Returns True if nothing was sent and the coordinator runs here again, False if it is not departing or
-        may have left.
+        Returns True if no transfer was sent and the coordinator runs here again, False if it is not departing
+        or may have left.
         """
         copy = self._copies.find(agent, generation)
         return copy is not None and self._sender.cancel(copy)

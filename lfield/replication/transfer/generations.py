@@ -45,7 +45,7 @@ def outranks(one: int, other: int) -> bool:
 def blocks(one: int, other: int, *, alive: bool) -> bool:
     """Whether a start, given whether it is `alive`, prevents another start from running.
 
-    A recovery supersedes everything before it, whether or not the recovery succeeded.
+    A recovery supersedes all earlier starts, whether or not the recovery succeeded.
     """
     return (alive and outranks(one, other)) or (is_recovery(one) and one > other)
 

@@ -46,7 +46,7 @@ def _compare(kind: str, sign: str) -> dict[str, str]:
 
 
 def exceeds_heap(size: object, top: str = "(global.get $top)") -> str:
-    """Whether that many bytes above the top exceed the heap.
+    """Whether `size` bytes above the top exceed the heap.
 
     Computed in 64 bits without overflow: the end of the arena may be near, and the top may be above the limit
     (`Block.use_reserve`).
