@@ -107,9 +107,7 @@ class Device:
         return self._touched()
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
-        """Executes an instruction and returns its result. Raises DeviceError if the instruction was not
-        executed.
-        """
+        """Executes an instruction and returns its result. Raises DeviceError if this fails."""
         call = self._calls.get(instruction) or self._call(instruction)
         values: list[object] = [c(value) for c, value in zip(call.arguments, arguments, strict=True)]
         if exceeds(values, self.largest):
@@ -135,9 +133,7 @@ class Device:
         return call
 
     def safe_actions(self) -> dict[str, str]:
-        """The actions of the device in its safe states, by state, if they differ from the name of the
-        state.
-        """
+        """The actions of the device in its safe states, by state, if they differ from its name."""
         actions = {state: self._safe_action(state) for state in self.manifest.device.safe_states}
         return {state: action for state, action in actions.items() if action != state}
 
@@ -146,7 +142,7 @@ class Device:
         return state
 
     async def make_safe(self, state: str = "") -> None:
-        """Brings the device into a safe state ('': the one of its binding) and confirms it. Raises
+        """Brings the device into a safe state ('': that of its binding) and confirms it. Raises
         DeviceError.
         """
         self.safe_state = state or self.binding.safe_state
@@ -161,9 +157,7 @@ class Device:
         return self._moving()
 
     def taken_over(self) -> bool:
-        """Whether the device is under foreign control, such as a pilot's, who is then responsible for its
-        safety.
-        """
+        """Whether the device is under foreign control, such as a pilot's, who is then responsible for it."""
         return self._taken_over()
 
     def guard_restarted(self, was_taken_over: bool) -> None:
@@ -207,15 +201,11 @@ class Device:
             raise DeviceNotSetUp(self.binding.field, f"it is not set up for its binding: {text}")
 
     async def serial(self) -> str:
-        """The permanent unique identifier, such as `uid 3f21`; '' if the device has none. Raises
-        DeviceError.
-        """
+        """The permanent unique identifier, such as `uid 3f21`; '' for none. Raises DeviceError."""
         return await self._serial()
 
     async def write_setting(self, name: str, value: float) -> None:
-        """Writes one stored setting and reads it back. Raises DeviceError, also while the device is
-        in use.
-        """
+        """Writes one stored setting and reads it back. Raises DeviceError, also during use of the device."""
         self.check_idle()
         await self._write_setting(name, value)
 
@@ -251,9 +241,7 @@ class Device:
         self._reports.breach(self.binding.name, reason)
 
     def lock_out(self, reason: str) -> None:
-        """Holds the device safe (after a crash, for example) until an operator calls `lfield estop
-        --lift`.
-        """
+        """Holds the device safe, such as after a crash, until an operator calls `lfield estop --lift`."""
         self._reports.lock_out(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:

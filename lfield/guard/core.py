@@ -132,9 +132,8 @@ class GuardCore:
     def on_cancel(self, token: int, sent: float) -> list[Effect]:
         """The host cancels a call, which ends as its manifest defines; an answered call is not affected.
 
-        A call that has not started and has replaced no other call never starts. The instruction that ends a
-        call is the newest on its channel; if it fails, or takes longer than `rest_within`, the device is made
-        safe.
+        A call that has not started and has replaced none never starts. The instruction that ends a call is
+        the newest on its channel; if it fails, or takes longer than `rest_within`, the device is made safe.
         """
         effects = self.on_beat(sent)
         running = self._running(token)
@@ -190,9 +189,7 @@ class GuardCore:
         return effects + self._latch(self._devices[running.call.device], reason)
 
     def latch(self, device: str, reason: str, *, lock: bool = False, state: str = "") -> list[Effect]:
-        """A request for the safe state of a device, or of all (''), or for a `state` other than the usual
-        one.
-        """
+        """A request for the safe state of a device, or of all (''), or for an unusual `state`."""
         effects = self.tick()
         for name, known in self._devices.items():
             if device in ("", name):

@@ -263,9 +263,7 @@ class Shell(asyncio.Protocol):
             self._handle(self._leave)
 
     def _end(self, leave: guard_inputs.GuardInput, *, at_once: bool = False) -> None:
-        """The host stops or has ended; the opening of half-open devices is completed first, unless
-        `at_once`.
-        """
+        """The host stops or has ended; half-open devices are completed first, unless `at_once`."""
         if self._core is not None:
             self._handle(leave)
             return

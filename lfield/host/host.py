@@ -194,10 +194,9 @@ class Host:
             self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self, on_rest: Callable[[dict[str, str]], None] = lambda unsafe: None) -> dict[str, str]:
-        """Make the devices safe, wait until they are at rest, then close all sockets and files. No agent runs
-        during this time.
+        """Make the devices safe, wait until they are at rest, then close all files. No agent runs meanwhile.
 
-        Returns the devices that were not confirmed at rest, also passed to `on_rest` before the run ends.
+        Returns the devices that were not confirmed at rest, also passed to `on_rest` first.
         """
         if self._stopped:
             return {}

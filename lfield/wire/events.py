@@ -39,9 +39,7 @@ class AgentStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class AgentFinished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="finished"):
-    """An agent has ended on this host, a resource only by dying; `detail` is the reason, with its source
-    lines.
-    """
+    """An agent has ended here, a resource only by dying; `detail` is the reason, with its source lines."""
 
     agent: Name
     generation: Ordinal
@@ -88,9 +86,8 @@ class Printed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 
 
 class MigrationStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="left"):
-    """A coordinator was sent `to` another host, where it calls a `portal` of a `resource` ('' if it reserves
-    the resource); the block has `size` bytes.
-    """
+    """A coordinator was sent `to` another host, where it calls a `portal` of a `resource` ('' to reserve it);
+    the block has `size` bytes."""
 
     agent: Name
     generation: Ordinal
@@ -112,10 +109,8 @@ class MigrationArrived(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class MigrationConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
-    """The arrival of a coordinator is confirmed to its sender, `seconds` after the departure, by the first
-    of: a confirmation, its return, or its end. `seconds` is None if it left in an earlier incarnation of this
-    host.
-    """
+    """A coordinator's arrival is confirmed, `seconds` after its departure, by the first of: a confirmation,
+    its return, its end. `seconds` is None if it left in an earlier incarnation of this host."""
 
     agent: Name
     generation: Ordinal
@@ -139,9 +134,7 @@ class MigrationFailed(Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class PortalCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="began"):
-    """A portal of a resource of this host started for a coordinator; `call` counts in this incarnation of the
-    host.
-    """
+    """A portal of a resource of this host started for a coordinator; `call` counts in this incarnation."""
 
     call: Ordinal
     agent: Name
@@ -260,8 +253,7 @@ class LinkRefused(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 class StartDelayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
     """Coordinators of this host are not started yet: they wait for `hosts`, or are `held` for a reason until
-    an operator's command. Commas separate names; without `agents`, no coordinator waits.
-    """
+    an operator's command. Commas separate names; `agents` is empty when none waits."""
 
     agents: Text
     hosts: Text
@@ -316,9 +308,8 @@ class DeviceTelemetry(Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class AgentActivity(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="standing"):
-    """The state of an agent; its line in the program, 0 for none; and the target of its wait:
-    RESOURCE.PORTAL, AGENT.FIELD.INSTRUCTION, or ''.
-    """
+    """The state of an agent; its line in the program, 0 for none; and what it waits for: RESOURCE.PORTAL,
+    AGENT.FIELD.INSTRUCTION, or ''."""
 
     agent: Name
     state: Label
@@ -383,11 +374,10 @@ TELEMETRY = frozenset(str(kind.__struct_config__.tag) for kind in get_args(Telem
 class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """An event on a host: `at` Unix time by its own clock, `up` seconds by its monotonic clock.
 
-    `number` counts the states of this incarnation of the host from 1, without a gap; for telemetry, the
-    number is that of the last state before it. `cause` is the number of the earlier event of the same
-    incarnation that led to this one, 0 if unknown; the cause of a `MigrationArrived` is in another host's
-    stream. `stamp` orders the events of all hosts: `ahead` milliseconds more than `at`, with the counter
-    `tick`.
+    `number` counts the states of this incarnation of the host from 1, without a gap; of telemetry, it is the
+    number of the last state before. `cause` is the number of the earlier event of the same incarnation that
+    led to this one, 0 if unknown; that of a `MigrationArrived` is in another host's stream. `stamp` orders
+    the events of all hosts: `ahead` milliseconds more than `at`, with the counter `tick`.
     """
 
     number: Ordinal

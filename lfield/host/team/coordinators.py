@@ -72,8 +72,7 @@ class Coordinators(Part):
             [] if self.recovery.has_program_record else [program_record(mission, hello.mission_hash)]
         )
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
-        #: Whether an operator has paused the mission; the ballot that holds it (b"": none); whether either of
-        #: them pauses it.
+        #: Whether an operator paused the mission; the ballot that holds it (b"": none); whether either did.
         self.is_pause_ordered, self.ballot = self.recovery.paused, b""
         self.paused = self.is_pause_ordered
         #: The reason why an emergency stop locks the devices here, '' for none.
@@ -83,18 +82,15 @@ class Coordinators(Part):
         self._has_record = self.recovery.last_start is not None
         #: The reason why records cannot be written now, '' if they can.
         self.write_trouble = ""
-        #: The starts that were informed that their pending call may have started before the restart of this
-        #: host.
+        #: The starts that were informed that a pending call may have started before the restart of the host.
         self.restart_notified: set[tuple[str, int]] = set()
         #: Whether this host admits no coordinator any more.
         self.is_halted = False
         #: Coordinators that arrived before the resources here were started; None after that.
         self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
-        #: The number of packed blocks; the number of the last one, 0 if its coordinator has waited since
-        #: then.
+        #: The number of packed blocks; that of the last one, 0 if its coordinator has waited since.
         self._packs = self._packed = 0
-        #: The time when mobility may have a time-out. New deadlines are later, so a deadline that is set is
-        #: kept.
+        #: The time when mobility may have a time-out. New deadlines are later, so a set one is kept.
         self._deadline: float | None = None
         self.handles = {
             **dict.fromkeys(get_args(MobilityMessage), self._on_message),
@@ -121,8 +117,8 @@ class Coordinators(Part):
         self.due = None if self.paused else self._deadline
 
     def set_paused(self, *, ordered: bool, ballot: bytes) -> None:
-        """An operator or a ballot pauses the mission on this host, or ends its pause. When neither pauses it,
-        the time-outs of coordinators that wait for another host restart.
+        """Set the pauses by an operator and by a ballot. When neither pauses the mission any more, the
+        time-outs of coordinators that wait for another host restart.
         """
         self.is_pause_ordered, self.ballot = ordered, ballot
         self.paused = on = ordered or bool(ballot)
@@ -214,9 +210,7 @@ class Coordinators(Part):
         return self.write_ahead.add_record(StartCounter(generation), now)
 
     def record_existence(self) -> None:
-        """Record that this host has a journal, although it may have made no start, unless a start is
-        recorded.
-        """
+        """Record that this host has a journal, even if it has made no start, unless a start is recorded."""
         if not self._has_record:
             self.persist(StartCounter(0))
 
@@ -233,8 +227,7 @@ class Coordinators(Part):
     def end_run(self) -> None:
         """The host has stopped in order: the next start is a new run, unless a coordinator may continue.
 
-        The run does not end if this host has opened no device: an automatic retry must not start a mission
-        again.
+        It does not end if this host has opened no device: an automatic retry must not start a mission again.
         """
         if not self._hello.journal_id or self._queued_arrivals is not None:
             return
@@ -297,8 +290,8 @@ class Coordinators(Part):
             self._set_deadline()
 
     def save(self, agent: Agent) -> bool:
-        """Save a coordinator that calls another portal here; returns whether it may continue now, or only
-        after a write.
+        """Save a coordinator that calls another portal here; returns whether it may continue before the
+        write.
         """
         if not self._hello.journal_id:
             return True

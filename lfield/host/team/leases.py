@@ -166,9 +166,8 @@ class TeamLeases(Part):
         return [*self._machine.agents.values(), *running, *self._machine.person_portals.running]
 
     def _is_leased(self, caller: Caller) -> bool:
-        """Whether a caller acts under the lease of this host. A person does so in a mission with leases:
-        without a lease of this host, its coordinators may have been resumed on other hosts.
-        """
+        """Whether a caller acts under the lease of this host. A person does in a mission with leases: without
+        a lease here, coordinators may have been resumed on other hosts."""
         is_person = isinstance(caller, PendingCall) and caller.is_of_person
         return caller.id in self.leased_agents or (is_person and bool(self.leased_agents))
 
@@ -201,9 +200,8 @@ class TeamLeases(Part):
         return self._waiting.get(agent.id) is agent
 
     def may_start_call(self, agent: Agent) -> bool:
-        """Whether a coordinator may start a portal call now; otherwise the coordinator is resumed later, or
-        was stopped.
-        """
+        """Whether a coordinator may start a portal call now; otherwise it is resumed later, or was
+        stopped."""
         if agent.id not in self.leased_agents:
             return True
         now = self._clock.monotonic()
@@ -344,9 +342,8 @@ class TeamLeases(Part):
 
     def _termination_checkpoint(self, agent: str) -> Checkpoint | None:
         """The termination of a coordinator without a copy here. It is final once a majority of the members
-        has it on disk, as confirmed to the host where it ended. Until the termination is on disk there, the
-        coordinator counts as running.
-        """
+        has it on disk, as confirmed to the host where it ended. Until it is on disk there, the coordinator
+        counts as running."""
         copy = self._team.mobility.termination(agent)
         if copy is None or not copy.outcome:
             return None

@@ -79,9 +79,7 @@ class Mobility:
         self._recovery = CopyRecovery(own.host, self._copies, self._termination)
 
     def start(self, agent: str, generation: int) -> list[Effect]:
-        """Start a coordinator here. `generation` must be new, and greater than the generations of earlier
-        starts.
-        """
+        """Start a coordinator here. `generation` must be new, and greater than those of earlier starts."""
         copy = self._copies.find_or_create(agent, generation)
         if copy is None or copy.state != "ABSENT":
             raise ValueError(f"{agent} cannot be started as generation {generation}")
@@ -141,16 +139,14 @@ class Mobility:
     def cancel_departure(self, agent: str, generation: int) -> bool:
         """Cancel the departure of a coordinator.
 
-        Returns True if no transfer was sent and the coordinator runs here again, False if it is not departing
-        or may have left.
+        True: nothing was sent, and the coordinator runs here again. False: it is not departing, or may have
+        left.
         """
         copy = self._copies.find(agent, generation)
         return copy is not None and self._sender.cancel(copy)
 
     def on_ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
-        """A copy held here has ended: notify every host. The outcome 'lost': an operator declares a copy in
-        doubt lost.
-        """
+        """A copy here has ended: notify every host. 'lost': an operator declares a copy in doubt lost."""
         copy = self._copies.find(agent, generation)
         if copy is None or not (copy.doubt_reason if outcome == "lost" else copy.state in ("RUN", "FROZEN")):
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
@@ -195,9 +191,7 @@ class Mobility:
         return newest_resumable(self._copies.starts_of(agent))
 
     def recoverable_state(self, agent: str) -> CoordinatorState | None:
-        """The state for a recovery of a coordinator here if its holder were lost; None if the coordinator
-        runs here.
-        """
+        """The state for a recovery here if the coordinator's holder were lost; None if it runs here."""
         copy = self._recovery.newest_copy(agent)
         return None if copy is None else copy.state_message()
 
@@ -206,9 +200,8 @@ class Mobility:
     ) -> list[Effect]:
         """Resume a coordinator whose holder is lost as the new start `generation`.
 
-        The number must be a recovery number above all known numbers, and `recoverable_state` must not be
-        None. `put(copy)` loads the block into the machine, frozen. It returns None if the block is
-        unreadable, which is recorded.
+        The number must be a recovery number above all known ones, and `recoverable_state` must not be None.
+        `put(copy)` loads the block into the machine, frozen; None if it is unreadable (recorded).
         """
         return self._recovery.recover(agent, generation, put)
 
@@ -252,9 +245,7 @@ class Mobility:
         return self._sender.on_backpressure(host, trouble)
 
     def needs_probe(self, host: str) -> bool:
-        """Whether a linked host must answer a probe first: no coordinator is sent to it before
-        `on_probe_answer`.
-        """
+        """Whether a linked host must answer a probe first: none is sent to it before `on_probe_answer`."""
         return self._sender.needs_probe(host)
 
     def on_probe_answer(self, host: str) -> list[Effect]:
@@ -275,9 +266,7 @@ class Mobility:
         self._sender.on_unlinked(host)
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
-        """A coordinator has arrived from `host`; the coordinator is injected before this method returns, or
-        refused.
-        """
+        """A coordinator has arrived from `host`; it is injected or refused before the return."""
         return self._receiver.on_transfer(host, header, block, inject)
 
     def on_oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
@@ -373,7 +362,7 @@ class Mobility:
         return self._termination.has_unconfirmed(hosts)
 
     def announce_end(self, agent: str) -> list[Effect]:
-        """Announce that the home of a coordinator does not start it again: its last end belongs to
+        """The home of a coordinator does not start it again: announce that its last end is that of
         this run.
         """
         return self._termination.announce_end(agent)
@@ -384,9 +373,7 @@ class Mobility:
         return self._termination.ended_in_this_run
 
     def needed_hosts(self) -> set[str]:
-        """The hosts that a copy waits for (for a link or an answer), and the hosts with missing
-        confirmations.
-        """
+        """The hosts that a copy waits for (a link or an answer), and hosts with missing confirmations."""
         waiting = (copy for copy in self._copies if copy.state in ("FROZEN", "PREPARED") or copy.is_displaced)
         return {copy.target for copy in waiting} | self._termination.unconfirmed_hosts
 
