@@ -1,6 +1,7 @@
-"""The additions of a driver to L, as plain data: device types, instructions, telemetry. This is a base
-module: the compiler uses the data to check programs, the host to route calls, and the driver to check its own
-contract. The vendor library is not needed for this.
+"""The additions of a driver to L, as plain data: device types, instructions, telemetry.
+
+This is a base module: the compiler uses the data to check programs, the host to route calls, and the driver
+to check its own contract. The vendor library is not needed for this.
 """
 
 from __future__ import annotations
@@ -83,8 +84,10 @@ class Instruction(Struct, frozen=True):
 
     @property
     def may_be_cancelled(self) -> bool:
-        """Whether a call of this instruction can be cancelled while under way. A blocking query can be
-        cancelled, since it has no effect; a setpoint cannot, since it is done at once.
+        """Whether a call of this instruction can be cancelled while under way.
+
+        A blocking query can be cancelled, since it has no effect; a setpoint cannot, since it is done at
+        once.
         """
         return self.blocking and (self.only_asks or self.cancel not in ("", NEVER))
 
@@ -119,8 +122,9 @@ class Quantity(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class DeviceManifest:
-    """A device type in L: `Mavlink fc;` with its instructions, telemetry and safe states. A pure sensor has
-    no safe state: all its instructions are queries.
+    """A device type in L: `Mavlink fc;` with its instructions, telemetry and safe states.
+
+    A pure sensor has no safe state: all its instructions are queries.
     """
 
     type: str

@@ -131,8 +131,9 @@ def is_unit(text: str) -> bool:
 
 
 def conversion(source: str, target: str) -> tuple[float, float] | None:
-    """(factor, offset): `amount` in `source` is `amount * factor + offset` in `target`. None if one of them
-    is no unit, or if they have different dimensions.
+    """(factor, offset): `amount` in `source` is `amount * factor + offset` in `target`.
+
+    None if one of them is no unit, or if they have different dimensions.
     """
     before, after = unit(source), unit(target)
     if before is None or after is None or before.dimension != after.dimension:

@@ -152,6 +152,7 @@ NO_LIMIT = 0
 
 class Handler(msgspec.Struct, frozen=True, array_like=True):
     """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, matches any object).
+
     `target` and `catches` are 0 for kinds that catch no object, and so is the slot of a LANDING.
     """
 

@@ -1,7 +1,8 @@
-"""Side-effect analysis: finds the methods with effects, and the coordinators that request failover. A portal
-has effects when it may change data other than its result. If a host fails during a call without effects, the
-caller loses no data, so its host need not write the journal before the call. A coordinator that may call
-`heartbeatInterval` (appendix I) is fenced: it runs only while its host holds a lease.
+"""Side-effect analysis: finds the methods with effects, and the coordinators that request failover.
+
+A portal has effects when it may change data other than its result. If a host fails during a call without
+effects, the caller loses no data, so its host need not write the journal before the call. A coordinator that
+may call `heartbeatInterval` (appendix I) is fenced: it runs only while its host holds a lease.
 
 The analysis uses only the instructions, so a host need not trust the compiler. In doubt a method has effects,
 and a coordinator is fenced.
@@ -52,9 +53,10 @@ class _Body(Struct):
 
 @lru_cache(maxsize=8)
 def effectful_methods(program: Program) -> frozenset[int]:
-    """The methods of a verified program that may, called as portals, have effects besides a result. These
-    methods lead to an instruction of a device that is not a query, to a portal, or to a change of an object
-    or array that may have existed before the call. Output, time and random numbers do not count.
+    """The methods of a verified program that may, called as portals, have effects besides a result.
+
+    These methods lead to an instruction of a device that is not a query, to a portal, or to a change of an
+    object or array that may have existed before the call. Output, time and random numbers do not count.
     """
     bodies = [_read(program, method) for method in program.core.methods]
     found = [body.changes for body in bodies]

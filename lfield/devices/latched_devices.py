@@ -1,5 +1,7 @@
-"""Latched devices of a guard: the reasons for their safe states, and their progress to rest. Messages of the
-guard in, log lines out. This module also stores the requests that a restarted guard must get again.
+"""Latched devices of a guard: the reasons for their safe states, and their progress to rest.
+
+Messages of the guard in, log lines out. This module also stores the requests that a restarted guard must get
+again.
 """
 
 from __future__ import annotations

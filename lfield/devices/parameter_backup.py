@@ -30,8 +30,9 @@ class ParameterChange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class BackupEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The settings of one device: the time of writing (ISO 8601), the device, and its binding. `serial` is
-    the device's unique identifier, '' for none: another device may then have replaced it.
+    """The settings of one device: the time of writing (ISO 8601), the device, and its binding.
+
+    `serial` is the device's unique identifier, '' for none: another device may then have replaced it.
     """
 
     when: str

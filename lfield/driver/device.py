@@ -263,8 +263,9 @@ class Device:
         raise NotImplementedError
 
     def _frame(self) -> Frame | None:
-        """The pose of the device's own frame in the team's frame, None while unknown. Override this method
-        for a device that locates itself on the Earth, or whose frame moves.
+        """The pose of the device's own frame in the team's frame, None while unknown.
+
+        Override this method for a device that locates itself on the Earth, or whose frame moves.
         """
         return None if self.binding.frame is None else self.binding.frame.pose
 

@@ -164,9 +164,11 @@ async def held(bench: Bench, bound: float) -> str:
 
 
 async def cancelled(bench: Bench, begun: Callable[[], bool], instruction: str, *arguments: object) -> str:
-    """Cancels an instruction as soon as `begun` holds; returns its outcome. An instruction with `cancel:
-    never` runs to its end. Any other instruction must end within SAFE seconds, as its manifest prescribes,
-    and leave the device free; the caller checks the resulting motion. Raises CheckFailed, and DeviceError.
+    """Cancels an instruction as soon as `begun` holds; returns its outcome.
+
+    An instruction with `cancel: never` runs to its end. Any other instruction must end within SAFE seconds,
+    as its manifest prescribes, and leave the device free; the caller checks the resulting motion. Raises
+    CheckFailed, and DeviceError.
     """
     declared = bench.manifest.device.instruction(instruction)
     assert declared is not None, "a kit contains instructions of its device only"

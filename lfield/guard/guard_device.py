@@ -11,13 +11,14 @@ from lfield.manifest import DeviceManifest, Instruction
 
 
 class GuardDevice(Struct):
-    """The state of one device. `latched` is the reason, '' when the device is free. `lock_reason` is the
-    reason why the program may not release it: an emergency stop or a lock-out by its driver. `reported` is
-    the last reason for a safe state that was given to a sensor, which does not react. `state` is the safe
-    state in which the device is held; '' for the one of its binding. `making` means that the safe state is
-    being commanded, `made_at` is the time when this command last ended. `rest_within` is the time to come to
-    rest, in seconds. `active` is the running call of each channel, `setpoints` are the expiry times of
-    setpoints in effect.
+    """The state of one device. `latched` is the reason, '' when the device is free.
+
+    `lock_reason` is the reason why the program may not release it: an emergency stop or a lock-out by its
+    driver. `reported` is the last reason for a safe state that was given to a sensor, which does not react.
+    `state` is the safe state in which the device is held; '' for the one of its binding. `making` means that
+    the safe state is being commanded, `made_at` is the time when this command last ended. `rest_within` is
+    the time to come to rest, in seconds. `active` is the running call of each channel, `setpoints` are the
+    expiry times of setpoints in effect.
     """
 
     name: str

@@ -33,8 +33,9 @@ class GuardMessage(msgspec.Struct, frozen=True, array_like=True):
 
 
 class GuardRecording(msgspec.Struct, frozen=True, array_like=True):
-    """The recording of a guard, in its folder, '' for none; at most `limit` bytes together. `run` is the id
-    of the run, '' if it has none.
+    """The recording of a guard, in its folder, '' for none; at most `limit` bytes together.
+
+    `run` is the id of the run, '' if it has none.
     """
 
     folder: str = ""
@@ -162,7 +163,9 @@ class TelemetrySnapshot(GuardMessage, frozen=True):
 
 class Latched(GuardMessage, frozen=True):
     """Guard: the device is held in its safe state because of `reason`; `confirmed` when the state is
-    confirmed. `state` is '' for the one of its binding.
+    confirmed.
+
+    `state` is '' for the one of its binding.
     """
 
     device: str

@@ -28,9 +28,10 @@ def call_kind(instruction: Instruction) -> CallKind:
 
 
 class RunningCall(Struct):
-    """A running call of the program, or the call that ends a `cancelled` one. `is_started`: the driver has
-    received the call. `replaces_call`: another call was stopped for it. `deadline` is the time by which the
-    end of a cancelled call must be done, in seconds of the clock.
+    """A running call of the program, or the call that ends a `cancelled` one.
+
+    `is_started`: the driver has received the call. `replaces_call`: another call was stopped for it.
+    `deadline` is the time by which the end of a cancelled call must be done, in seconds of the clock.
     """
 
     call: GuardCall

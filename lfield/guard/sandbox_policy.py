@@ -1,7 +1,8 @@
 """The access rights of a guard: its device, and the files that code needs to run. The policy is derived from
-the endpoint and options of the devices; `apply_sandbox` enforces it. A driver loads third-party code that
-parses untrusted bytes: it must not read the keys of its host, write into a journal, or command another
-guard's device.
+the endpoint and options of the devices; `apply_sandbox` enforces it.
+
+A driver loads third-party code that parses untrusted bytes: it must not read the keys of its host, write into
+a journal, or command another guard's device.
 """
 
 from __future__ import annotations

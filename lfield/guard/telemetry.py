@@ -30,6 +30,7 @@ class _Latest(Struct):
 
 class Telemetry:
     """Collects values that drivers publish and calls `push` with snapshots, at most RATE per second.
+
     `is_foreign_controlled` is called for each snapshot. While `is_blocked` (the host does not read), the
     timer pushes no snapshot; the newest values are kept for the next push.
     """

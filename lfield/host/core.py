@@ -155,9 +155,10 @@ class HostCore:
             observer(event)
 
     def run(self) -> float | None:
-        """Run the parts that are due, then the machine. Call `run` after every event, and when it is due.
-        Returns the seconds until the next call (0: at once), None if the next call is needed only after an
-        event.
+        """Run the parts that are due, then the machine.
+
+        Call `run` after every event, and when it is due. Returns the seconds until the next call (0: at
+        once), None if the next call is needed only after an event.
         """
         now, recorder = self._clock.monotonic(), self.recorder
         if now >= recorder.due:

@@ -34,8 +34,9 @@ class Environment(DeviceReadings, LinkContacts, Protocol):
         """The up-to-date reading of such a query; None if it is not a plain quantity."""
 
     def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
-        """Whether a call of this instruction can be cancelled while under way, according to its manifest. If
-        so, `CancelCall` cancels the call; otherwise the call runs to its end.
+        """Whether a call of this instruction can be cancelled while under way, according to its manifest.
+
+        If so, `CancelCall` cancels the call; otherwise the call runs to its end.
         """
 
     def round_trip(self, host: str) -> float | None:
@@ -85,10 +86,11 @@ class CallDevice(Struct, frozen=True):
 
 
 class CancelCall(Struct, frozen=True):
-    """Cancel the device call that this thread waits for (`DeviceGuards.cancel`). The effect follows the
-    `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The answer is an input like
-    every other, once: a DeviceError of kind CancelledException after the device has done what its manifest
-    prescribes, or the result if the result was already in transit.
+    """Cancel the device call that this thread waits for (`DeviceGuards.cancel`).
+
+    The effect follows the `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The
+    answer is an input like every other, once: a DeviceError of kind CancelledException after the device has
+    done what its manifest prescribes, or the result if the result was already in transit.
     """
 
     agent: Agent

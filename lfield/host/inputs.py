@@ -1,6 +1,8 @@
 """The inputs of `HostCore` as data: all data that enters the core besides time and the answers of its
-environment. The shell passes each input to the core with `enter`. A recording contains the inputs, and a
-replay passes them to the core again.
+environment.
+
+The shell passes each input to the core with `enter`. A recording contains the inputs, and a replay passes
+them to the core again.
 """
 
 from __future__ import annotations
@@ -277,8 +279,10 @@ class BallotHeld(HostInput, frozen=True, tag=26):
 
 class RunEnds(HostInput, frozen=True, tag=27):
     """The devices of a stopping host are at rest, or the host does not wait for them
-    (`Coordinators.end_run`). The run must not end earlier: a host that is killed while its vehicles land must
-    not start the mission again.
+    (`Coordinators.end_run`).
+
+    The run must not end earlier: a host that is killed while its vehicles land must not start the mission
+    again.
     """
 
     def enter(self, core: HostCore) -> None:

@@ -51,9 +51,10 @@ class Journal(Protocol):
         """Make changes in order, all or none. Raises JournalError, as `persist`."""
 
     async def persist(self, records: Sequence[Record]) -> None:
-        """Write records over those with the same keys; all are on disk when the method returns. Without
-        records the method tests whether a journal in trouble can write again. Raises JournalError; then it is
-        unknown whether the records are stored, and the call may be retried.
+        """Write records over those with the same keys; all are on disk when the method returns.
+
+        Without records the method tests whether a journal in trouble can write again. Raises JournalError;
+        then it is unknown whether the records are stored, and the call may be retried.
         """
 
     async def delete(self, keys: Collection[RecordKey]) -> None:

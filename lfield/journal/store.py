@@ -1,5 +1,6 @@
-"""The SQLite database of a journal; its write-ahead log is on disk when a commit returns. Calls block. One
-thread at a time uses a `Store`.
+"""The SQLite database of a journal; its write-ahead log is on disk when a commit returns.
+
+Calls block. One thread at a time uses a `Store`.
 """
 
 from __future__ import annotations

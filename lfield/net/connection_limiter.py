@@ -19,10 +19,12 @@ def same_stage(connection: object) -> int:
 
 class ConnectionLimiter(Generic[G]):
     """At most `limit` unauthenticated connections. When full, it evicts a random connection of the address
-    with the most. Connections of one address at different handshake stages count as connections of different
-    addresses. Among addresses with equally many, a less trusted one is chosen. A flood from one address
-    therefore cannot lock out others. At the flooding address the choice is random (`rng`), so a legitimate
-    caller eventually succeeds; a rule that always evicts the oldest or the newest could lock out this caller.
+    with the most.
+
+    Connections of one address at different handshake stages count as connections of different addresses.
+    Among addresses with equally many, a less trusted one is chosen. A flood from one address therefore cannot
+    lock out others. At the flooding address the choice is random (`rng`), so a legitimate caller eventually
+    succeeds; a rule that always evicts the oldest or the newest could lock out this caller.
     """
 
     def __init__(

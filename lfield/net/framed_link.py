@@ -303,8 +303,9 @@ class FramedLink:
             self.write_frame(data, TrafficKind.HOP)
 
     def withhold(self, *, on: bool) -> None:
-        """Withhold coordinators and answers from now on, or send the withheld ones. Withheld messages are
-        lost if the link is lost, like data in a socket.
+        """Withhold coordinators and answers from now on, or send the withheld ones.
+
+        Withheld messages are lost if the link is lost, like data in a socket.
         """
         waiting, self._withheld = self._withheld, [] if on else None
         if on:
@@ -317,6 +318,7 @@ class FramedLink:
     @property
     def weight(self) -> int:
         """The amount of data that has arrived since answers are withheld, in messages; 0 while they are not.
+
         A transfer counts as one message, a message as one and one more per _HEAVY bytes. A host repeats a
         coordinator only after an answer, so a second transfer of it is proof of flooding (PROVEN), as is an
         amount of oversized blocks that no host sends before an answer.

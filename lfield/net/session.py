@@ -231,8 +231,9 @@ class Session:
         return hello.host
 
     def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
-        """A host exceeds its CPU budget; its link is closed if this lasts too long. The host may not have
-        completed a handshake: handshakes can exceed the budget too.
+        """A host exceeds its CPU budget; its link is closed if this lasts too long.
+
+        The host may not have completed a handshake: handshakes can exceed the budget too.
         """
         self.link, who = link, link.who
         if not error.closes:

@@ -178,8 +178,9 @@ class TlsChannel:
         return self.outgoing.read()
 
     def _continue_handshake(self, data: memoryview) -> memoryview:
-        """Continue the handshake. Returns the bytes after its end. Data of a stranger is bounded; data that
-        is no TLS is not stored.
+        """Continue the handshake. Returns the bytes after its end.
+
+        Data of a stranger is bounded; data that is no TLS is not stored.
         """
         if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
             raise WireError("received data is not TLS: the peer is not an lfield host, or an outdated one")

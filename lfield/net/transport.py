@@ -93,6 +93,7 @@ class Link(Protocol):
 
     def accept_role(self, role: Role) -> None:
         """Accept the Hello of the peer: from now on the peer may send the messages that its role permits.
+
         Before that, any message except a Hello or a refusal closes the link.
         """
 
@@ -143,9 +144,10 @@ class Transport(Protocol):
         """
 
     async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
-        """Connect to a listener; `handler` may be called before `connect` returns. Of several addresses, an
-        address at which a host other than `host` answers is skipped. Raises AddressError, and HandshakeError
-        if a certificate is rejected by either side.
+        """Connect to a listener; `handler` may be called before `connect` returns.
+
+        Of several addresses, an address at which a host other than `host` answers is skipped. Raises
+        AddressError, and HandshakeError if a certificate is rejected by either side.
         """
 
 

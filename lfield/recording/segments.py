@@ -27,8 +27,9 @@ _PIECE = 1 << 20
 
 
 class SegmentEnd(NamedTuple):
-    """The end of the readable part of a segment, in bytes, and the reason: '' if it is complete. `is_cut`: no
-    bytes follow, as after a crash.
+    """The end of the readable part of a segment, in bytes, and the reason: '' if it is complete.
+
+    `is_cut`: no bytes follow, as after a crash.
     """
 
     offset: int
@@ -55,8 +56,10 @@ def format_problem(data: bytes) -> str:
 
 class SegmentReader:
     """The records of one segment, read from `stream` one by one; `end` is the position and the reason of the
-    end of reading. `problem` is the reason why the segment cannot be read at all, '' if it can. The reader
-    never reads more than one record ahead, so a file of any size is harmless.
+    end of reading.
+
+    `problem` is the reason why the segment cannot be read at all, '' if it can. The reader never reads more
+    than one record ahead, so a file of any size is harmless.
     """
 
     def __init__(self, stream: BinaryIO) -> None:

@@ -1,5 +1,6 @@
-"""Reading files that users name: with a size limit, and errors a user can act on. This is a base module. A
-named pipe is also read, and the read waits for its writer, as in other programs.
+"""Reading files that users name: with a size limit, and errors a user can act on. This is a base module.
+
+A named pipe is also read, and the read waits for its writer, as in other programs.
 """
 
 from __future__ import annotations

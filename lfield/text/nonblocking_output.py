@@ -218,8 +218,10 @@ def _nonblocking_for(
     dropped: Callable[[int], object] | None = None,
     lost: Callable[[OSError], object] = lambda error: None,
 ) -> NonBlockingOutput | None:
-    """A non-blocking replacement of a stream; None if it has no descriptor, as in tests. In a process that
-    was started without the stream, `stream` is None, and its number may belong to another file.
+    """A non-blocking replacement of a stream; None if it has no descriptor, as in tests.
+
+    In a process that was started without the stream, `stream` is None, and its number may belong to another
+    file.
     """
     if stream is None:
         return None

@@ -1,4 +1,5 @@
 """Private files of this user: in folders that other users cannot write to, without links, written atomically.
+
 The folder is held open while it is checked and used, so that it cannot be replaced in between. Only plain
 files are read or written; a fifo, device or link is rejected, so no call here can block on such a file.
 
@@ -55,6 +56,7 @@ def new_private_folder(path: Path) -> None:
 
 def grant_group_read(path: Path, group: int) -> None:
     """Give a group, and no others, read access to a folder or plain file of this user; not recursively.
+
     Without effect if the group has access. Raises OutputFileError.
     """
     try:

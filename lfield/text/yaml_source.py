@@ -130,9 +130,11 @@ def parse(source: Source, found: Diagnostics) -> YamlNode | None:
 
 
 def _parse_fast(source: Source) -> YamlNode | None:
-    """The document parsed by the C library, if PyYAML was built with it: twenty times as fast. None for any
-    error, which the parser in Python then reports, so that findings have the same text and position
-    everywhere. The parser in Python also handles byte order marks, which libyaml does not count in positions.
+    """The document parsed by the C library, if PyYAML was built with it: twenty times as fast.
+
+    None for any error, which the parser in Python then reports, so that findings have the same text and
+    position everywhere. The parser in Python also handles byte order marks, which libyaml does not count in
+    positions.
     """
     if not yaml.__with_libyaml__ or "\ufeff" in source.text:
         return None

@@ -123,8 +123,10 @@ class Cancellation:
 
 
 def wake_thread(scheduler: Scheduler, agent: Agent, thread: int) -> None:
-    """Remove a thread from any wait except the wait for a device. A sleeping or yielding thread is positioned
-    after its instruction; it is moved back, so that the exception is thrown at this instruction.
+    """Remove a thread from any wait except the wait for a device.
+
+    A sleeping or yielding thread is positioned after its instruction; it is moved back, so that the exception
+    is thrown at this instruction.
     """
     w, place = agent.block.w, place_of(agent.block, thread)
     scheduler.run_queue.remove(agent, thread)

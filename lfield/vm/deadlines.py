@@ -86,8 +86,9 @@ class Deadlines:
         self._calls, self._stop_waiting = calls, stop_waiting
 
     def start_limit(self, agent: Agent, seconds: float) -> int:
-        """The end of a limit that starts now, for its slot; the limits of the agent are then checked. A limit
-        not above 0 expires at once; a limit longer than any mission never expires.
+        """The end of a limit that starts now, for its slot; the limits of the agent are then checked.
+
+        A limit not above 0 expires at once; a limit longer than any mission never expires.
         """
         now = self._scheduler.clock_of(agent)
         if seconds <= 0:
@@ -229,8 +230,10 @@ class Deadlines:
             self._scheduler.complete_at_once(agent, only_thread(agent.block), 1)
 
     def is_block_expired(self, agent: Agent) -> bool:
-        """Whether a limit has expired around the block that a coordinator is about to leave. The coordinator
-        is in the code of a `finally`. Limits beyond the next `finally` are ignored: they interrupt neither.
+        """Whether a limit has expired around the block that a coordinator is about to leave.
+
+        The coordinator is in the code of a `finally`. Limits beyond the next `finally` are ignored: they
+        interrupt neither.
         """
         return bool(self._expired_ends(agent))
 

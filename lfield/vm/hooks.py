@@ -80,7 +80,9 @@ class HostLiveness(Protocol):
 
     def request_heartbeat(self, member: TeamMember, within: float) -> None:
         """Ask the host of an agent for a heartbeat; no coordinator is sent to this host before the heartbeat
-        arrives. Without effect if the host sent a message in the last `within` seconds.
+        arrives.
+
+        Without effect if the host sent a message in the last `within` seconds.
         """
 
     def is_heartbeat_pending(self, member: TeamMember) -> bool:

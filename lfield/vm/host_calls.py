@@ -162,9 +162,10 @@ class HostCallDispatcher:
             self._poll(agent, thread)
 
     def _poll(self, agent: Agent, thread: int) -> None:
-        """Park or delay a thread that only yields: `while (!done) yield();`. If its turn did not change the
-        block, the next turn will not change it either until another thread of the agent runs: the thread is
-        parked. If it read the clock or a device, its turns are delayed.
+        """Park or delay a thread that only yields: `while (!done) yield();`.
+
+        If its turn did not change the block, the next turn will not change it either until another thread of
+        the agent runs: the thread is parked. If it read the clock or a device, its turns are delayed.
         """
         scheduler = self._scheduler
         agent.note_poll()

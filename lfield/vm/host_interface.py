@@ -97,8 +97,9 @@ class HostInterface(Protocol):
         """
 
     def release_reservations(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
-        """A coordinator here leaves a `reserve`: these resources, here or not, and their numbers. The method
-        does not wait. A release that is lost without a link takes effect at the end of the lease.
+        """A coordinator here leaves a `reserve`: these resources, here or not, and their numbers.
+
+        The method does not wait. A release that is lost without a link takes effect at the end of the lease.
         """
 
     def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
@@ -131,9 +132,11 @@ class HostInterface(Protocol):
 
     def watch_calls(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
         """A coordinator waits here for the first of several calls; these (resource, number) run on other
-        hosts. While it waits (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers of
-        calls that have ended, and of calls whose host is unreachable. This is a hint: the coordinator goes to
-        that host.
+        hosts.
+
+        While it waits (`Agent.waits_for_any`), `PendingCalls.on_ended_elsewhere` gets the numbers of calls
+        that have ended, and of calls whose host is unreachable. This is a hint: the coordinator goes to that
+        host.
         """
 
     def request_cancels(self, agent: Agent, calls: Sequence[tuple[TeamMember, int]]) -> None:
@@ -145,6 +148,7 @@ class HostInterface(Protocol):
 
     def abandon_wait(self, agent: Agent) -> bool:
         """The limit of a suspended coordinator has expired. Returns whether it is here and can be resumed.
+
         True: no coordinator was sent, no call was started, and the host does not wait any more; the machine
         throws. False: the coordinator may have left, or is resumed soon by `Machine.unfreeze`, `resume` or
         `release`.

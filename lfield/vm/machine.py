@@ -178,8 +178,10 @@ class Machine:
         downtime: float = 0.0,
         late_reason: str = HOST_DOWN,
     ) -> Agent:
-        """As `inject`, for a block that was packed on this host and has made no hop since. `downtime` is the
-        time in seconds for which the host was down; `late_reason` is the reason of a delay, for exceptions.
+        """As `inject`, for a block that was packed on this host and has made no hop since.
+
+        `downtime` is the time in seconds for which the host was down; `late_reason` is the reason of a delay,
+        for exceptions.
         """
         block = self._verifier.check(image, limits.heap // 8)
         age = block.w[layout.W_CLOCK] + int(max(0.0, downtime) * 1e9)

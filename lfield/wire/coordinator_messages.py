@@ -157,9 +157,11 @@ class CheckpointId(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class LeaseRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The record of one host about a coordinator under a lease. `checkpoint` is the newest block stored
-    there. `holder` is the host known to run the coordinator, '' for none; it held this `generation` `age`
-    seconds ago. `ended` is the newest known termination: no start up to that generation may be recovered.
+    """The record of one host about a coordinator under a lease.
+
+    `checkpoint` is the newest block stored there. `holder` is the host known to run the coordinator, '' for
+    none; it held this `generation` `age` seconds ago. `ended` is the newest known termination: no start up to
+    that generation may be recovered.
     """
 
     agent: Name
@@ -172,6 +174,7 @@ class LeaseRecord(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 class Locate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=32):
     """Query a host's records of these coordinators, or of all without `agents`; with `leases`, for failover.
+
     This is the only query between hosts about the location of a coordinator; answered by `Located`.
     """
 
@@ -202,6 +205,7 @@ Numbers = Annotated[list[Count], Meta(min_length=1, max_length=4096)]
 
 class WatchCalls(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=67):
     """A start of a coordinator waits on the sender for the first of its calls, some of them on the receiver.
+
     The message is repeated while it waits. Message and answer are hints: the coordinator fetches a result by
     moving to its host.
     """

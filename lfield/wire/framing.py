@@ -94,8 +94,9 @@ class FrameDecoder:
         return self._body is not None or bool(self._start)
 
     def decode_single_frame(self, data: Buffer) -> tuple[int, memoryview] | None:
-        """The kind and payload if the next bytes are exactly one frame; otherwise None. One frame is the
-        usual case, which needs no copy.
+        """The kind and payload if the next bytes are exactly one frame; otherwise None.
+
+        One frame is the usual case, which needs no copy.
         """
         size = len(data) - HEADER_SIZE
         if size < 0 or self._body is not None or self._start:

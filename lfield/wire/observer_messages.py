@@ -61,13 +61,14 @@ class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Another host: the time without a link to it, None while there is one. For a link, the smoothed
-    round-trip time in seconds, the share of segments lost in the last minute, and the bytes sent
-    (retransmissions included) and received since the link opened, with TLS overhead and without headers of
-    TCP and IP; None for values that are not available. `kinds` are the bytes of the messages of both
-    directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS. `path` and `standby` are
-    the addresses of the other host in the network of the link and in the network of its standby connection
-    ('' for none); both are '' if there is one network.
+    """Another host: the time without a link to it, None while there is one.
+
+    For a link, the smoothed round-trip time in seconds, the share of segments lost in the last minute, and
+    the bytes sent (retransmissions included) and received since the link opened, with TLS overhead and
+    without headers of TCP and IP; None for values that are not available. `kinds` are the bytes of the
+    messages of both directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS. `path` and
+    `standby` are the addresses of the other host in the network of the link and in the network of its standby
+    connection ('' for none); both are '' if there is one network.
     """
 
     host: Name
@@ -90,8 +91,10 @@ class AttributeReading(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class DirectoryEntry(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The entry of an agent of the team in a host's directory. `refusal` is the reason why the agent cannot
-    be called, '' if it can. A measured attribute is among `facts`, or `unknown` with the reason.
+    """The entry of an agent of the team in a host's directory.
+
+    `refusal` is the reason why the agent cannot be called, '' if it can. A measured attribute is among
+    `facts`, or `unknown` with the reason.
     """
 
     agent: Name
@@ -166,10 +169,11 @@ class UnlinkableHost(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The coordinators of a host that have not started yet, and the conditions of their start. `hosts` are
-    the hosts with resources that are not linked, or whose vehicles do not report whether they are on the
-    ground; `without` are the hosts that the start does not wait for. `held` is the reason why the start waits
-    for an operator's command, '' if it does not.
+    """The coordinators of a host that have not started yet, and the conditions of their start.
+
+    `hosts` are the hosts with resources that are not linked, or whose vehicles do not report whether they are
+    on the ground; `without` are the hosts that the start does not wait for. `held` is the reason why the
+    start waits for an operator's command, '' if it does not.
     """
 
     agents: Annotated[list[Name], Meta(max_length=4096)]
@@ -180,6 +184,7 @@ class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The snapshot of a host that has been `up` for that number of seconds: its agents, devices and links.
+
     `coordinators` are all coordinators of which it has records, `directory` is its directory of the agents of
     the team. `late` is the longest delay of its heartbeats to its guards in the last minute, in seconds, and
     `silence` the permitted silence; both None without devices. `journal` is None for a host without one.
@@ -246,9 +251,11 @@ class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 class EmergencyStopResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
     """The answer: every device of the host, with '' when its safe state is confirmed, otherwise the reason
-    why it is not. `trouble` is the reason why the order may be lost after a restart of the host, '' if it is
-    stored (also for a host without a journal, which never stores it), or states that a later order has
-    replaced it. `id` is the id of the order, and `epochs` are the present epochs of the host.
+    why it is not.
+
+    `trouble` is the reason why the order may be lost after a restart of the host, '' if it is stored (also
+    for a host without a journal, which never stores it), or states that a later order has replaced it. `id`
+    is the id of the order, and `epochs` are the present epochs of the host.
     """
 
     devices: dict[str, Text]
@@ -306,9 +313,10 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
 
 class BallotHold(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=65):
     """From the service of this robot: suspend all agents and bring every device into its safe state until the
-    result of the ballot `id` is known. With `lift` the result is known, which ends only the hold by this
-    ballot. The hold is independent of a Pause: neither ends the other. It is answered by an
-    EmergencyStopResult.
+    result of the ballot `id` is known.
+
+    With `lift` the result is known, which ends only the hold by this ballot. The hold is independent of a
+    Pause: neither ends the other. It is answered by an EmergencyStopResult.
     """
 
     id: OrderId

@@ -71,8 +71,9 @@ class Propose(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 
 
 class Promise(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=35):
-    """The answer, when the promise is on disk. A `fence` above the proposed generation is a refusal, and so
-    is `ended`: the coordinator has terminated.
+    """The answer, when the promise is on disk.
+
+    A `fence` above the proposed generation is a refusal, and so is `ended`: the coordinator has terminated.
     """
 
     agent: Name

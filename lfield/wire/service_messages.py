@@ -87,6 +87,7 @@ class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=51):
     """The state of a ballot on a host: the stored votes, by host, and the reasons of the votes against.
+
     `ballot` is None if the host has never received it; a host that voted no on demand may have the id only.
     The answer to Proposal, VoteQuery and VoteReport.
     """
@@ -175,7 +176,9 @@ class BundleOffer(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 class PieceRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=55):
     """The pieces of an offer that the host does not have, by number. `trouble` is the reason why it accepts
-    none. With `retry`, here and in the next answers, it accepts pieces later: offer them again.
+    none.
+
+    With `retry`, here and in the next answers, it accepts pieces later: offer them again.
     """
 
     file: Hash
@@ -258,9 +261,11 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):
-    """The state after a command. `trouble` is the reason why it was not executed, or, after a stop, why
-    vehicles may not be at rest. `discarded` are the coordinators that the command has ended. `checked` is the
-    end of a host before a stop, which says that its vehicles have been checked.
+    """The state after a command.
+
+    `trouble` is the reason why it was not executed, or, after a stop, why vehicles may not be at rest.
+    `discarded` are the coordinators that the command has ended. `checked` is the end of a host before a stop,
+    which says that its vehicles have been checked.
     """
 
     run: RunInfo

@@ -1,7 +1,8 @@
-"""The bytecode verifier (DESIGN section 5): engines do not repeat its checks. It checks every program before
-use, also untrusted bytes from a peer. Records are checked before the instructions that refer to them, so that
-later checks may follow an index without a test. Each check visits each record and each instruction once: the
-time is linear in the size of the program.
+"""The bytecode verifier (DESIGN section 5): engines do not repeat its checks.
+
+It checks every program before use, also untrusted bytes from a peer. Records are checked before the
+instructions that refer to them, so that later checks may follow an index without a test. Each check visits
+each record and each instruction once: the time is linear in the size of the program.
 """
 
 from __future__ import annotations

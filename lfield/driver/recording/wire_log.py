@@ -40,8 +40,10 @@ MakeRing = Callable[[str, bytes], LogRing]
 
 
 class WireLog:
-    """The log of one bus; `Driver.wire_log`. No data is logged unless the guard has started the log. A driver
-    calls the method of its protocol for all data that it sends and receives. No call waits or raises.
+    """The log of one bus; `Driver.wire_log`. No data is logged unless the guard has started the log.
+
+    A driver calls the method of its protocol for all data that it sends and receives. No call waits or
+    raises.
     """
 
     def __init__(self, clock: Clock) -> None:

@@ -47,6 +47,7 @@ class GuardDifference(msgspec.Struct, frozen=True):
 
 class GuardReplay(msgspec.Struct):
     """The result: compared decisions and states (`digests`), the number of differences, and the first one.
+
     `cut` has the files with an unreadable end, and the reasons; `missing` has the files without any record.
     """
 

@@ -99,8 +99,10 @@ class WriteAheadQueue:
 
     def durable_states(self, rows: Iterable[CoordinatorState], here: str) -> list[CoordinatorState]:
         """The states for other hosts: a start that terminated on this host, `here`, counts as running until
-        the termination is on disk. After a crash this host would resume the start. If other hosts knew of the
-        termination, a majority could have it on disk by then, and it would be final.
+        the termination is on disk.
+
+        After a crash this host would resume the start. If other hosts knew of the termination, a majority
+        could have it on disk by then, and it would be final.
         """
         return [self._durable_state(row, here) for row in rows]
 

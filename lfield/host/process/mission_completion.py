@@ -39,10 +39,11 @@ FAILOVER_TIME, FAILOVER_LEASES = 5.0, 3.0
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
     """The outcomes of all coordinators. The function does not wait for a host without contact for
-    `lost_after` seconds. It waits for a host that has not started yet as long as a portal call to that host
-    waits, if that is longer. It waits for a coordinator that has not started yet until a host that its start
-    needs has certainly ended, and for a coordinator that a majority may recover until a failover would have
-    ended.
+    `lost_after` seconds.
+
+    It waits for a host that has not started yet as long as a portal call to that host waits, if that is
+    longer. It waits for a coordinator that has not started yet until a host that its start needs has
+    certainly ended, and for a coordinator that a majority may recover until a failover would have ended.
     """
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.initial_coordinators}
@@ -90,8 +91,9 @@ class _StartedByOthers:
         self._host, self._homes = host, homes
 
     async def find_more(self) -> bool:
-        """Query the hosts when all known coordinators have ended; returns whether there are others. A home
-        makes a start before the coordinator that asked for it ends, so the home reports this start.
+        """Query the hosts when all known coordinators have ended; returns whether there are others.
+
+        A home makes a start before the coordinator that asked for it ends, so the home reports this start.
         """
         team = self._host.team
         waiting = team.startable.keys() - self._homes.keys()
@@ -108,8 +110,10 @@ class _StartedByOthers:
 
 
 class _PendingRestarts:
-    """Terminations from journals, which belong to an earlier run if a home starts a new one. A person may
-    first have to lift a stop, or to start another host, so there is no time limit for the new start.
+    """Terminations from journals, which belong to an earlier run if a home starts a new one.
+
+    A person may first have to lift a stop, or to start another host, so there is no time limit for the new
+    start.
 
     `homes` has the home of each coordinator; `lost_after` and `unmet` are as in
     `Membership.unavailable_hosts`.

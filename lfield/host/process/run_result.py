@@ -29,6 +29,7 @@ MAX_REASON, MAX_RESULT = 1000, 60_000
 
 class RunResult(msgspec.Struct, frozen=True):
     """`hops` are the hops of each start of a coordinator, as far as this host knows them. `reason` may be ''.
+
     `status` is the exit status, None if the host was killed before it wrote one.
     """
 

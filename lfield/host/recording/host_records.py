@@ -44,12 +44,13 @@ class Release(Struct, frozen=True, array_like=True):
 
 
 class StartRecord(HostRecord, frozen=True, tag=1):
-    """The start of an incarnation: all data that the core is constructed from. `bundle` is the digest of the
-    bundle in the folder, which is the bundle of the mission that runs; `release` is the bundle that the
-    mission was read from. `seed` is the seed of the core's random numbers. `records` are the contents of the
-    journal, `times` the Unix times at which they were written. `pace` is the pace of the engine; `metered`: a
-    simulation meters its instructions. `at` and `wall` are the time of the construction, `drawn` the random
-    bytes that were drawn during the construction.
+    """The start of an incarnation: all data that the core is constructed from.
+
+    `bundle` is the digest of the bundle in the folder, which is the bundle of the mission that runs;
+    `release` is the bundle that the mission was read from. `seed` is the seed of the core's random numbers.
+    `records` are the contents of the journal, `times` the Unix times at which they were written. `pace` is
+    the pace of the engine; `metered`: a simulation meters its instructions. `at` and `wall` are the time of
+    the construction, `drawn` the random bytes that were drawn during the construction.
     """
 
     lfield: str

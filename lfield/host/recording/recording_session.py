@@ -59,8 +59,9 @@ def replayed_form(mission: Mission) -> Mission:
 
 
 def _bundle_of(mission: Mission) -> bytes:
-    """The bundle of the mission as it runs, with its signature if the signature is of the same bytes. Other
-    bindings, such as those of simulated devices, and other addresses make another bundle.
+    """The bundle of the mission as it runs, with its signature if the signature is of the same bytes.
+
+    Other bindings, such as those of simulated devices, and other addresses make another bundle.
     """
     data = encode(mission)
     release = mission.release

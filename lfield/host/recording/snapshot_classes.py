@@ -1,6 +1,8 @@
 """The classes of objects in snapshots: only classes of lfield, by name; objects are made without their
-constructors. The contents of a snapshot are checked when it is written: a snapshot that cannot be restored is
-of no use later.
+constructors.
+
+The contents of a snapshot are checked when it is written: a snapshot that cannot be restored is of no use
+later.
 """
 
 from __future__ import annotations

@@ -259,6 +259,7 @@ class Coordinators(Part):
 
     def recover(self, agent: str, generation: int) -> bool:
         """Resume a coordinator whose holder is lost as start `generation`, once this start is on disk.
+
         Returns False, without an effect, if its block here is unreadable.
         """
         effects = self.mobility.recover(agent, generation, partial(self._restore_into_vm, runs=False))

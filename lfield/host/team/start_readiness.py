@@ -209,8 +209,9 @@ class Readiness:
         return min([self._repeat_at, *asked]) if self._repeat_at else min(asked, default=None)
 
     def line(self, agents: Sequence[str], now: float) -> LogLine | None:
-        """The log line about the wait of these coordinators, None when none is due. A line is due at once
-        when the missing hosts have changed, then at increasing intervals.
+        """The log line about the wait of these coordinators, None when none is due.
+
+        A line is due at once when the missing hosts have changed, then at increasing intervals.
         """
         now_waited_for = (self.held, tuple(self.waited_for), tuple(sorted(self.refusals)))
         is_changed = now_waited_for != self._logged

@@ -1,5 +1,6 @@
-"""Start of one host's own coordinators: its time, and the coordinators that are not started. Sans-IO. A
-coordinator that resumes from the journal never waits: only a new start does (`Readiness`).
+"""Start of one host's own coordinators: its time, and the coordinators that are not started. Sans-IO.
+
+A coordinator that resumes from the journal never waits: only a new start does (`Readiness`).
 """
 
 from __future__ import annotations

@@ -250,9 +250,10 @@ class StandbyLinks:
     # --- dialling -------------------------------------------------------------------------------------
 
     def _other_addresses(self, host: str, session: Session) -> list[str]:
-        """The addresses at which this side dials a standby: all except the address of the link. The side that
-        dialled the link dials the standby; the accepting side does so only if its own address leaves no
-        choice.
+        """The addresses at which this side dials a standby: all except the address of the link.
+
+        The side that dialled the link dials the standby; the accepting side does so only if its own address
+        leaves no choice.
         """
         if session.dialled is None and len(split_addresses(self._addresses[self._here])) > 1:
             return []

@@ -186,8 +186,9 @@ class MemberScheduler:
         self._apply_budget(link, member, self._budgets.on_handshake(member, seconds, now), now)
 
     def process_at_once(self, link: MemberLink, member: str, data: bytes) -> bool:
-        """Process a message now, if these bytes are exactly one message and no other link precedes. Returns
-        False without effect when the bytes have to be queued.
+        """Process a message now, if these bytes are exactly one message and no other link precedes.
+
+        Returns False without effect when the bytes have to be queued.
         """
         loop, queue = asyncio.get_running_loop(), self._queue
         if self._waiting or self._probes or self._paused or self._next_slice is not None or queue.ranks:

@@ -1,7 +1,9 @@
 """Window of a numbered stream: the number of bytes that may be in transit, and the time when the peer is
-asked for them. The fabric queues the data that a slow path cannot carry, and an emergency stop waits behind
-this data. So the window follows the delay: it grows while it is used and answers are about as fast as the
-fastest one, and shrinks when answers are later.
+asked for them.
+
+The fabric queues the data that a slow path cannot carry, and an emergency stop waits behind this data. So the
+window follows the delay: it grows while it is used and answers are about as fast as the fastest one, and
+shrinks when answers are later.
 """
 
 from __future__ import annotations

@@ -372,8 +372,9 @@ class NumberedStream:
             self._ack_at = now + ACK_DELAY
 
     def _read_on(self) -> bool:
-        """Deliver received packets unless paused; returns whether there were any. The delivery is one effect,
-        because the owner may pause when it receives the data.
+        """Deliver received packets unless paused; returns whether there were any.
+
+        The delivery is one effect, because the owner may pause when it receives the data.
         """
         if self._is_paused or self.is_closed or not self._buffer.unread:
             return False

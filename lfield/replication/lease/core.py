@@ -76,8 +76,9 @@ class Quorum:
     # --- time -----------------------------------------------------------------------------------------
 
     def start(self, now: float, *, first: bool = False) -> None:
-        """Take part from now on; before this call, the host only answers. `first`: the operator asserts that
-        this host never made a promise.
+        """Take part from now on; before this call, the host only answers.
+
+        `first`: the operator asserts that this host never made a promise.
         """
         self._next_heartbeat = now
         if first:

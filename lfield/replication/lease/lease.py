@@ -1,7 +1,8 @@
-"""Majority lease of one host: the time until which its coordinators may act. Sans-IO. The lease holds while a
-majority of the members has acknowledged a heartbeat *sent* less than one lease ago: later promises of a
-member were not made before the member received this heartbeat. Times are those of this host's clock, which
-includes suspended time. A new process holds no lease.
+"""Majority lease of one host: the time until which its coordinators may act. Sans-IO.
+
+The lease holds while a majority of the members has acknowledged a heartbeat *sent* less than one lease ago:
+later promises of a member were not made before the member received this heartbeat. Times are those of this
+host's clock, which includes suspended time. A new process holds no lease.
 """
 
 from __future__ import annotations

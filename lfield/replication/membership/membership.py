@@ -1,8 +1,9 @@
-"""Gossip failure detector (sans-IO): the time when each host of a team last gave evidence of life. The
-detector is idle until a peer is missing. A host that misses a peer sends a probe (host, incarnation, counter
-+ 10) to its overlay neighbours; each neighbour forwards the data that is new to it. A probed host emits one
-heartbeat per second up to that counter, and these spread in the same way. Only a counter that grows is
-evidence of life. Repeated gossip therefore never refreshes a dead host, and no clocks are compared.
+"""Gossip failure detector (sans-IO): the time when each host of a team last gave evidence of life.
+
+The detector is idle until a peer is missing. A host that misses a peer sends a probe (host, incarnation,
+counter + 10) to its overlay neighbours; each neighbour forwards the data that is new to it. A probed host
+emits one heartbeat per second up to that counter, and these spread in the same way. Only a counter that grows
+is evidence of life. Repeated gossip therefore never refreshes a dead host, and no clocks are compared.
 """
 
 from __future__ import annotations

@@ -32,9 +32,10 @@ E = TypeVar("E")
 
 
 class QueryRelay(Generic[E]):
-    """The relay of host `here`, for its own messages and messages of other hosts. `incarnation` is that of
-    the host; effects are passed to `out`. `membership` knows the links; `mobility` processes messages for
-    this host.
+    """The relay of host `here`, for its own messages and messages of other hosts.
+
+    `incarnation` is that of the host; effects are passed to `out`. `membership` knows the links; `mobility`
+    processes messages for this host.
     """
 
     #: The relay has no handlers of its own: `Coordinators` calls it.

@@ -255,6 +255,7 @@ class Termination:
 
     def displace_in_doubt(self, arrived: CoordinatorCopy) -> list[Effect]:
         """A start was injected here: an earlier start in doubt leaves the machine, which has space for one.
+
         This is no proof of a loss: the receiver is still queried, and the copy is still reported.
         """
         effects: list[Effect] = []

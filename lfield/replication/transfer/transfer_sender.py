@@ -99,8 +99,9 @@ class TransferSender:
         self._state_ids.pop(host, None)
 
     def needs_probe(self, host: str) -> bool:
-        """Whether a linked host must be probed: copies wait for it as without a link. False if no copy could
-        be sent to it anyway.
+        """Whether a linked host must be probed: copies wait for it as without a link.
+
+        False if no copy could be sent to it anyway.
         """
         if host not in self._backpressure:
             self._probed.add(host)
@@ -130,7 +131,9 @@ class TransferSender:
 
     def on_accepted(self, host: str, message: TransferAccepted) -> list[Effect]:
         """The receiver has admitted the copy, or the copy has moved on: the commit point of the hop for the
-        sender. Any host may report that the copy has moved on.
+        sender.
+
+        Any host may report that the copy has moved on.
         """
         copy = self._pending(message)
         return [] if copy is None else self.mark_moved(copy, message.held)

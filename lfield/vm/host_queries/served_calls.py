@@ -15,8 +15,9 @@ from lfield.vm.scheduler import Scheduler
 
 class ServedCalls:
     """Read access to the calls of one host. The calls in progress are in the scheduler, by number: the
-    coordinator that waits, or the record of a call of a `together`. A call that is missing there was detached
-    from its caller, and its result is dropped.
+    coordinator that waits, or the record of a call of a `together`.
+
+    A call that is missing there was detached from its caller, and its result is dropped.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -34,8 +35,10 @@ class ServedCalls:
         return number, (found if found is None or isinstance(found, PendingCall) else found[0])
 
     def caller(self, resource: Agent, thread: int) -> Agent | PendingCall | None:
-        """The coordinator of `of_thread`. A pending call represents its coordinator, which may have gone to
-        another host: its record has the coordinator's id, start and time limit.
+        """The coordinator of `of_thread`.
+
+        A pending call represents its coordinator, which may have gone to another host: its record has the
+        coordinator's id, start and time limit.
         """
         return self.of_thread(resource, thread)[1]
 

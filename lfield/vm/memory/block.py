@@ -209,7 +209,9 @@ class Block:
 
     def insert_element(self, place: int, at: int, word: int, most: int) -> None:
         """Insert an element into a growable array, before the element at an index, which is at most the
-        length. If the array is full, its elements move to an ARRAY with half as many more, at most `most`: an
+        length.
+
+        If the array is full, its elements move to an ARRAY with half as many more, at most `most`: an
         insertion at the end takes a constant time on average. Raises HeapFull before any write.
         """
         w = self.w

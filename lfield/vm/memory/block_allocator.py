@@ -29,8 +29,9 @@ class BlockAllocator(Protocol):
         """`size` uninitialised bytes (8 for each word)."""
 
     def resize(self, data: Buffer, size: int) -> Buffer:
-        """The bytes of `data` with another size; `data` must not be used any more. Added bytes are
-        uninitialised.
+        """The bytes of `data` with another size; `data` must not be used any more.
+
+        Added bytes are uninitialised.
         """
 
     def collect(self, source: Buffer, target: Buffer, layouts: Layouts) -> int:
@@ -58,7 +59,9 @@ class BlockAllocator(Protocol):
 
     def verify_heap(self, data: Buffer, heap: int, top: int, schema: HeapSchema) -> VerifiedHeap | None:
         """The objects between two words, if sizes, texts, proxies and references are valid; None if the
-        allocator cannot decide (`lfield.vm.memory.block_verifier`). The result is valid until the next call.
+        allocator cannot decide (`lfield.vm.memory.block_verifier`).
+
+        The result is valid until the next call.
         """
 
     def can_migrate(self, data: Buffer, top: int, suspension_points: SuspensionPoints) -> bool:

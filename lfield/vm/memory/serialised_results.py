@@ -30,8 +30,9 @@ def serialise_object(source: Block, place: int, digest: bytes, layouts: Layouts)
 def serialise_built(
     digest: bytes, make: Callable[[Block], int], space: BlockAllocator = HEAP_ALLOCATOR
 ) -> bytes:
-    """Serialise an object that `make` creates in the block passed to it; `make` may raise HeapFull. The bytes
-    of this block are from `space`, preferably the space of the source block.
+    """Serialise an object that `make` creates in the block passed to it; `make` may raise HeapFull.
+
+    The bytes of this block are from `space`, preferably the space of the source block.
     """
     words = 0
     while True:

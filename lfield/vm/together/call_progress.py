@@ -144,7 +144,9 @@ class CallProgress:
 
     def _request_cancels(self, agent: Agent, thread: int) -> None:
         """Ask the other hosts to cancel, if there are several, because the coordinator goes to one host at a
-        time. The requests are sent only when the block at this instruction is on disk, as after a hop: a
+        time.
+
+        The requests are sent only when the block at this instruction is on disk, as after a hop: a
         coordinator that is restored from an earlier block has not cancelled any call.
         """
         if not agent.is_persisted:

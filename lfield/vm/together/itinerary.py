@@ -157,6 +157,7 @@ class Itinerary:
 
     def first_destination(self, agent: Agent, tickets: Sequence[Ticket]) -> list[Ticket]:
         """The tickets on the next host of a coordinator that waits for any of these tickets; [] if it stays.
+
         It goes to a host where a call has ended, or to the only host.
         """
         open_tickets = [t for t in tickets if t.state in VISITED_STATES["next"]]

@@ -65,8 +65,9 @@ class TogetherHandlers:
         }
 
     def on_failed(self, agent: Agent, thread: int, kind: str, message: str, source: str) -> None:
-        """A suspended coordinator cannot reach the awaited calls, which return with an exception. If another
-        coordinator has reserved a resource (`source`), only the calls of that resource return.
+        """A suspended coordinator cannot reach the awaited calls, which return with an exception.
+
+        If another coordinator has reserved a resource (`source`), only the calls of that resource return.
         """
         tickets = [
             ticket

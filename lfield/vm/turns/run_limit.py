@@ -1,6 +1,7 @@
-"""Limits the duration of one run of a machine, and records the positions at which time has cut it. The number
-of instructions within this time depends on the speed of the computer. A replay must stop at the same
-instructions, so it repeats the recorded cuts and does not measure time.
+"""Limits the duration of one run of a machine, and records the positions at which time has cut it.
+
+The number of instructions within this time depends on the speed of the computer. A replay must stop at the
+same instructions, so it repeats the recorded cuts and does not measure time.
 """
 
 from __future__ import annotations

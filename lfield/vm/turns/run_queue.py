@@ -39,8 +39,9 @@ class RunQueue:
         self.ready.append((agent, thread))
 
     def push_front(self, agent: Agent, thread: int) -> None:
-        """Queue a ready thread at the front: its wait was short, or another thread waits for it. After
-        MAX_STREAK such consecutive turns all other threads run first, to prevent starvation.
+        """Queue a ready thread at the front: its wait was short, or another thread waits for it.
+
+        After MAX_STREAK such consecutive turns all other threads run first, to prevent starvation.
         """
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
         self.push_ready_front(agent, thread)

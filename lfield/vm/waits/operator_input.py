@@ -60,7 +60,9 @@ class OperatorInput:
 
     def enter(self, text: str, *, is_kept: bool, agent: str = "") -> str:
         """Pass a line to the first waiting thread, of any agent or of `agent`; without a waiting thread the
-        line is kept, if `is_kept`. Returns the reason why it was not accepted, '' if it was.
+        line is kept, if `is_kept`.
+
+        Returns the reason why it was not accepted, '' if it was.
         """
         text = text[:MAX_LINE]
         self._drop_ended()

@@ -117,8 +117,9 @@ class Arena:
         return base
 
     def _extend(self, capacity: int) -> int:
-        """A new region at the end of the memory, which grows; -1 if this is impossible. The last page is
-        unused, so the address after a region also fits 32 bits.
+        """A new region at the end of the memory, which grows; -1 if this is impossible.
+
+        The last page is unused, so the address after a region also fits 32 bits.
         """
         base, end = self._next, self._next + capacity
         size = self.memory.data_len(self.store)

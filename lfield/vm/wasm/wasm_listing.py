@@ -1,5 +1,6 @@
-"""Listing of a module for people: indented, with each instruction above its text. The listing is the same
-module with additional spaces and comments.
+"""Listing of a module for people: indented, with each instruction above its text.
+
+The listing is the same module with additional spaces and comments.
 """
 
 from __future__ import annotations
